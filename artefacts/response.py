@@ -1,0 +1,147 @@
+"""The response: what a structure did under a heat input, simulated or measured.
+
+One labelled dataset with units in its metadata, stored as NetCDF. It is the only thing that
+`calibrate` knows of a structure. A measured response needs `heat_input`, `temperature` and
+`displacement` only; a simulated one also holds the joint and the solver's figures.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError, unknown_name
+from artefacts.files import whole_file
+
+SCHEMA = "thermojoint-response"
+SCHEMA_VERSION = 1
+
+#: name -> (dimensions, unit, long name); the first three are in every response.
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "heat_input": (("time",), "1", "heat input relative to the reference step"),
+    "temperature": (("time", "probe"), "K", "temperature above ambient"),
+    "displacement": (("time", "axis"), "m", "displacement of A relative to B"),
+    "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
+    "pressure": (("time", "contact"), "Pa", "mean normal contact pressure"),
+    "conductance": (("time", "contact"), "W m-2 K-1", "contact conductance (Eq. 11)"),
+    "heat_flow": (("time", "contact"), "W", "heat flow across the joint, side a to side b"),
+    "opening": (("time", "contact"), "m", "normal opening from the preloaded state"),
+    "slip": (("time", "contact", "tangent"), "m", "irreversible tangential slip"),
+    "contact_position": (("contact", "space"), "m", "centroid of the contact elements"),
+    "contact_area": (("contact",), "m2", "area of the contact elements"),
+    "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),
+    "gap_residual": (("time",), "m", "largest residual of the gap equations"),
+    "iterations": (("time",), "1", "Newton iterations of the step, cuts included"),
+    "cuts": (("time",), "1", "how often the step was cut"),
+    "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
+}
+REQUIRED = ("heat_input", "temperature", "displacement")
+
+
+def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
+    """Return `response` if it follows the schema.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Variables and dimensions as in `VARIABLES`; coordinate ``time`` in s, strictly increasing.
+    where : str
+        Name of the file or the source, for the error message.
+
+    Raises
+    ------
+    InputError
+        A variable or dimension is missing, a unit differs, a value is not finite, or time does not
+        increase.
+    """
+    for name in REQUIRED:
+        if name not in response:
+            raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
+    for key, variable in response.data_vars.items():
+        name = str(key)
+        if name not in VARIABLES:
+            continue
+        dims, unit, _ = VARIABLES[name]
+        if variable.dims != dims:
+            raise InputError(f"{where}: {name!r} has dimensions {variable.dims}, expected {dims}")
+        if unit and variable.attrs.get("units") != unit:
+            found = variable.attrs.get("units", "no unit")
+            raise InputError(f"{where}: {name!r} is in {found!r}, expected {unit!r}; convert it")
+        if variable.dtype.kind == "f" and not bool(np.isfinite(variable).all()):
+            raise InputError(f"{where}: {name!r} has values that are not finite; remove them")
+    time = response["time"].to_numpy()
+    if time.size < 2 or not bool((np.diff(time) > 0.0).all()):
+        raise InputError(f"{where}: time must increase strictly and have two samples or more")
+    return response
+
+
+def make_response(
+    values: dict[str, np.ndarray],
+    coords: dict[str, np.ndarray | list[str]],
+    attrs: dict[str, str | float | int] | None = None,
+) -> xr.Dataset:
+    """Return a checked response from plain arrays, with units and long names filled in.
+
+    Parameters
+    ----------
+    values : dict of ndarray
+        Arrays shaped as `VARIABLES` says, in its units.
+    coords : dict
+        At least ``time`` (s), ``probe`` (names) and ``axis`` (names).
+    attrs : dict, optional
+        Further metadata, e.g. ``reference_power_W`` and ``case``.
+    """
+    data = {}
+    for name, value in values.items():
+        if name not in VARIABLES:
+            raise unknown_name("response variable", name, VARIABLES, "make_response")
+        dims, unit, long_name = VARIABLES[name]
+        meta = {"long_name": long_name} | ({"units": unit} if unit else {})
+        data[name] = (dims, value, meta)
+    response = xr.Dataset(
+        data,
+        coords=dict(coords),
+        attrs={"schema": SCHEMA, "schema_version": SCHEMA_VERSION} | (attrs or {}),
+    )
+    response["time"].attrs = {"units": "s", "long_name": "time"}
+    return check_response(response, "make_response")
+
+
+def write_response(response: xr.Dataset, path: Path) -> None:
+    """Write `response` to `path` (NetCDF), whole or not at all."""
+    packed = {
+        str(name): {"zlib": True, "complevel": 4}
+        for name, variable in response.data_vars.items()
+        if variable.dtype.kind == "f"
+    }
+    with whole_file(path) as part:
+        response.to_netcdf(part, engine="h5netcdf", encoding=packed)
+
+
+def read_response(path: Path) -> xr.Dataset:
+    """Read a response and check it.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no response, of another version, or fails
+        `check_response`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a response written by 'thermojoint simulate'")
+    try:
+        response = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise InputError(
+            f"{path}: not a readable NetCDF file, perhaps truncated; simulate it again"
+        ) from error
+    found = response.attrs.get("schema"), int(response.attrs.get("schema_version", 0))
+    if found != (SCHEMA, SCHEMA_VERSION):
+        raise InputError(
+            f"{path}: schema {found[0]!r} version {found[1]}, expected {SCHEMA!r} version "
+            f"{SCHEMA_VERSION}; write it again with this version"
+        )
+    return check_response(response, str(path))

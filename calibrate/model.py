@@ -1,0 +1,150 @@
+"""The calibrated model: every parameter of Tables 1-3, in SI, as frozen data.
+
+`calibrate` makes it, `estimator` runs it; `calibrate.model_file` stores it as JSON. The heat input
+is relative to the reference step (dimensionless), so `K` is in kelvin per unit of heat input.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RingModel:
+    """Generalised thermal model (Eqs. 1-3): a ring source on a plate that convects.
+
+    Attributes
+    ----------
+    K : float
+        Gain, K per unit heat input.
+    a : float
+        Convection parameter, 1/m2.
+    alpha : float
+        Apparent diffusivity, m2/s.
+    r, r0 : float
+        Distance of the point and radius of the ring, m.
+    """
+
+    K: float
+    a: float
+    alpha: float
+    r: float
+    r0: float
+
+
+@dataclass(frozen=True)
+class Regularisation:
+    """Regularisation function f_R = (A t + B t2) exp(-gamma t) (Eq. 7); K/s, K/s2 and 1/s.
+
+    Its unit is that of the step response it is added to: K per unit heat input.
+    """
+
+    A: float
+    B: float
+    gamma: float
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Direct thermal model as a relaxation spectrum: sum of c_k (1 - exp(-lambda_k t)).
+
+    Attributes
+    ----------
+    amplitudes : tuple of float
+        c_k, K per unit heat input.
+    rates : tuple of float
+        lambda_k, 1/s, positive.
+    """
+
+    amplitudes: tuple[float, ...]
+    rates: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class DeformationModel:
+    """Step response of a displacement (Eq. 8; Eq. 18 with the last term).
+
+    C + D - C exp(-c t) - D exp(-d t) + E t exp(-e t) + F t exp(-f t), with C, D in m per unit of
+    heat input, E, F in m/s per unit and the rates in 1/s. Eq. 8 has F = f = 0.
+    """
+
+    C: float
+    D: float
+    E: float
+    c: float
+    d: float
+    e: float
+    F: float = 0.0
+    f: float = 0.0
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Table 1: what the structure does at the reference input, taken as proportional to it.
+
+    Attributes
+    ----------
+    thermal : RingModel
+        Heat input to temperature difference (a) - (b).
+    regularisation : Regularisation
+        f_R of its inverse.
+    deformation : dict
+        Axis name ("x", "y") to its Eq. 8 model.
+    direct : dict
+        Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
+    """
+
+    thermal: RingModel
+    regularisation: Regularisation
+    deformation: dict[str, DeformationModel]
+    direct: dict[str, RingModel | Relaxation]
+
+
+@dataclass(frozen=True)
+class FictitiousSource:
+    """One fictitious contact heat source: its row of Tables 2 and 3.
+
+    Attributes
+    ----------
+    K, a, alpha, r0 : float
+        As in `RingModel`; the distances stand in `Model.distances`.
+    strengths : dict
+        Calibration heat input, as text (e.g. ``"0.5"``), to the source's step strength q there.
+    regularisation : Regularisation
+        f_R of its inverse.
+    deformation : dict
+        Axis name to the Eq. 18 model per unit strength.
+    """
+
+    K: float
+    a: float
+    alpha: float
+    r0: float
+    strengths: dict[str, float]
+    regularisation: Regularisation
+    deformation: dict[str, DeformationModel]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything the estimator of Figure 5 needs.
+
+    Attributes
+    ----------
+    linear : LinearModel
+        Table 1.
+    sources : tuple of FictitiousSource
+        Tables 2 and 3.
+    distances : tuple of tuple of float
+        r_ij, m: from source i to sensor T_j, fixed by the geometry (Eq. 16).
+    sensors : dict
+        Role ("a", "b", "T1", "T2") to the position in m.
+    reference_power_W : float
+        Heat per source at heat input 1, W.
+    """
+
+    linear: LinearModel
+    sources: tuple[FictitiousSource, ...]
+    distances: tuple[tuple[float, ...], ...]
+    sensors: dict[str, tuple[float, float, float]]
+    reference_power_W: float
