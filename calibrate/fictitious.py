@@ -1,0 +1,262 @@
+"""Tables 2 and 3: the fictitious contact heat sources, from steps at other heat inputs.
+
+What a structure does at heat input Q̄ beyond Q̄ times what it does at the reference input is put down
+to fictitious sources on the joint, switched on as steps together with the main one (Attia & Fraser,
+section 5.3.2). `source_thermal` fits their rates and products to the temperature deviations. Only
+products are seen, so every strength is set to 1 at one heat input; gains and the other strengths
+follow. `source_deformation` fits what the sources do to the displacement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError
+from calibrate import source_thermal, steps
+from calibrate.fit_result import Fit
+from calibrate.linear import JOINT_SENSORS
+from calibrate.model import DeformationModel, FictitiousSource, RingModel
+from calibrate.regularisation import choose_regularisation
+from calibrate.source_deformation import fit_source_deformation, source_displacements
+from calibrate.source_thermal import Averaging, Comparison, SourceFit
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """What further step inputs do beyond proportionality to the reference.
+
+    Attributes
+    ----------
+    inputs : tuple of float
+        Heat inputs, ascending.
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    temperatures : ndarray, shape (inputs, sensors, n)
+        ∂T_j, K; sensors T1, T2.
+    displacements : dict
+        Axis name to δ_NL, m, shape (inputs, n).
+    """
+
+    inputs: tuple[float, ...]
+    t: np.ndarray
+    temperatures: np.ndarray
+    displacements: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class FictitiousCalibration:
+    """Tables 2 and 3 and how good they are.
+
+    Attributes
+    ----------
+    sources : tuple of FictitiousSource
+        From the joint fit.
+    deviations : Deviations
+        What was fitted.
+    joint : SourceFit
+        Rates and products shared by all inputs.
+    averaged : Averaging
+        The loop of Figure 4 on the same data.
+    comparison : Comparison
+        Of the two.
+    reference_input : float
+        Where every strength is 1.
+    strength_condition : float
+        Condition number of the matrix of strengths (rows scaled to unit length): large if the
+        inputs drive the sources in nearly the same proportion, so that the displacement cannot be
+        split between them.
+    deformation_fits : dict
+        Axis name to the fit of Eq. 18.
+    deformation_errors : dict
+        Axis name to {heat input as text: largest error, m}.
+    """
+
+    sources: tuple[FictitiousSource, ...]
+    deviations: Deviations
+    joint: SourceFit
+    averaged: Averaging
+    comparison: Comparison
+    reference_input: float
+    strength_condition: float
+    deformation_fits: dict[str, Fit]
+    deformation_errors: dict[str, dict[str, float]]
+
+
+def deviations_from(
+    reference: xr.Dataset, others: dict[float, xr.Dataset], where: str = "calibration responses"
+) -> Deviations:
+    """Return ∂T_j = T_j - Q̄ T_j(1) and δ_NL = δ - Q̄ δ(1) of further steps.
+
+    Parameters
+    ----------
+    reference : xarray.Dataset
+        Step response at the reference input; taken per unit of its level.
+    others : dict
+        Heat input to the step response at it, sampled at the same times.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        A response is no step, its level is not the one named or the reference's, or its times or
+        axes differ from the reference's.
+    """
+    base = steps.step_level(reference, f"{where}, reference")
+    t = steps.times(reference)
+    axes = [str(name) for name in reference["axis"].to_numpy()]
+    inputs = tuple(sorted(float(level) for level in others))
+    temperatures = np.empty((len(inputs), len(JOINT_SENSORS), t.size))
+    displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}
+    for index, named in enumerate(inputs):
+        name, response = f"{where}, input {named:g}", others[named]
+        level = steps.step_level(response, name)
+        if abs(level - named) > 1e-9 * abs(named):
+            raise InputError(f"{name}: its heat input is {level:g}; name it by its heat input")
+        if abs(level - base) < 1e-9 * abs(base):
+            raise InputError(f"{name}: this is the reference input; give another step")
+        at = steps.times(response)
+        if at.shape != t.shape or not bool(np.allclose(at, t, rtol=0.0, atol=1e-6)):
+            raise InputError(f"{name}: sample times differ from the reference's; sample alike")
+        factor = level / base
+        for j, sensor in enumerate(JOINT_SENSORS):
+            temperatures[index, j] = steps.temperature(
+                response, sensor, name
+            ) - factor * steps.temperature(reference, sensor, where)
+        for axis in axes:
+            displacements[axis][index] = steps.displacement(
+                response, axis, name
+            ) - factor * steps.displacement(reference, axis, where)
+    return Deviations(inputs, t, temperatures, displacements)
+
+
+def gains_and_strengths(products: np.ndarray, reference: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return K_i and q_i: the products with q_i = 1 at the input number `reference`.
+
+    Parameters
+    ----------
+    products : ndarray, shape (sources, inputs)
+        P_i = K_i q_i, K.
+    reference : int
+        Index of the input at which every source has strength 1.
+
+    Returns
+    -------
+    gains : ndarray, shape (sources,)
+        K_i, K; negative where the source is a sink at the reference.
+    strengths : ndarray, shape (sources, inputs)
+        q_i, dimensionless.
+
+    Raises
+    ------
+    InputError
+        A source has no strength at the reference.
+    """
+    gains = products[:, reference].copy()
+    silent = np.abs(gains) <= 1e-9 * np.abs(products).max(axis=1)
+    if bool(silent.any()):
+        raise InputError(
+            f"fictitious source {int(np.argmax(silent)) + 1} is silent at the reference input; "
+            "choose another reference input or other source positions"
+        )
+    return gains, products / gains[:, None]
+
+
+def strength_condition(strengths: np.ndarray) -> float:
+    """Return the condition number of the strengths, each source's row scaled to unit length."""
+    length = np.linalg.norm(strengths, axis=1, keepdims=True)
+    return float(np.linalg.cond(strengths / length))
+
+
+def calibrate_fictitious(
+    reference: xr.Dataset,
+    others: dict[float, xr.Dataset],
+    distances: Sequence[Sequence[float]],
+    *,
+    radii: Sequence[float] | None = None,
+    reference_input: float | None = None,
+    where: str = "calibration responses",
+) -> FictitiousCalibration:
+    """Return Tables 2 and 3 from step responses at the reference and at other heat inputs.
+
+    Parameters
+    ----------
+    reference : xarray.Dataset
+        Step response at the reference input, with probes T1 and T2.
+    others : dict
+        Heat input (e.g. 0.5 and 2.0) to the step response at it.
+    distances : sequence of sequences
+        r_ij, m, from source i to sensor T_j; source i belongs to sensor T_i.
+    radii : sequence of float, optional
+        r0_i, m; default `source_thermal.SOURCE_RADIUS`.
+    reference_input : float, optional
+        Heat input at which every strength is 1; default the largest of `others`.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        See `deviations_from`, `source_thermal.fit_jointly` and `gains_and_strengths`.
+    ConvergenceError
+        A source has no stable inverse at its sensor.
+    """
+    geometry = source_thermal.make_geometry(distances, radii)
+    if geometry.distances.shape[0] > len(JOINT_SENSORS):
+        raise InputError(
+            f"fictitious sources: {geometry.distances.shape[0]} sources but {len(JOINT_SENSORS)} "
+            "sensors; every source needs a sensor of its own"
+        )
+    data = deviations_from(reference, others, where)
+    unity = max(data.inputs) if reference_input is None else float(reference_input)
+    if unity not in data.inputs:
+        raise InputError(
+            f"{where}: strength 1 is asked for at input {unity:g}, which is not among "
+            f"{', '.join(f'{level:g}' for level in data.inputs)}"
+        )
+    joint = source_thermal.fit_jointly(data.t, data.temperatures, data.inputs, geometry)
+    averaged = source_thermal.fit_by_averaging(data.t, data.temperatures, data.inputs, geometry)
+    gains, strengths = gains_and_strengths(joint.products, data.inputs.index(unity))
+    fits: dict[str, Fit] = {}
+    errors: dict[str, dict[str, float]] = {}
+    shapes: dict[str, tuple[DeformationModel, ...]] = {}
+    for axis, target in data.displacements.items():
+        shapes[axis], fits[axis] = fit_source_deformation(data.t, target, strengths)
+        left = target - source_displacements(data.t, shapes[axis], strengths)
+        worst = np.abs(left).max(axis=1)
+        errors[axis] = {
+            str(level): float(error) for level, error in zip(data.inputs, worst, strict=True)
+        }
+    interval = float(np.median(np.diff(data.t)))
+    sources = []
+    for i, (gain, radius) in enumerate(zip(gains, geometry.radii, strict=True)):
+        near = float(geometry.distances[i, i])
+        ring = RingModel(float(gain), float(joint.a[i]), float(joint.alpha[i]), near, float(radius))
+        sources.append(
+            FictitiousSource(
+                K=ring.K,
+                a=ring.a,
+                alpha=ring.alpha,
+                r0=ring.r0,
+                strengths={
+                    str(level): float(q) for level, q in zip(data.inputs, strengths[i], strict=True)
+                },
+                regularisation=choose_regularisation(ring, interval),
+                deformation={axis: models[i] for axis, models in shapes.items()},
+            )
+        )
+    return FictitiousCalibration(
+        sources=tuple(sources),
+        deviations=data,
+        joint=joint,
+        averaged=averaged,
+        comparison=source_thermal.compare(joint, averaged.result),
+        reference_input=unity,
+        strength_condition=strength_condition(strengths),
+        deformation_fits=fits,
+        deformation_errors=errors,
+    )

@@ -1,0 +1,116 @@
+"""What is to be known of a fit: values, standard errors, correlations, what is at a bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Two parameters whose estimates correlate more than this cannot be told apart.
+INDISTINCT = 0.99
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a fit and what is to be known of it.
+
+    Standard errors take the residuals as independent and equally uncertain. Against simulated data
+    the residual is the model's own shortcoming, smooth in time, and they are only an indication.
+
+    Attributes
+    ----------
+    values : dict
+        Name to value, nonlinear parameters first, SI.
+    standard_errors : dict
+        Name to standard error, same units; infinite where the data do not determine it.
+    correlation : ndarray
+        Between the estimates, in the order of `values`.
+    condition_number : float
+        Of the Jacobian with its columns scaled to unit length.
+    max_abs_error, rms_error : float
+        Of the residual, in `unit`.
+    unit : str
+        Unit of the data.
+    at_bound : tuple of str
+        Nonlinear parameters that ended at a bound.
+    indistinct : tuple of (str, str, float)
+        Pairs that the data cannot tell apart and their correlation.
+    starts, starts_at_best : int
+        How many starts there were and how many reached the best optimum.
+    evaluations : int
+        Of the basis, all starts together.
+    message : str
+        Why the search ended.
+    """
+
+    values: dict[str, float]
+    standard_errors: dict[str, float]
+    correlation: np.ndarray
+    condition_number: float
+    max_abs_error: float
+    rms_error: float
+    unit: str
+    at_bound: tuple[str, ...]
+    indistinct: tuple[tuple[str, str, float], ...]
+    starts: int
+    starts_at_best: int
+    evaluations: int
+    message: str
+
+
+def covariance(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return standard errors, correlation and condition number at a least-squares solution.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (data, parameters)
+        Of the model, unscaled.
+    residual : ndarray
+        As many values as data.
+
+    Returns
+    -------
+    errors : ndarray, shape (parameters,)
+        Infinite along what the data do not see.
+    correlation : ndarray, shape (parameters, parameters)
+    condition : float
+        Of the Jacobian with its columns scaled to unit length.
+    """
+    length = np.linalg.norm(jacobian, axis=0)
+    safe = np.where(length > 0.0, length, 1.0)
+    _, singular, right = np.linalg.svd(jacobian / safe, full_matrices=False)
+    smallest, largest = float(singular.min()), float(singular.max())
+    floor = largest * np.finfo(float).eps * max(jacobian.shape)
+    inverse = 1.0 / np.maximum(singular, floor)
+    spread = (right.T * inverse) @ ((right.T * inverse).T)
+    freedom = max(1, residual.size - jacobian.shape[1])
+    variance = float((residual**2).sum()) / freedom
+    diagonal = np.diag(spread)
+    correlation = spread / np.sqrt(np.multiply.outer(diagonal, diagonal))
+    # A direction the data do not see has no standard error.
+    blind = (right[singular <= floor] ** 2).sum(axis=0) > 1e-6
+    errors = np.where(blind, np.inf, np.sqrt(variance * diagonal) / safe)
+    condition = largest / smallest if smallest > floor else float("inf")
+    return errors, correlation, condition
+
+
+def report(title: str, result: Fit) -> str:
+    """Return the fit as text: values, standard errors, what is at a bound or indistinct."""
+    lines = [
+        title,
+        f"  error: max {result.max_abs_error:.3g} {result.unit}, "
+        f"rms {result.rms_error:.3g} {result.unit}",
+        f"  condition number {result.condition_number:.2g}; {result.starts_at_best} of "
+        f"{result.starts} starts reached the best; {result.evaluations} evaluations; "
+        f"{result.message}",
+    ]
+    for name, value in result.values.items():
+        error = result.standard_errors.get(name)
+        note = "fixed" if error is None else f"± {error:.2g}"
+        bound = "  (at its bound)" if name in result.at_bound else ""
+        lines.append(f"  {name:12s} {value: .6g}  {note}{bound}")
+    lines.extend(
+        f"  {one} and {other} cannot be told apart (correlation {value:+.4f})"
+        for one, other, value in result.indistinct
+    )
+    return "\n".join(lines)

@@ -1,0 +1,259 @@
+"""Table 1: the linear models, from the response at the reference input.
+
+- Heat input to ΔT = T_a - T_b: Eq. 2 (K linear; a, alpha and r searched; r0 given).
+- Heat input to displacement: Eq. 8 for each axis (C, D, E linear; c, d, e searched).
+- Heat input to T1 and T2, far from the source: a relaxation spectrum with fixed rates and linear
+  amplitudes. The four parameters of Eq. 2 miss those by more than the joint's effect that they are
+  subtracted from, so the Eq. 2 fit is only reported beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError
+from calibrate import deformation, ring_source, steps
+from calibrate.fit_result import Fit
+from calibrate.least_squares import Separable, fit, solve_linear
+from calibrate.model import DeformationModel, LinearModel, Relaxation, RingModel
+from calibrate.regularisation import choose_regularisation
+
+#: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
+RING_RADIUS = 0.12
+#: Sensor roles of the direct models.
+JOINT_SENSORS = ("T1", "T2")
+#: Rates of the relaxation spectrum.
+RELAXATION_RATES = 24
+
+#: (times s, displacement m per unit heat input) -> model and fit
+DeformationFit = Callable[[np.ndarray, np.ndarray], tuple[DeformationModel, Fit]]
+
+
+@dataclass(frozen=True)
+class LinearCalibration:
+    """Table 1 and how good it is.
+
+    Attributes
+    ----------
+    model : LinearModel
+        The calibrated models.
+    fits : dict
+        "thermal", "deformation.x" ... and, for comparison only, the Eq. 2 fits "direct.T1" ...
+    direct_errors : dict
+        Sensor role to the largest error of its relaxation spectrum, K per unit heat input.
+    """
+
+    model: LinearModel
+    fits: dict[str, Fit]
+    direct_errors: dict[str, float]
+
+
+def rate_bounds(t: np.ndarray) -> tuple[float, float]:
+    """Return the slowest and fastest rate, 1/s, that samples at `t` (s) can show.
+
+    A tenth of the run's inverse length, and one per two of its median intervals.
+    """
+    return 0.1 / float(t[-1]), 0.5 / float(np.median(np.diff(t)))
+
+
+def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
+    """Return the fit of Eq. 2 to one series: K linear, a, alpha and r searched.
+
+    r is kept above r0 (the paper's side), from 1.01 r0 to 30 r0; at r = r0 the response would have
+    no delay and its derivative by r jumps.
+    """
+
+    def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, alpha, r = theta
+        column, gradient = ring_source.step_response_gradient(t, 1.0, a, alpha, r, r0)
+        return column[:, None], (gradient[:, 1:] * theta)[:, None, :]
+
+    return Separable(
+        basis=basis,
+        data=data[:, None],
+        names=("a", "alpha", "r"),
+        linear_names=("K",),
+        lower=(1e-3, 1e-7, 1.01 * r0),
+        upper=(1e3, 1e-2, 30.0 * r0),
+        unit="K",
+    )
+
+
+def fit_ring(
+    t: np.ndarray, data: np.ndarray, r0: float = RING_RADIUS, *, starts: int = 16, seed: int = 0
+) -> tuple[RingModel, Fit]:
+    """Return Eq. 2 fitted to a step response of temperature.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    data : ndarray, shape (n,)
+        Temperature, K per unit heat input.
+    r0 : float
+        Radius of the ring, m, chosen rather than fitted.
+    starts, seed : int
+        Of the search (`least_squares.fit`).
+    """
+    if not r0 > 0.0:
+        raise InputError(f"calibrate: ring radius r0 = {r0} m must be positive")
+    thin = steps.thinned(t.size)
+    found = fit(
+        ring_problem(t, data, r0),
+        coarse=ring_problem(t[thin], data[thin], r0),
+        starts=starts,
+        seed=seed,
+    )
+    value = found.values
+    return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), found
+
+
+def _deformation_problem(
+    t: np.ndarray,
+    data: np.ndarray,
+    basis: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    linear_names: tuple[str, ...],
+    bounds: tuple[float, float],
+) -> Separable:
+    return Separable(
+        basis=lambda theta: basis(t, theta),
+        data=data[:, None],
+        names=("c", "d", "e"),
+        linear_names=linear_names,
+        lower=(bounds[0],) * 3,
+        upper=(bounds[1],) * 3,
+        unit="m",
+    )
+
+
+def fit_deformation(
+    t: np.ndarray, data: np.ndarray, *, starts: int = 24, seed: int = 0
+) -> tuple[DeformationModel, Fit]:
+    """Return Eq. 8, as printed, fitted to a step response of displacement.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    data : ndarray, shape (n,)
+        Displacement, m per unit heat input.
+    starts, seed : int
+        Of the search (`least_squares.fit`).
+    """
+    thin, bounds = steps.thinned(t.size), rate_bounds(t)
+    names = ("C", "D", "E")
+    found = fit(
+        _deformation_problem(t, data, deformation.basis, names, bounds),
+        coarse=_deformation_problem(t[thin], data[thin], deformation.basis, names, bounds),
+        starts=starts,
+        seed=seed,
+    )
+    coefficients = [found.values[name] for name in names]
+    return deformation.model_from(coefficients, [found.values[name] for name in "cde"]), found
+
+
+def fit_flat_deformation(
+    t: np.ndarray, data: np.ndarray, *, starts: int = 24, seed: int = 0
+) -> tuple[DeformationModel, Fit]:
+    """Return Eq. 8 with dδ/dt = 0 at t = 0 fitted to a step response (as `fit_deformation`).
+
+    E follows from the other parameters, so the fit lists C and D only.
+    """
+    thin, bounds = steps.thinned(t.size), rate_bounds(t)
+    names = ("C", "D")
+    found = fit(
+        _deformation_problem(t, data, deformation.flat_basis, names, bounds),
+        coarse=_deformation_problem(t[thin], data[thin], deformation.flat_basis, names, bounds),
+        starts=starts,
+        seed=seed,
+    )
+    rates = [found.values[name] for name in "cde"]
+    full = deformation.full_coefficients([found.values[name] for name in names], rates)
+    return deformation.model_from(full, rates), found
+
+
+def relaxation_response(t: np.ndarray | float, model: Relaxation) -> np.ndarray:
+    """Return the step response of a relaxation spectrum, K per unit heat input, shaped as `t`."""
+    decay = -np.expm1(-np.multiply.outer(np.asarray(t, dtype=float), np.asarray(model.rates)))
+    return decay @ np.asarray(model.amplitudes)
+
+
+def fit_relaxation(
+    t: np.ndarray, data: np.ndarray, *, count: int = RELAXATION_RATES, ridge: float = 1e-6
+) -> Relaxation:
+    """Return the relaxation spectrum of a step response: rates fixed, amplitudes least squares.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    data : ndarray, shape (n,)
+        Temperature, K per unit heat input.
+    count : int
+        Rates, evenly spaced in their logarithm from one per five runs to one per two intervals.
+    ridge : float
+        As in `least_squares`; it keeps neighbouring amplitudes from cancelling.
+    """
+    slow, fast = rate_bounds(t)
+    rates = np.geomspace(2.0 * slow, fast, count)
+    columns = -np.expm1(-np.multiply.outer(t, rates))
+    amplitudes = solve_linear(columns, data[:, None], ridge)[:, 0]
+    return Relaxation(tuple(map(float, amplitudes)), tuple(map(float, rates)))
+
+
+def calibrate_linear(
+    response: xr.Dataset,
+    *,
+    r0: float = RING_RADIUS,
+    fit_displacement: DeformationFit = fit_deformation,
+    where: str = "reference response",
+) -> LinearCalibration:
+    """Return Table 1 from the response to the reference step.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Step response (`artefacts.response`) with probes a, b, T1 and T2. Its level need not be 1;
+        everything is divided by it.
+    r0 : float
+        Radius of the ring of Eq. 2, m.
+    fit_displacement : callable
+        `fit_deformation` (Eq. 8 as printed) or `fit_flat_deformation` (zero slope at t = 0).
+    where : str
+        Name of the response for error messages.
+
+    Raises
+    ------
+    InputError
+        The response is no step, or a probe or an axis is missing.
+    ConvergenceError
+        The thermal model has no stable inverse.
+    """
+    level = steps.step_level(response, where)
+    t = steps.times(response)
+    difference = (
+        steps.temperature(response, "a", where) - steps.temperature(response, "b", where)
+    ) / level
+    if not bool(difference.any()):
+        raise InputError(f"{where}: T_a - T_b is zero throughout; place a nearer to the source")
+    thermal, thermal_fit = fit_ring(t, difference, r0)
+    fits = {"thermal": thermal_fit}
+    shapes = {}
+    for axis in (str(name) for name in response["axis"].to_numpy()):
+        data = steps.displacement(response, axis, where) / level
+        shapes[axis], fits[f"deformation.{axis}"] = fit_displacement(t, data)
+    direct: dict[str, RingModel | Relaxation] = {}
+    direct_errors = {}
+    for sensor in JOINT_SENSORS:
+        data = steps.temperature(response, sensor, where) / level
+        spectrum = fit_relaxation(t, data)
+        direct[sensor] = spectrum
+        direct_errors[sensor] = float(np.abs(relaxation_response(t, spectrum) - data).max())
+        _, fits[f"direct.{sensor}"] = fit_ring(t, data, r0)
+    interval = float(np.median(np.diff(t)))
+    model = LinearModel(thermal, choose_regularisation(thermal, interval), shapes, direct)
+    return LinearCalibration(model, fits, direct_errors)

@@ -1,0 +1,332 @@
+"""Table 2's rates and products: Eq. 16 fitted to temperature deviations, two ways.
+
+With deviations ∂T_j of sensor j and S the unit-gain step response of Eq. 2,
+
+    ∂T_j(t) = Σ_i P_i S(t; a_i, alpha_i, r_ij, r0_i)                 (Eq. 16, P_i = K_i q_i)
+
+The distances r_ij are fixed by the geometry; a_i and alpha_i belong to the source, whatever the
+heat input; the products P_i differ from input to input and are linear. `fit_jointly` shares a_i and
+alpha_i between all inputs from the outset; `fit_by_averaging` is the loop of Figure 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.errors import InputError
+from calibrate import ring_source, steps
+from calibrate.fit_result import Fit
+from calibrate.least_squares import Separable, fit, fit_linear
+
+#: Radius of the ring that stands for a fictitious source, m.
+SOURCE_RADIUS = 0.02
+#: Bounds of a (1/m2) and alpha (m2/s).
+_LOWER = (1e-2, 1e-7)
+_UPPER = (1e3, 1e-2)
+
+
+@dataclass(frozen=True)
+class SourceGeometry:
+    """Where the fictitious sources are.
+
+    Attributes
+    ----------
+    distances : ndarray, shape (sources, sensors)
+        r_ij, m, from source i to sensor j.
+    radii : ndarray, shape (sources,)
+        r0_i, m.
+    """
+
+    distances: np.ndarray
+    radii: np.ndarray
+
+
+def make_geometry(
+    distances: Sequence[Sequence[float]] | np.ndarray, radii: Sequence[float] | None = None
+) -> SourceGeometry:
+    """Return a checked geometry; `radii` defaults to `SOURCE_RADIUS` for every source.
+
+    Raises
+    ------
+    InputError
+        A distance or radius is missing, not positive or not finite.
+    """
+    table = np.asarray(distances, dtype=float)
+    if table.ndim != 2 or not table.size:
+        raise InputError("fictitious sources: distances must be one row per source, m")
+    rings = np.full(table.shape[0], SOURCE_RADIUS) if radii is None else np.asarray(radii, float)
+    if rings.shape != (table.shape[0],):
+        raise InputError(f"fictitious sources: {rings.size} radii for {table.shape[0]} sources")
+    for name, values in (("distances", table), ("radii", rings)):
+        if not bool((np.isfinite(values) & (values > 0.0)).all()):
+            raise InputError(f"fictitious sources: {name} must be positive and finite, m")
+    return SourceGeometry(table, rings)
+
+
+@dataclass(frozen=True)
+class SourceFit:
+    """Rates and products of the fictitious sources.
+
+    Attributes
+    ----------
+    a, alpha : ndarray, shape (sources,)
+        1/m2 and m2/s.
+    products : ndarray, shape (sources, inputs)
+        P_i = K_i q_i at each input, K.
+    fit : Fit
+        Of the temperature deviations.
+    """
+
+    a: np.ndarray
+    alpha: np.ndarray
+    products: np.ndarray
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class AveragingRound:
+    """One pass of Figure 4's loop.
+
+    Attributes
+    ----------
+    rates : ndarray, shape (inputs, 2·sources)
+        a_1, alpha_1, a_2 ... as each input wants them.
+    averages : ndarray, shape (2·sources,)
+        Their geometric means over the inputs.
+    spread : float
+        Largest |ln(rate / average)|.
+    """
+
+    rates: np.ndarray
+    averages: np.ndarray
+    spread: float
+
+
+@dataclass(frozen=True)
+class Averaging:
+    """Outcome of Figure 4's loop: the sources, each round, and whether the inputs came to agree."""
+
+    result: SourceFit
+    rounds: tuple[AveragingRound, ...]
+    converged: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Joint fit beside the averaging loop.
+
+    Attributes
+    ----------
+    largest_ratio : float
+        Largest factor, >= 1, between an a or alpha of the two.
+    max_abs_error_joint, max_abs_error_averaged : float
+        K.
+    rms_joint, rms_averaged : float
+        K.
+    agree : bool
+        The rates are within 1 % of each other.
+    """
+
+    largest_ratio: float
+    max_abs_error_joint: float
+    max_abs_error_averaged: float
+    rms_joint: float
+    rms_averaged: float
+    agree: bool
+
+
+def unit_responses(
+    t: np.ndarray, rates: np.ndarray, geometry: SourceGeometry
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return S(t; a_i, alpha_i, r_ij, r0_i) and its derivatives by the logarithms of the rates.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    rates : ndarray, shape (2·sources,)
+        a_1, alpha_1, a_2, alpha_2 ...
+    geometry : SourceGeometry
+
+    Returns
+    -------
+    columns : ndarray, shape (sensors·n, sources)
+        Sensor by sensor, one below the other; dimensionless (K per K of product).
+    slopes : ndarray, shape (sensors·n, sources, 2·sources)
+    """
+    sources, sensors = geometry.distances.shape
+    n = t.size
+    columns = np.empty((sensors * n, sources))
+    slopes = np.zeros((sensors * n, sources, 2 * sources))
+    for i, j in np.ndindex(sources, sensors):
+        a, alpha = rates[2 * i], rates[2 * i + 1]
+        rows = slice(j * n, (j + 1) * n)
+        response, gradient = ring_source.step_response_gradient(
+            t, 1.0, a, alpha, float(geometry.distances[i, j]), float(geometry.radii[i])
+        )
+        columns[rows, i] = response
+        slopes[rows, i, 2 * i] = a * gradient[:, 1]
+        slopes[rows, i, 2 * i + 1] = alpha * gradient[:, 2]
+    return columns, slopes
+
+
+def _problem(
+    t: np.ndarray, deviations: np.ndarray, inputs: Sequence[float], geometry: SourceGeometry
+) -> Separable:
+    """Return the fit of deviations, shape (inputs, sensors, n), sharing the rates."""
+    sources = geometry.distances.shape[0]
+    pairs = [(f"a{i + 1}", f"alpha{i + 1}") for i in range(sources)]
+    return Separable(
+        basis=lambda rates: unit_responses(t, rates, geometry),
+        data=deviations.reshape(len(inputs), -1).T,
+        names=tuple(name for pair in pairs for name in pair),
+        linear_names=tuple(f"P{i + 1}@{level:g}" for i in range(sources) for level in inputs),
+        lower=_LOWER * sources,
+        upper=_UPPER * sources,
+        unit="K",
+    )
+
+
+def _source_fit(found: Fit, sources: int, inputs: int) -> SourceFit:
+    values = np.array(list(found.values.values()))
+    rates = values[: 2 * sources]
+    return SourceFit(
+        rates[0::2], rates[1::2], values[2 * sources :].reshape(sources, inputs), found
+    )
+
+
+def _check_deviations(
+    t: np.ndarray, deviations: np.ndarray, inputs: Sequence[float], geometry: SourceGeometry
+) -> None:
+    sources, sensors = geometry.distances.shape
+    if deviations.shape != (len(inputs), sensors, t.size):
+        raise InputError(
+            f"fictitious sources: deviations are {deviations.shape}, expected (inputs, sensors, "
+            f"samples) = {(len(inputs), sensors, t.size)}"
+        )
+    if len(inputs) < sources:
+        raise InputError(
+            f"fictitious sources: {len(inputs)} calibration inputs for {sources} sources; give at "
+            "least as many inputs as sources"
+        )
+
+
+def fit_jointly(
+    t: np.ndarray,
+    deviations: np.ndarray,
+    inputs: Sequence[float],
+    geometry: SourceGeometry,
+    *,
+    starts: int = 24,
+    seed: int = 0,
+) -> SourceFit:
+    """Return one a_i and alpha_i per source, fitted to all inputs at once (Eq. 16).
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    deviations : ndarray, shape (inputs, sensors, n)
+        ∂T_j at each input, K.
+    inputs : sequence of float
+        The heat inputs; at least as many as sources.
+    geometry : SourceGeometry
+    starts, seed : int
+        Of the search (`least_squares.fit`).
+
+    Raises
+    ------
+    InputError
+        Shapes disagree or there are fewer inputs than sources.
+    """
+    _check_deviations(t, deviations, inputs, geometry)
+    thin = steps.thinned(t.size)
+    found = fit(
+        _problem(t, deviations, inputs, geometry),
+        coarse=_problem(t[thin], deviations[:, :, thin], inputs, geometry),
+        starts=starts,
+        seed=seed,
+    )
+    return _source_fit(found, geometry.distances.shape[0], len(inputs))
+
+
+def fit_by_averaging(
+    t: np.ndarray,
+    deviations: np.ndarray,
+    inputs: Sequence[float],
+    geometry: SourceGeometry,
+    *,
+    rounds: int = 20,
+    tolerance: float = 1e-3,
+    starts: int = 8,
+    seed: int = 0,
+) -> Averaging:
+    """Return the sources found by the loop of Figure 4.
+
+    Each input is fitted on its own; if the inputs' a_i and alpha_i differ, their geometric means
+    (they are positive) are the next round's initial guess. The first round searches from `starts`
+    points. The loop ends when every rate is within `tolerance` (in ln) of its mean, when the means
+    no longer move (the inputs want different rates, and a good optimiser finds its way back to
+    them from any guess), or after `rounds`. The products are then fitted with the means.
+
+    Parameters
+    ----------
+    t, deviations, inputs, geometry
+        As in `fit_jointly`.
+    rounds : int
+        Most rounds.
+    tolerance : float
+        Agreement asked of the inputs.
+    starts, seed : int
+        Of the first round's search.
+    """
+    _check_deviations(t, deviations, inputs, geometry)
+    thin = steps.thinned(t.size)
+    alone = [
+        (
+            _problem(t, part, [level], geometry),
+            _problem(t[thin], part[:, :, thin], [level], geometry),
+        )
+        for part, level in zip(deviations[:, None], inputs, strict=True)
+    ]
+    names = alone[0][0].names
+    history: list[AveragingRound] = []
+    converged, reason = False, f"the inputs did not agree within {rounds} rounds"
+    for index in range(rounds):
+        guesses = [history[-1].averages.tolist()] if history else []
+        count = 0 if history else starts
+        ends = [
+            fit(full, coarse=thin_one, starts=count, guesses=guesses, seed=seed, polished=1)
+            for full, thin_one in alone
+        ]
+        rates = np.array([[end.values[name] for name in names] for end in ends])
+        averages = np.exp(np.log(rates).mean(axis=0))
+        spread = float(np.abs(np.log(rates / averages)).max())
+        history.append(AveragingRound(rates, averages, spread))
+        if spread < tolerance:
+            converged, reason = True, f"the inputs agree after {index + 1} rounds"
+            break
+        if index and float(np.abs(np.log(averages / history[-2].averages)).max()) < tolerance:
+            reason = f"the means stopped moving after {index + 1} rounds; the inputs differ"
+            break
+    found = fit_linear(_problem(t, deviations, inputs, geometry), history[-1].averages.tolist())
+    result = _source_fit(found, geometry.distances.shape[0], len(inputs))
+    return Averaging(result, tuple(history), converged, reason)
+
+
+def compare(joint: SourceFit, averaged: SourceFit) -> Comparison:
+    """Return how the joint fit and the averaging loop differ."""
+    ratios = np.concatenate([joint.a / averaged.a, joint.alpha / averaged.alpha])
+    largest = float(np.exp(np.abs(np.log(ratios)).max()))
+    return Comparison(
+        largest_ratio=largest,
+        max_abs_error_joint=joint.fit.max_abs_error,
+        max_abs_error_averaged=averaged.fit.max_abs_error,
+        rms_joint=joint.fit.rms_error,
+        rms_averaged=averaged.fit.rms_error,
+        agree=largest < 1.01,
+    )

@@ -1,0 +1,66 @@
+"""Step responses out of response datasets: what `calibrate` reads of a structure."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError, unknown_name
+from artefacts.response import check_response
+
+#: Samples on which starts are compared before the full series is used.
+COARSE = 150
+
+
+def step_level(response: xr.Dataset, where: str) -> float:
+    """Return the heat input of a step response, relative to the reference.
+
+    The step starts at time 0; the sample at time 0, if there is one, may still be zero.
+
+    Raises
+    ------
+    InputError
+        The response is no valid response, time starts before 0, or the heat input is no step.
+    """
+    check_response(response, where)
+    time = response["time"].to_numpy()
+    heat = response["heat_input"].to_numpy()
+    if time[0] < 0.0:
+        raise InputError(f"{where}: time starts at {time[0]:g} s; the step must start at time 0")
+    level = float(heat[-1])
+    held = heat if time[0] > 0.0 or heat[0] != 0.0 else heat[1:]
+    off = np.abs(held - level) > 1e-9 * abs(level)
+    if level == 0.0 or bool(off.any()):
+        index = int(np.argmax(off)) + (heat.size - held.size)
+        raise InputError(
+            f"{where}: the heat input is {heat[index]:g} at {time[index]:g} s and {level:g} at the "
+            "end; calibration needs a step, constant from time 0"
+        )
+    return level
+
+
+def times(response: xr.Dataset) -> np.ndarray:
+    """Return the sample times, s, shape (n,)."""
+    return response["time"].to_numpy().astype(float)
+
+
+def temperature(response: xr.Dataset, probe: str, where: str) -> np.ndarray:
+    """Return the temperature at `probe`, K above ambient, shape (n,)."""
+    return _column(response, "temperature", "probe", probe, where)
+
+
+def displacement(response: xr.Dataset, axis: str, where: str) -> np.ndarray:
+    """Return the displacement along `axis`, m, shape (n,)."""
+    return _column(response, "displacement", "axis", axis, where)
+
+
+def _column(response: xr.Dataset, variable: str, dim: str, name: str, where: str) -> np.ndarray:
+    known = [str(value) for value in response[dim].to_numpy()]
+    if name not in known:
+        raise unknown_name(dim, name, known, where)
+    return response[variable].to_numpy()[:, known.index(name)].astype(float)
+
+
+def thinned(count: int) -> slice:
+    """Return the slice that keeps about `COARSE` of `count` evenly spaced samples."""
+    return slice(None, None, max(1, round(count / COARSE)))

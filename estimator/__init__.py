@@ -1,0 +1,1 @@
+"""Estimates heat and displacement from temperatures alone, sample by sample (Figure 5)."""

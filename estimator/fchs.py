@@ -1,0 +1,262 @@
+"""The estimator of Figure 5 as a stream: temperatures in, heat and displacement out.
+
+One sample passes seven blocks:
+
+1. ΔT -> Q̂, the inverse of the regularised thermal model (Eqs. 3-6);
+2. Q̂ -> δ_L, the linear displacement (Eq. 8), for each axis;
+3. Q̂ -> T_lin, what the sensors at the joint would read on the linear structure;
+4, 5. ∂T = T - T_lin -> q̂, the strengths of the fictitious sources, by one matrix inverse (Eq. 16);
+6, 7. q̂ -> δ_NL (Eq. 18), for each axis; δ = δ_L + δ_NL.
+
+What a heat estimate means between samples: the temperatures are joined by straight lines, and Q̂
+(likewise q̂) at a sample is the **mean heat over the interval that has just ended**. It drives the
+blocks behind it as a constant over that interval. So the heat that has gone in by any sample is
+exactly that of the straight lines, whatever the intervals, and a step that starts at a sample is
+not smeared forward in time. Before the first sample the structure is at rest for one nominal
+interval, in which the temperatures rise to their first values.
+
+All blocks together are linear, so a sample at a given interval is one product of a precomputed
+matrix with (state, measured values). The state is a plain array; nothing else is remembered.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from artefacts.errors import InputError
+from estimator.assembly import Estimator, start
+from estimator.recursion import over_interval
+
+__all__ = [
+    "Estimate",
+    "Estimator",
+    "initial_state",
+    "propagator",
+    "run",
+    "start",
+    "step",
+    "stream",
+]
+
+
+class Estimate(NamedTuple):
+    """What the estimator says at one sample, or at many (arrays with a leading time axis).
+
+    Attributes
+    ----------
+    time : float or ndarray
+        s.
+    heat : float or ndarray
+        Q̂, mean over the interval just ended, 1.
+    sources : ndarray, shape (..., n)
+        q̂, mean over the interval just ended, 1.
+    deviation : ndarray, shape (..., n)
+        ∂T at the sample, K.
+    linear, nonlinear, total : ndarray, shape (..., n_axes)
+        δ_L, δ_NL and their sum, m.
+    """
+
+    time: float | np.ndarray
+    heat: float | np.ndarray
+    sources: np.ndarray
+    deviation: np.ndarray
+    linear: np.ndarray
+    nonlinear: np.ndarray
+    total: np.ndarray
+
+
+def initial_state(estimator: Estimator) -> np.ndarray:
+    """Return the state of a structure at rest at ambient temperature, before any sample.
+
+    Its first entry, the time of the last sample, is NaN: there is none yet.
+    """
+    state = np.zeros(estimator.n_state)
+    state[0] = np.nan
+    return state
+
+
+def step(
+    estimator: Estimator, state: np.ndarray, time: float, delta_T: float, *temperatures: float
+) -> tuple[np.ndarray, Estimate]:
+    """Take one sample.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    state : ndarray, shape (estimator.n_state,)
+        From `initial_state` or the last step; it is not changed.
+    time : float
+        s, after the last sample's.
+    delta_T : float
+        T_a - T_b, K.
+    *temperatures : float
+        T1, T2, ...: rise above ambient at the joint, K.
+
+    Returns
+    -------
+    state : ndarray
+        The new state.
+    estimate : Estimate
+
+    Raises
+    ------
+    InputError
+        Time does not increase, or a value is not finite or missing. The state may be used again.
+    """
+    last = state[0]
+    dt = estimator.dt_s if math.isnan(last) else time - float(last)
+    if not 0.0 < dt < math.inf:
+        raise InputError(
+            f"sample at t = {time:g} s: time does not increase (the last was at {last:g} s); "
+            "drop or re-order the sample"
+        )
+    measured = (delta_T, *temperatures)
+    if len(measured) != 1 + estimator.n_sources or not all(map(math.isfinite, measured)):
+        raise _unusable(estimator, time, measured)
+    result = propagator(estimator, dt) @ np.concatenate((state[1:], measured))
+    result_state = np.empty(state.size)
+    result_state[0] = time
+    inner = state.size - 1
+    result_state[1:] = result[:inner]
+    sources, axes = estimator.n_sources, len(estimator.axes)
+    at = inner + 1 + sources
+    linear, nonlinear = result[at : at + axes], result[at + axes :]
+    return result_state, Estimate(
+        time,
+        float(result[inner]),
+        result[inner + 1 : at],
+        result_state[2 : 2 + sources],
+        linear,
+        nonlinear,
+        linear + nonlinear,
+    )
+
+
+def stream(
+    estimator: Estimator, samples: Iterable[Sequence[float]], state: np.ndarray
+) -> Iterator[tuple[np.ndarray, Estimate]]:
+    """Yield (state, estimate) for each of `samples`: (time, ΔT, T1, T2, ...).
+
+    Raises
+    ------
+    InputError
+        As `step`, with the number of the sample (from 0); or the state is another estimator's.
+    """
+    if np.shape(state) != (estimator.n_state,):
+        raise InputError(
+            f"state of shape {np.shape(state)}, expected {(estimator.n_state,)}; it belongs to "
+            "another estimator"
+        )
+    for index, sample in enumerate(samples):
+        try:
+            state, estimate = step(estimator, state, *sample)
+        except InputError as error:
+            raise InputError(f"sample {index}: {error}") from error
+        yield state, estimate
+
+
+def run(
+    estimator: Estimator,
+    times: np.ndarray,
+    delta_T: np.ndarray,
+    temperatures: np.ndarray,
+    state: np.ndarray | None = None,
+) -> tuple[Estimate, np.ndarray]:
+    """Take a block of samples: the same numbers as one `step` after another, bit for bit.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    times, delta_T : ndarray, shape (k,)
+        s and K.
+    temperatures : ndarray, shape (k, n)
+        K.
+    state : ndarray, optional
+        Where the last block ended; by default at rest.
+
+    Returns
+    -------
+    estimate : Estimate
+        Arrays with a leading axis of length k.
+    state : ndarray
+        The state after the last sample.
+
+    Raises
+    ------
+    InputError
+        As `stream`; or the shapes do not agree, or there are no samples.
+    """
+    shapes = np.shape(times), np.shape(delta_T), np.shape(temperatures)
+    count = len(times)
+    if shapes != ((count,), (count,), (count, estimator.n_sources)):
+        raise InputError(
+            f"samples: time, ΔT and T have shapes {shapes}; expected (k,), (k,) and "
+            f"(k, {estimator.n_sources})"
+        )
+    table = np.column_stack((times, delta_T, temperatures))
+    state = initial_state(estimator) if state is None else state
+    if not len(table):
+        raise InputError("no samples; give at least one")
+    collected = list(stream(estimator, table.tolist(), state))
+    columns = zip(*(estimate for _, estimate in collected), strict=True)
+    return Estimate(*(np.array(column) for column in columns)), collected[-1][0]
+
+
+@lru_cache(maxsize=64)
+def propagator(estimator: Estimator, dt: float) -> np.ndarray:
+    """Return the matrix of one sample over an interval of `dt` s.
+
+    It takes (last ΔT, last ∂T, states; ΔT, T) to (ΔT, ∂T, states; Q̂, q̂, δ_L, δ_NL).
+    """
+    n = estimator.n_sources
+    sizes = [1, n, *(bank.n_state for bank in estimator.banks), 1, n]
+    width = sum(sizes)
+    rows = np.split(np.eye(width), np.cumsum(sizes)[:-1])
+    old_difference, old_deviation, x_heat, x_linear, x_temp, x_sources, x_nonlinear = rows[:7]
+    difference, measured = rows[7:]
+    heat, linear, temp, sources, nonlinear = (over_interval(b, dt) for b in estimator.banks)
+
+    q_main = heat.mean @ x_heat + heat.mean_old @ old_difference + heat.mean_new @ difference
+    x_heat = heat.advance @ x_heat + heat.old @ old_difference + heat.new @ difference
+    x_linear = linear.advance @ x_linear + (linear.old + linear.new) @ q_main
+    x_temp = temp.advance @ x_temp + (temp.old + temp.new) @ q_main
+    deviation = measured - temp.end @ x_temp
+    q_joint = (
+        sources.mean @ x_sources + sources.mean_old @ old_deviation + sources.mean_new @ deviation
+    )
+    x_sources = sources.advance @ x_sources + sources.old @ old_deviation + sources.new @ deviation
+    x_nonlinear = nonlinear.advance @ x_nonlinear + (nonlinear.old + nonlinear.new) @ q_joint
+    matrix = np.concatenate(
+        (
+            difference,
+            deviation,
+            x_heat,
+            x_linear,
+            x_temp,
+            x_sources,
+            x_nonlinear,
+            q_main,
+            q_joint,
+            linear.end @ x_linear,
+            nonlinear.end @ x_nonlinear,
+        )
+    )
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _unusable(estimator: Estimator, time: float, measured: tuple[float, ...]) -> InputError:
+    """Return the error that names the channel."""
+    names = ["ΔT", *(f"T{j + 1}" for j in range(estimator.n_sources))]
+    where = f"sample at t = {time:g} s"
+    if len(measured) != len(names):
+        return InputError(f"{where}: {len(measured)} values, expected {', '.join(names)}")
+    bad = next(
+        name for name, value in zip(names, measured, strict=True) if not math.isfinite(value)
+    )
+    return InputError(f"{where}: {bad} is not finite; leave the sample out, gaps are allowed")

@@ -1,0 +1,297 @@
+"""The case: one TOML file that says everything about a simulation, validated before any work.
+
+Units stand in the key names; everything is turned into SI by `fesim.setup`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from artefacts.errors import InputError, unknown_name
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Finite, Finite, Finite]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class MillingMachineSection(_Section):
+    """``[structure]`` with ``kind = "box_milling_machine"``."""
+
+    kind: Literal["box_milling_machine"]
+    element_size_mm: Positive = 50.0
+    joint_element_size_mm: Positive | None = None
+    half: bool = True
+    dimensions_mm: dict[str, Positive] = {}
+
+
+class MeshSection(_Section):
+    """``[structure]`` with ``kind = "mesh"``: a file that meshio reads, coordinates in m."""
+
+    kind: Literal["mesh"]
+    file: Path
+    symmetry_factor: Annotated[int, Field(ge=1)] = 1
+
+
+class MaterialSection(_Section):
+    """``[materials.NAME]``."""
+
+    conductivity_W_mK: Positive
+    density_kg_m3: Positive
+    heat_capacity_J_kgK: Positive
+    youngs_modulus_GPa: Positive
+    poisson_ratio: Annotated[float, Field(gt=-1.0, lt=0.5)]
+    expansion_1_K: Finite
+
+
+class BackBurdekinSection(_Section):
+    """``[joints.NAME.back_burdekin]``: approach = coefficient * pressure^exponent, um and MPa."""
+
+    coefficient_um: Positive = 0.6
+    exponent: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+
+
+class ConductanceSection(_Section):
+    """``[joints.NAME.conductance]``: which constants of Eq. 11."""
+
+    law: Literal["cmy-1969", "yovanovich-1982", "cmy-exact", "constants"] = "cmy-1969"
+    constant: Positive | None = None
+    exponent: Positive | None = None
+
+    @model_validator(mode="after")
+    def _constants_go_with_their_law(self) -> ConductanceSection:
+        given = self.constant is not None, self.exponent is not None
+        if (self.law == "constants") != all(given) or any(given) != all(given):
+            raise ValueError("'constant' and 'exponent' go with law = \"constants\", both of them")
+        return self
+
+
+class JointSection(_Section):
+    """``[joints.NAME]``: contact elements, surfaces and friction of one joint."""
+
+    side_a: str | None = None
+    side_b: str | None = None
+    preload_MPa: Positive = 4.41
+    along: Annotated[int, Field(ge=1)] = 9
+    across: Annotated[int, Field(ge=1)] = 1
+    roughness_um: Positive = 1.25
+    asperity_slope: Positive = 0.14
+    hardness_GPa: Positive = 1.961
+    normal_law: Literal["surface", "back-burdekin"] = "surface"
+    back_burdekin: BackBurdekinSection = BackBurdekinSection()
+    conductance: ConductanceSection = ConductanceSection()
+    friction_coefficient: NotNegative = 0.6
+    tangential_stiffness_ratio: Positive = 0.844
+
+    @model_validator(mode="after")
+    def _preload_below_hardness(self) -> JointSection:
+        if self.preload_MPa >= 500.0 * self.hardness_GPa:
+            raise ValueError("preload_MPa must be below half of the hardness")
+        if (self.side_a is None) != (self.side_b is None):
+            raise ValueError("give both side_a and side_b, or neither")
+        return self
+
+
+class SupportsSection(_Section):
+    """``[supports]``: surfaces held in all directions, and symmetry planes."""
+
+    fixed: list[str]
+    symmetry: dict[str, Literal["x", "y", "z"]] = {}
+
+
+class SourceSection(_Section):
+    """``[source]``: where the heat of the reference step enters.
+
+    ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
+    whole machine, or of all of them together.
+    """
+
+    surface: str
+    reference_power_W: Positive = 295.0
+    count: Annotated[int, Field(ge=1)] = 2
+    reading: Literal["per source", "total"] = "per source"
+
+
+class StepInput(_Section):
+    """``[heat_input]`` with ``kind = "step"``."""
+
+    kind: Literal["step"]
+    level: Finite
+
+
+class RampInput(_Section):
+    """``[heat_input]`` with ``kind = "ramp"``."""
+
+    kind: Literal["ramp"]
+    level: Finite
+    duration_min: Positive
+
+
+class TriangleInput(_Section):
+    """``[heat_input]`` with ``kind = "triangle"``."""
+
+    kind: Literal["triangle"]
+    peak: Finite
+    duration_min: Positive
+
+
+class SampledInput(_Section):
+    """``[heat_input]`` with ``kind = "sampled"``: a CSV with ``time_s,heat_input``."""
+
+    kind: Literal["sampled"]
+    file: Path
+
+
+class MarchSection(_Section):
+    """``[march]``."""
+
+    step_s: Positive = 2.0
+    duration_min: Positive = 35.0
+    coupling: Literal["staggered", "iterated"] = "staggered"
+    solver: Literal["pardiso", "superlu"] | None = None
+
+    @model_validator(mode="after")
+    def _whole_steps(self) -> MarchSection:
+        if self.duration_min * 60.0 < self.step_s:
+            raise ValueError("duration_min is shorter than one step of step_s")
+        return self
+
+
+class ProbeSection(_Section):
+    """``[probes.NAME]``."""
+
+    position_mm: Point
+    body: str | None = None
+
+
+class DisplacementSection(_Section):
+    """``[displacement]``: the relative displacement that is recorded."""
+
+    point: str = "A"
+    relative_to: str | None = "B"
+
+
+class CandidatesSection(_Section):
+    """``[candidates]``: a lattice of possible sensors in one body, for the placement rule."""
+
+    body: str
+    low_mm: Point
+    high_mm: Point
+    spacing_mm: Positive
+
+
+class OutputSection(_Section):
+    """``[output]``."""
+
+    snapshots_s: list[NotNegative] = []
+
+
+class Case(_Section):
+    """A whole case file."""
+
+    title: str
+    structure: Annotated[MillingMachineSection | MeshSection, Field(discriminator="kind")]
+    materials: dict[str, MaterialSection]
+    bodies: dict[str, str]
+    joints: dict[str, JointSection]
+    supports: SupportsSection
+    convection_W_m2K: dict[str, NotNegative] = {}
+    source: SourceSection
+    heat_input: Annotated[
+        StepInput | RampInput | TriangleInput | SampledInput, Field(discriminator="kind")
+    ]
+    march: MarchSection = MarchSection()
+    displacement: DisplacementSection = DisplacementSection()
+    probes: dict[str, ProbeSection] = {}
+    candidates: list[CandidatesSection] = []
+    output: OutputSection = OutputSection()
+
+
+def read_case(path: Path) -> Case:
+    """Read and validate a case file; relative file names in it are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read; give a TOML case file") from error
+    return parse_case(text, str(path), path.parent)
+
+
+def parse_case(text: str, where: str, folder: Path) -> Case:
+    """Validate the text of a case file; see `read_case`."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: no valid TOML: {error}") from error
+    return case_from_data(data, where, folder)
+
+
+def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
+    """Validate a case given as nested dictionaries; see `read_case`."""
+    for section in ("structure", "heat_input"):
+        part = data.get(section)
+        if isinstance(part, dict) and isinstance(part.get("file"), str):
+            data = data | {section: part | {"file": str(folder / part["file"])}}
+    try:
+        return Case.model_validate(data)
+    except pydantic.ValidationError as error:
+        raise _one_line(error, where) from error
+
+
+def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
+    first = error.errors()[0]
+    place = [str(part) for part in first["loc"] if part not in _UNION_TAGS]
+    at = f"{where}: {'.'.join(place)}"
+    if first["type"] == "extra_forbidden":
+        return unknown_name(
+            "key", place[-1], _known_keys(place[:-1]), ".".join([where, *place[:-1]])
+        )
+    if first["type"] == "missing":
+        return InputError(f"{at} is missing; add it")
+    message = first["msg"].removeprefix("Value error, ")
+    given = first.get("input")
+    shown = f" (given: {given!r})" if isinstance(given, str | int | float) else ""
+    return InputError(f"{at}: {message[0].lower()}{message[1:]}{shown}; change it")
+
+
+#: Names that pydantic puts into a location to tell which member of a union it tried.
+_UNION_TAGS = {"box_milling_machine", "mesh", "step", "ramp", "triangle", "sampled"}
+
+
+def _known_keys(place: list[str]) -> list[str]:
+    """Every key allowed at a place in the file, over all kinds a section may have."""
+    models: list[Any] = [Case]
+    for part in place:
+        found: list[Any] = []
+        for model in models:
+            if (
+                isinstance(model, type)
+                and issubclass(model, BaseModel)
+                and part in model.model_fields
+            ):
+                found += _models_in(model.model_fields[part].annotation)
+            else:
+                found.append(model)
+        models = found
+    return sorted({key for model in models for key in model.model_fields})
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]

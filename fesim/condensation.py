@@ -1,0 +1,182 @@
+"""Condensation on the joint: everything linear is solved once, before the march (docs/march.md).
+
+Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W carry the joint's heat flows.
+Elastic: C = G Kr^-1 G^T carries the tractions to the gaps, S_T = G Kr^-1 F the temperatures, and
+the same rows serve every displacement probe. Kr has reference springs at the joint, which hold a
+body that only the joint carries; `fesim.gap` takes them out of the law again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+
+from fesim.elasticity import ElasticOperators
+from fesim.heat import HeatOperators
+from fesim.joint_operators import JointOperators
+from fesim.linear_solver import Factor, checked_solve, factorise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ThermalCondensation:
+    """One implicit Euler step of the heat equation, reduced to m joint heat flows.
+
+    Attributes
+    ----------
+    factor : Factor
+        A0 = M/dt + K + H, W/K.
+    capacity_rate : scipy.sparse.csr_array, shape (n, n)
+        M/dt, W/K.
+    source : ndarray, shape (n,)
+        b, W per unit heat input.
+    jump : scipy.sparse.csr_array, shape (m, n)
+        B.
+    influence : ndarray, shape (n, m)
+        W = A0^-1 B^T, K/W.
+    joint_influence : ndarray, shape (m, m)
+        S = B W, K/W.
+    heat_capacities, films : ndarray, shape (n,)
+        Row sums of M (J/K) and H (W/K), for the heat balance.
+    step : float
+        dt, s.
+    """
+
+    factor: Factor
+    capacity_rate: csr_array
+    source: Array
+    jump: csr_array
+    influence: Array
+    joint_influence: Array
+    heat_capacities: Array
+    films: Array
+    step: float
+
+
+@dataclass(frozen=True)
+class ElasticCondensation:
+    """Gaps and probes as linear functions of temperature and traction.
+
+    Attributes
+    ----------
+    compliance : ndarray, shape (3 m, 3 m)
+        C, gap per joint force, m/N.
+    thermal_gap : ndarray, shape (3 m, n_heat)
+        S_T, m/K.
+    probe_compliance : ndarray, shape (k, 3 m)
+        Probe displacement per joint force, m/N.
+    probe_thermal : ndarray, shape (k, n_heat)
+        Probe displacement per temperature, m/K.
+    reference : ndarray, shape (3 m,)
+        Stiffness of the reference springs, Pa/m.
+    area : ndarray, shape (3 m,)
+        Area of the contact element of each gap component, m2.
+    """
+
+    compliance: Array
+    thermal_gap: Array
+    probe_compliance: Array
+    probe_thermal: Array
+    reference: Array
+    area: Array
+
+
+@dataclass(frozen=True)
+class DisplacementField:
+    """Full displacement field on demand (for snapshots).
+
+    Attributes
+    ----------
+    factor : Factor
+        Kr on the free unknowns.
+    operators : ElasticOperators
+        F and the free unknowns.
+    gap : scipy.sparse.csr_array, shape (3 m, n)
+        G.
+    area : ndarray, shape (3 m,)
+        Area of each gap component, m2.
+    """
+
+    factor: Factor
+    operators: ElasticOperators
+    gap: csr_array
+    area: Array
+
+    def solve(self, temperature: Array, remainder: Array) -> Array:
+        """Displacement, shape (n,), of a temperature field and the joint law's remainder (3 m,)."""
+        load = self.operators.thermal_load @ temperature + self.gap.T @ (self.area * remainder)
+        free = self.operators.free
+        displacement = np.zeros(self.operators.stiffness.shape[0])
+        displacement[free] = self.factor.solve(load[free])
+        return displacement
+
+
+def condense_heat(
+    heat: HeatOperators, joints: JointOperators, step: float, solver: str | None = None
+) -> ThermalCondensation:
+    """Factorise one implicit Euler step of length `step` (s) and condense it on the joints."""
+    capacity_rate = csr_array(heat.capacity / step)
+    factor = factorise(capacity_rate + heat.conduction + heat.convection, "heat equation", solver)
+    influence = checked_solve(factor, joints.jump.toarray().T, "heat condensation")
+    return ThermalCondensation(
+        factor=factor,
+        capacity_rate=capacity_rate,
+        source=heat.source,
+        jump=joints.jump,
+        influence=influence,
+        joint_influence=joints.jump @ influence,
+        heat_capacities=np.asarray(heat.capacity.sum(axis=0)).ravel(),
+        films=np.asarray(heat.convection.sum(axis=0)).ravel(),
+        step=step,
+    )
+
+
+def condense_elasticity(
+    elastic: ElasticOperators,
+    joints: JointOperators,
+    reference: Array,
+    probes: csr_array,
+    solver: str | None = None,
+) -> tuple[ElasticCondensation, DisplacementField]:
+    """Condense the elastic structure on the joints.
+
+    Parameters
+    ----------
+    elastic : ElasticOperators
+        K, F and the free unknowns.
+    joints : JointOperators
+        G and areas.
+    reference : ndarray, shape (3 m,)
+        Stiffness of the reference springs, Pa/m: positive, of the order of the joint's own.
+    probes : scipy.sparse array, shape (k, n)
+        Rows that give each probed displacement.
+    solver : str, optional
+        See `fesim.linear_solver.factorise`.
+    """
+    free = elastic.free
+    gap = csr_array(joints.gap[:, free])
+    area = np.tile(joints.area, 3)
+    springs = gap.T @ diags_array(area * reference) @ gap
+    factor = factorise(elastic.stiffness[free][:, free] + springs, "stiffness", solver)
+    rows = probes[:, free]
+    outputs = np.vstack([gap.toarray(), rows.toarray()])
+    influence = checked_solve(factor, outputs.T, "elastic condensation")
+    load = elastic.thermal_load[free]
+    thermal = (load.T @ influence).T
+    count = gap.shape[0]
+    joint_influence = influence[:, :count]
+    compliance = gap @ joint_influence
+    condensed = ElasticCondensation(
+        # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.
+        compliance=0.5 * (compliance + compliance.T),
+        thermal_gap=np.ascontiguousarray(thermal[:count]),
+        probe_compliance=rows @ joint_influence,
+        probe_thermal=np.ascontiguousarray(thermal[count:]),
+        reference=reference,
+        area=area,
+    )
+    return condensed, DisplacementField(factor, elastic, joints.gap, area)

@@ -1,0 +1,84 @@
+"""Heat input histories: relative to the reference step, as functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.errors import InputError
+
+Array = NDArray[np.float64]
+History = Callable[[Array], Array]
+
+
+def step_history(level: float) -> History:
+    """Heat input `level` from time zero on."""
+    return lambda time: np.full_like(np.asarray(time, dtype=float), level)
+
+
+def ramp_history(level: float, duration: float) -> History:
+    """Rise from zero to `level` within `duration` (s), then hold."""
+    return sampled_history(np.array([0.0, duration]), np.array([0.0, level]))
+
+
+def triangle_history(peak: float, duration: float) -> History:
+    """Rise to `peak` at half of `duration` (s), fall to zero at its end, and stay there."""
+    return sampled_history(np.array([0.0, duration / 2, duration]), np.array([0.0, peak, 0.0]))
+
+
+def sampled_history(times: Array, values: Array, where: str = "history") -> History:
+    """Straight lines between samples; the end values hold outside.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Strictly increasing, s.
+    values : ndarray, shape (n,)
+        Heat input relative to the reference step.
+    where : str
+        Source of the samples, for the error message.
+
+    Raises
+    ------
+    InputError
+        Times that do not increase, or values that are not finite.
+    """
+    if times.shape != values.shape or times.ndim != 1 or times.size == 0:
+        raise InputError(f"{where}: needs as many times as values, one or more")
+    bad = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values)))
+    if bad.size:
+        raise InputError(f"{where}: sample {bad[0] + 1} is not finite; remove or mend it")
+    back = np.flatnonzero(np.diff(times) <= 0.0)
+    if back.size:
+        i = int(back[0]) + 1
+        raise InputError(
+            f"{where}: time {times[i]:g} s of sample {i + 1} does not come after "
+            f"{times[i - 1]:g} s; times must increase strictly"
+        )
+    return lambda time: np.interp(time, times, values)
+
+
+def read_history(path: Path) -> History:
+    """Read a sampled history from a CSV file with the columns ``time_s`` and ``heat_input``.
+
+    Raises
+    ------
+    InputError
+        The file is missing, a column is missing or a value is no number.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such history file; give a CSV with time_s,heat_input")
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, dtype=float, encoding="utf-8")
+    except ValueError as error:
+        raise InputError(f"{path}: rows of unequal length; mend the CSV") from error
+    columns = table.dtype.names or ()
+    for column in ("time_s", "heat_input"):
+        if column not in columns:
+            raise InputError(f"{path}: column {column!r} is missing; found {', '.join(columns)}")
+    table = np.atleast_1d(table)
+    return sampled_history(table["time_s"], table["heat_input"], str(path))

@@ -1,0 +1,242 @@
+"""The joint law at a contact element: normal pressure, micro-slip friction, conductance (Eq. 11).
+
+Gaps are measured from the preloaded state: opening positive, slip along the two tangents. Tractions
+are those that the joint exerts on the gap: a pressure pushes it open, friction resists its slip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfc, erfcinv
+
+from artefacts.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class NormalLaw(Protocol):
+    """Pressure against opening; the pressure at opening zero is the preload."""
+
+    def pressure(self, opening: Array) -> Array:
+        """Pressure, Pa, never negative."""
+        ...
+
+    def slope(self, opening: Array) -> Array:
+        """Derivative of the pressure by the opening, Pa/m, never positive."""
+        ...
+
+
+@dataclass(frozen=True)
+class SurfaceNormalLaw:
+    """Plastic contact of two rough surfaces (Cooper, Mikic & Yovanovich 1969).
+
+    p = (H/2) erfc(Y / (sqrt(2) sigma)) with the mean-plane separation Y = Y0 + opening. It is the
+    surface model behind Eq. 11, so that stiffness and conductance belong together.
+
+    Attributes
+    ----------
+    hardness : float
+        H, Pa.
+    roughness : float
+        sigma, equivalent standard deviation of the surface heights, m.
+    preload : float
+        Pressure at opening zero, Pa.
+    """
+
+    hardness: float
+    roughness: float
+    preload: float
+
+    @property
+    def separation(self) -> float:
+        """Y0: mean-plane separation at the preload, m."""
+        return float(np.sqrt(2.0) * self.roughness * erfcinv(2.0 * self.preload / self.hardness))
+
+    def pressure(self, opening: Array) -> Array:
+        """Pressure, Pa."""
+        scaled = (self.separation + opening) / (np.sqrt(2.0) * self.roughness)
+        return 0.5 * self.hardness * erfc(scaled)
+
+    def slope(self, opening: Array) -> Array:
+        """dp/d(opening), Pa/m."""
+        scaled = (self.separation + opening) / (np.sqrt(2.0) * self.roughness)
+        # Beyond 26 the exponential underflows: the joint is open and has no stiffness.
+        bell = np.exp(-np.minimum(scaled**2, 700.0))
+        return -self.hardness * bell / (np.sqrt(2.0 * np.pi) * self.roughness)
+
+
+@dataclass(frozen=True)
+class BackBurdekinLaw:
+    """Measured machine-tool joints: approach = c p^m (Back, Burdekin & Cowley 1973).
+
+    Attributes
+    ----------
+    coefficient : float
+        c, m/Pa^m.
+    exponent : float
+        m, between 0 and 1; 0.5 for most scraped and ground joints.
+    preload : float
+        Pressure at opening zero, Pa.
+    """
+
+    coefficient: float
+    exponent: float
+    preload: float
+
+    def _approach(self, opening: Array) -> Array:
+        at_preload = self.coefficient * self.preload**self.exponent
+        return np.maximum(at_preload - opening, 0.0) / self.coefficient
+
+    def pressure(self, opening: Array) -> Array:
+        """Pressure, Pa."""
+        return self._approach(opening) ** (1.0 / self.exponent)
+
+    def slope(self, opening: Array) -> Array:
+        """dp/d(opening), Pa/m."""
+        power = 1.0 / self.exponent
+        return -power / self.coefficient * self._approach(opening) ** (power - 1.0)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Regularised Coulomb friction: elastic up to mu p, then sliding.
+
+    Attributes
+    ----------
+    coefficient : float
+        mu; zero is frictionless. An open joint slides however large it is.
+    stiffness : float
+        k_t: tangential stiffness while it sticks, Pa/m.
+    """
+
+    coefficient: float
+    stiffness: float
+
+
+@dataclass(frozen=True)
+class JointLaw:
+    """Everything that happens at a contact element.
+
+    Attributes
+    ----------
+    normal : NormalLaw
+        Pressure against opening.
+    friction : Friction
+        Shear traction against slip.
+    conductance : callable
+        Pressure (Pa) to contact conductance, W/(m2 K).
+    preload : float
+        p0, Pa.
+    """
+
+    normal: NormalLaw
+    friction: Friction
+    conductance: Callable[[Array], Array]
+    preload: float
+
+
+@dataclass(frozen=True)
+class Traction:
+    """The law at one state of the gap; m contact elements.
+
+    Attributes
+    ----------
+    value : ndarray, shape (3, m)
+        z: pressure above the preload, and the two shear tractions on the gap, Pa.
+    tangent : ndarray, shape (3, 3, m)
+        dz_i/dg_j, Pa/m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip after the step, m.
+    """
+
+    value: Array
+    tangent: Array
+    slip: Array
+
+
+def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
+    """Return tractions and their consistent tangent by return mapping.
+
+    Parameters
+    ----------
+    law : JointLaw
+        The law.
+    gap : ndarray, shape (3, m)
+        Opening and tangential relative displacements, m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip at the start of the step, m.
+    """
+    pressure, slope = law.normal.pressure(gap[0]), law.normal.slope(gap[0])
+    stiffness, limit = law.friction.stiffness, law.friction.coefficient
+    trial = -stiffness * (gap[1:] - slip)
+    size = np.hypot(trial[0], trial[1])
+    tangent = np.zeros((3, 3, gap.shape[1]))
+    tangent[0, 0] = slope
+    bound = limit * pressure
+    sliding = size > bound
+    direction = np.divide(trial, size, out=np.zeros_like(trial), where=size > 0.0)
+    shear = np.where(sliding, bound * direction, trial)
+    # Sticking: -k_t I. Sliding: the traction turns with the slip but grows only with pressure.
+    ratio = np.divide(bound, size, out=np.ones_like(size), where=sliding)
+    for i in range(2):
+        for j in range(2):
+            turned = float(i == j) - direction[i] * direction[j]
+            tangent[1 + i, 1 + j] = -stiffness * np.where(sliding, ratio * turned, float(i == j))
+        tangent[1 + i, 0] = np.where(sliding, limit * slope * direction[i], 0.0)
+    new_slip = np.where(sliding, gap[1:] + shear / stiffness, slip)
+    return Traction(np.stack([pressure - law.preload, *shear]), tangent, new_slip)
+
+
+def harmonic_conductivity(first: float, second: float) -> float:
+    """k_h = 2 k1 k2 / (k1 + k2) (with Eq. 11), W/(m K)."""
+    return 2.0 * first * second / (first + second)
+
+
+def power_law_conductance(
+    constant: float,
+    exponent: float,
+    slope: float,
+    roughness: float,
+    conductivity: float,
+    hardness: float,
+) -> Callable[[Array], Array]:
+    """Eq. 11: h_c = C (m/sigma) k_h (p/H)^n, W/(m2 K), as a function of the pressure (Pa).
+
+    C and n are 1.45 and 0.985 (Cooper, Mikic & Yovanovich 1969) or 1.25 and 0.95 (Yovanovich 1982).
+    """
+    factor = constant * slope / roughness * conductivity
+
+    def conductance(pressure: Array) -> Array:
+        return factor * (pressure / hardness) ** exponent
+
+    return conductance
+
+
+def exact_conductance(
+    slope: float, roughness: float, conductivity: float, hardness: float
+) -> Callable[[Array], Array]:
+    """Conductance of the surface model itself, to which Eq. 11 is a fit (CMY 1969).
+
+    h_c = k_h (m/sigma) exp(-x^2/2) / (2 sqrt(2 pi) [1 - sqrt(p/H)]^1.5), P/H = erfc(x/sqrt 2)/2.
+
+    Raises
+    ------
+    InputError
+        When called with a pressure of half the hardness or more, where the model ends.
+    """
+    factor = slope / roughness * conductivity / (2.0 * np.sqrt(2.0 * np.pi))
+
+    def conductance(pressure: Array) -> Array:
+        share = np.asarray(pressure, dtype=float) / hardness
+        if bool((share >= 0.5).any()):
+            raise InputError("conductance: a pressure of half the hardness is beyond the CMY model")
+        separation = np.sqrt(2.0) * erfcinv(2.0 * np.maximum(share, 1e-300))
+        bell = np.where(share > 0.0, np.exp(-0.5 * separation**2), 0.0)
+        return factor * bell / (1.0 - np.sqrt(share)) ** 1.5
+
+    return conductance

@@ -1,0 +1,69 @@
+"""Integral operators of the joints: mean temperature jump B and mean relative displacement G.
+
+Both are means over contact elements, so the two sides need not have matching meshes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from fesim.spaces import Spaces, interpolation
+from meshes.pairing import PairedJoint
+
+
+@dataclass(frozen=True)
+class JointOperators:
+    """All contact elements of all joints, m in number, one after another.
+
+    Attributes
+    ----------
+    jump : scipy.sparse.csr_array, shape (m, n_heat)
+        B: mean temperature of side a less that of side b.
+    gap : scipy.sparse.csr_array, shape (3 m, n)
+        G: mean displacement of side b less that of side a: m openings, then m relative
+        displacements along the first tangent, then along the second.
+    area : ndarray, shape (m,)
+        Area of each contact element, m2.
+    """
+
+    jump: csr_array
+    gap: csr_array
+    area: NDArray[np.float64]
+
+
+def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOperators:
+    """Assemble B and G for the paired `joints`."""
+    area = np.concatenate([joint.area for joint in joints])
+    jump = vstack([-_means(joint, spaces.heat) for joint in joints], format="csr")
+    by_direction: list[csr_array] = []
+    means = [_means(joint, spaces.elastic) for joint in joints]
+    for k in range(3):
+        rows = []
+        for joint, mean in zip(joints, means, strict=True):
+            direction = np.vstack([joint.normal, joint.tangents])[k]
+            rows.append(_along(mean, direction))
+        by_direction.append(vstack(rows, format="csr"))
+    return JointOperators(csr_array(jump), csr_array(vstack(by_direction, format="csr")), area)
+
+
+def _means(joint: PairedJoint, basis) -> csr_array:  # noqa: ANN001
+    """Mean over each contact element on side b, less that on side a."""
+    weights = joint.weights / joint.area[joint.element]
+    count = len(joint.area)
+    side_a = interpolation(basis, joint.points_a, joint.cells_a, joint.element, weights, count)
+    side_b = interpolation(basis, joint.points_b, joint.cells_b, joint.element, weights, count)
+    return side_b - side_a
+
+
+def _along(scalar_rows: csr_array, direction: NDArray[np.float64]) -> csr_array:
+    """Rows on interleaved displacement unknowns that give the component along `direction`."""
+    rows = scalar_rows.tocoo()
+    columns = np.concatenate([3 * rows.col.astype(np.int64) + i for i in range(3)])
+    values = np.concatenate([rows.data * component for component in direction])
+    shape = (rows.shape[0], 3 * rows.shape[1])
+    return csr_array((values, (np.tile(rows.row, 3), columns)), shape=shape)

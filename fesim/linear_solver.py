@@ -1,0 +1,141 @@
+"""The one seam to the direct solvers: factorise once, solve many times.
+
+PARDISO where its wheel is installed, SciPy's SuperLU otherwise. Both take symmetric positive
+definite matrices here; the residual of a solve is checked by `checked_solve`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array, csr_matrix, sparray, triu
+from scipy.sparse.linalg import splu
+
+from artefacts.errors import ConvergenceError, InputError
+
+SOLVERS = ("pardiso", "superlu")
+
+#: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
+RESIDUAL_LIMIT = 1e-6
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factorised symmetric positive definite matrix.
+
+    Attributes
+    ----------
+    matrix : scipy.sparse.csr_array
+        What was factorised.
+    solve : callable
+        Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
+    solver : str
+        Which library did it.
+    """
+
+    matrix: csr_array
+    solve: Callable[[Array], Array]
+    solver: str
+
+
+def default_solver() -> str:
+    """Return ``"pardiso"`` if it is installed, else ``"superlu"``."""
+    return "pardiso" if find_spec("pypardiso") else "superlu"
+
+
+def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
+    """Factorise a symmetric positive definite `matrix`.
+
+    Parameters
+    ----------
+    matrix : scipy.sparse array, shape (n, n)
+        Both triangles stored.
+    what : str
+        Name for the error message, e.g. ``"stiffness"``.
+    solver : str, optional
+        One of `SOLVERS`; default `default_solver`.
+
+    Raises
+    ------
+    InputError
+        The solver is unknown or not installed, or the matrix is singular.
+    """
+    name = solver or default_solver()
+    rows = csr_array(matrix)
+    rows.sort_indices()
+    if name == "pardiso":
+        solve = _pardiso(rows, what)
+    elif name == "superlu":
+        solve = _superlu(rows, what)
+    else:
+        raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
+    factor = Factor(rows, solve, name)
+    probe = np.cos(np.arange(rows.shape[0]))
+    checked_solve(factor, probe, what)
+    return factor
+
+
+def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
+    """Solve and raise ConvergenceError if the residual exceeds `RESIDUAL_LIMIT`."""
+    solution = factor.solve(right_side)
+    residual = np.abs(factor.matrix @ solution - right_side).max()
+    scale = np.abs(right_side).max()
+    # Written so that NaN fails too.
+    if not residual <= RESIDUAL_LIMIT * scale:
+        raise ConvergenceError(
+            f"{what}: the solver left a relative residual of {residual / scale:.1e}; "
+            "some body is free to move or a property is out of range: check supports and materials"
+        )
+    return solution
+
+
+def _singular(what: str) -> InputError:
+    return InputError(
+        f"{what}: the matrix is singular; some body is free to move or has no material: "
+        "check supports, joints and materials"
+    )
+
+
+def _superlu(matrix: csr_array, what: str) -> Callable[[Array], Array]:
+    try:
+        lu = splu(
+            csc_array(matrix),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise _singular(what) from error
+    return lambda right_side: lu.solve(np.ascontiguousarray(right_side))
+
+
+def _pardiso(matrix: csr_array, what: str) -> Callable[[Array], Array]:
+    try:
+        from pypardiso import PyPardisoSolver
+        from pypardiso.pardiso_wrapper import PyPardisoError
+    except ImportError as error:
+        raise InputError(
+            "linear solver: 'pardiso' is not installed; install the extra "
+            "thermojoint[pardiso] or use 'superlu'"
+        ) from error
+    upper = csr_matrix(triu(matrix, format="csr"))
+    upper.sort_indices()
+    solver = PyPardisoSolver(mtype=2)
+    try:
+        solver.factorize(upper)
+    except PyPardisoError as error:
+        raise _singular(what) from error
+    solver.set_phase(33)
+
+    def solve(right_side: Array) -> Array:
+        columns = np.asfortranarray(right_side, dtype=np.float64)
+        # The public solve() compares the whole matrix with its copy on every call.
+        return np.asarray(solver._call_pardiso(upper, columns))
+
+    return solve

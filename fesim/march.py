@@ -1,0 +1,336 @@
+"""The march: heat and contact stepped in time on the condensed structure (docs/march.md).
+
+Nothing is factorised, assembled or allocated by mesh size inside it except the temperature field.
+`march` is a generator of steps; a step's state is all it takes to go on with identical results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.errors import ConvergenceError
+from fesim.condensation import ElasticCondensation, ThermalCondensation
+from fesim.gap import Equilibrium, GapProblem, solve_gap
+from fesim.history import History
+from fesim.joint_law import JointLaw, Traction, evaluate
+
+Array = NDArray[np.float64]
+
+#: A step is halved this many times at most before it is given up.
+MAX_CUTS = 10
+#: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
+PRESSURE_TOLERANCE = 1e-9
+MAX_SWEEPS = 100
+
+
+@dataclass(frozen=True)
+class CondensedMachine:
+    """A structure ready to march.
+
+    Attributes
+    ----------
+    thermal : ThermalCondensation
+        One heat step.
+    elastic : ElasticCondensation
+        Gaps and probes.
+    laws : sequence of (JointLaw, int)
+        The law of each joint and how many contact elements it has, in their order.
+    """
+
+    thermal: ThermalCondensation
+    elastic: ElasticCondensation
+    laws: Sequence[tuple[JointLaw, int]]
+
+    @property
+    def contacts(self) -> int:
+        """Number of contact elements."""
+        return sum(count for _, count in self.laws)
+
+    @cached_property
+    def gap_problem(self) -> GapProblem:
+        """The gap equations of this machine."""
+        elastic = self.elastic
+        return GapProblem(elastic.compliance * elastic.area, elastic.reference, self.traction)
+
+    def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
+        start = 0
+        for law, count in self.laws:
+            yield law, slice(start, start + count)
+            start += count
+
+    def traction(self, gap: Array, slip: Array) -> Traction:
+        """Evaluate every joint's law; shapes as in `fesim.joint_law.evaluate`."""
+        parts = [evaluate(law, gap[:, at], slip[:, at]) for law, at in self._slices()]
+        if len(parts) == 1:
+            return parts[0]
+        return Traction(
+            np.concatenate([part.value for part in parts], axis=-1),
+            np.concatenate([part.tangent for part in parts], axis=-1),
+            np.concatenate([part.slip for part in parts], axis=-1),
+        )
+
+    def conductance(self, pressure: Array) -> Array:
+        """Eq. 11 at every contact element, W/(m2 K)."""
+        return np.concatenate([law.conductance(pressure[at]) for law, at in self._slices()])
+
+    @cached_property
+    def preload(self) -> Array:
+        """Preload of every contact element, Pa."""
+        return np.concatenate([np.full(count, law.preload) for law, count in self.laws])
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything the next step depends on.
+
+    Attributes
+    ----------
+    index : int
+        Steps taken; time is index times the step length.
+    temperature : ndarray, shape (n,)
+        Nodal temperatures above ambient, K.
+    gap : ndarray, shape (3, m)
+        Gaps, m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip, m: the history of friction.
+    pressure : ndarray, shape (m,)
+        Contact pressure, Pa.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T = S_T T, m.
+    """
+
+    index: int
+    temperature: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    thermal_gap: Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the march and the evidence that it is right.
+
+    Attributes
+    ----------
+    state : State
+        At the end of the step.
+    heat_input : float
+        Relative heat input during the step.
+    conductance, heat_flow : ndarray, shape (m,)
+        W/(m2 K), and W from side a to side b.
+    displacement : ndarray, shape (k,)
+        Displacement probes, m.
+    remainder : ndarray, shape (3 m,)
+        z + k g, Pa: with the temperature, it gives the displacement field.
+    residual : float
+        Largest gap residual, m.
+    iterations, cuts : int
+        Newton iterations, and how often the mechanical step was halved.
+    heat_balance : float
+        (in - stored - convected) / the largest of the three.
+    """
+
+    state: State
+    heat_input: float
+    conductance: Array
+    heat_flow: Array
+    displacement: Array
+    remainder: Array
+    residual: float
+    iterations: int
+    cuts: int
+    heat_balance: float
+
+
+Advance = Callable[[CondensedMachine, State, float], Step]
+
+
+def initial_state(machine: CondensedMachine) -> State:
+    """Ambient temperature everywhere, every joint at its preload."""
+    count = machine.contacts
+    return State(
+        index=0,
+        temperature=np.zeros(machine.thermal.source.size),
+        gap=np.zeros((3, count)),
+        slip=np.zeros((2, count)),
+        pressure=machine.preload.copy(),
+        thermal_gap=np.zeros(3 * count),
+    )
+
+
+def march(
+    machine: CondensedMachine, history: History, advance: Advance, start: State | None = None
+) -> Iterator[Step]:
+    """Yield one step after another, without end.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    history : callable
+        Time (s) to relative heat input; implicit Euler takes it at the end of each step.
+    advance : callable
+        `staggered` or `iterated`.
+    start : State, optional
+        Where to go on; default `initial_state`.
+
+    Raises
+    ------
+    ConvergenceError
+        A step did not converge even after it was cut; nothing is yielded for it.
+    """
+    state = start if start is not None else initial_state(machine)
+    while True:
+        time = np.array([(state.index + 1) * machine.thermal.step])
+        try:
+            step = advance(machine, state, float(history(time)[0]))
+        except ConvergenceError as error:
+            raise ConvergenceError(f"step to t = {time[0]:g} s: {error}") from error
+        state = step.state
+        yield step
+
+
+def staggered(machine: CondensedMachine, state: State, heat_input: float) -> Step:
+    """One step in which the last step's pressure sets the conductance, as in the paper."""
+    conductance = machine.conductance(state.pressure)
+    return _step_with(machine, state, heat_input, conductance)
+
+
+def iterated(machine: CondensedMachine, state: State, heat_input: float) -> Step:
+    """One step in which conductance and pressure agree at its end.
+
+    Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
+    sees one increment only.
+
+    Raises
+    ------
+    ConvergenceError
+        The pressures still change after `MAX_SWEEPS` sweeps.
+    """
+    pressure = state.pressure
+    weight, last_change = 1.0, np.inf
+    iterations = cuts = 0
+    for _ in range(MAX_SWEEPS):
+        step = _step_with(machine, state, heat_input, machine.conductance(pressure))
+        iterations += step.iterations
+        cuts += step.cuts
+        change = float(np.abs((step.state.pressure - pressure) / machine.preload).max())
+        if change <= PRESSURE_TOLERANCE:
+            return replace(step, iterations=iterations, cuts=cuts)
+        if change > last_change:
+            weight /= 2.0
+        last_change = change
+        pressure = pressure + weight * (step.state.pressure - pressure)
+    raise ConvergenceError(
+        f"in-step iteration: pressures still change by {change:.1e} of the preload after "
+        f"{MAX_SWEEPS} sweeps; take a shorter step or the staggered coupling"
+    )
+
+
+def heat_step(
+    thermal: ThermalCondensation, temperature: Array, heat_input: float, joint: Array
+) -> tuple[Array, Array]:
+    """Implicit Euler on the condensed heat equation.
+
+    Parameters
+    ----------
+    thermal : ThermalCondensation
+        The condensed step.
+    temperature : ndarray, shape (n,)
+        At the start, K.
+    heat_input : float
+        Relative heat input.
+    joint : ndarray, shape (m,)
+        Conductance times area of each contact element, W/K.
+
+    Returns
+    -------
+    temperature : ndarray, shape (n,)
+        At the end, K.
+    heat_flow : ndarray, shape (m,)
+        Across the joint from side a to side b, W.
+    """
+    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + heat_input * thermal.source)
+    system = joint[:, None] * thermal.joint_influence
+    system[np.diag_indices_from(system)] += 1.0
+    heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
+    return alone - thermal.influence @ heat_flow, heat_flow
+
+
+def heat_balance(
+    thermal: ThermalCondensation, before: Array, after: Array, heat_input: float
+) -> float:
+    """(in - stored - convected) over one step, relative to the largest of the three."""
+    entered = heat_input * float(thermal.source.sum()) * thermal.step
+    stored = float(thermal.heat_capacities @ (after - before))
+    convected = float(thermal.films @ after) * thermal.step
+    largest = max(abs(entered), abs(stored), abs(convected))
+    return (entered - stored - convected) / largest if largest > 0.0 else 0.0
+
+
+def _step_with(
+    machine: CondensedMachine, state: State, heat_input: float, conductance: Array
+) -> Step:
+    count = machine.contacts
+    elastic = machine.elastic
+    temperature, heat_flow = heat_step(
+        machine.thermal, state.temperature, heat_input, conductance * elastic.area[:count]
+    )
+    thermal_gap = elastic.thermal_gap @ temperature
+    found, iterations, cuts = _settle(machine.gap_problem, state, thermal_gap)
+    pressure = machine.preload + found.traction.value[0]
+    remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+    return Step(
+        state=State(
+            index=state.index + 1,
+            temperature=temperature,
+            gap=found.gap,
+            slip=found.traction.slip,
+            pressure=pressure,
+            thermal_gap=thermal_gap,
+        ),
+        heat_input=heat_input,
+        conductance=conductance,
+        heat_flow=heat_flow,
+        displacement=elastic.probe_thermal @ temperature
+        + elastic.probe_compliance @ (elastic.area * remainder),
+        remainder=remainder,
+        residual=found.residual,
+        iterations=iterations,
+        cuts=cuts,
+        heat_balance=heat_balance(machine.thermal, state.temperature, temperature, heat_input),
+    )
+
+
+def _settle(problem: GapProblem, state: State, thermal_gap: Array) -> tuple[Equilibrium, int, int]:
+    """Follow the thermal gap from the state's to `thermal_gap`, halving the way when it must be.
+
+    The mechanical problem has no clock of its own, so a part of the way is a shorter step.
+    """
+    reached, part, cuts, iterations = 0.0, 1.0, 0, 0
+    gap, slip = state.gap, state.slip
+    while True:
+        target = min(reached + part, 1.0)
+        way = (
+            thermal_gap
+            if target == 1.0
+            else ((1.0 - target) * state.thermal_gap + target * thermal_gap)
+        )
+        try:
+            found = solve_gap(problem, way, slip, gap)
+        except ConvergenceError:
+            cuts += 1
+            part /= 2.0
+            if cuts > MAX_CUTS:
+                raise
+            continue
+        iterations += found.iterations
+        if target == 1.0:
+            return found, iterations, cuts
+        reached, gap, slip = target, found.gap, found.traction.slip

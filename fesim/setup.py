@@ -1,0 +1,340 @@
+"""From a case to a machine ready to march; the only place where units of the case become SI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from artefacts.errors import InputError, unknown_name
+from fesim.case import (
+    CandidatesSection,
+    Case,
+    JointSection,
+    MillingMachineSection,
+    RampInput,
+    StepInput,
+    TriangleInput,
+)
+from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
+from fesim.elasticity import DIRECTIONS, elastic_operators
+from fesim.heat import heat_operators
+from fesim.history import History, ramp_history, read_history, step_history, triangle_history
+from fesim.joint_law import (
+    BackBurdekinLaw,
+    Friction,
+    JointLaw,
+    SurfaceNormalLaw,
+    exact_conductance,
+    harmonic_conductivity,
+    power_law_conductance,
+)
+from fesim.joint_operators import joint_operators
+from fesim.march import CondensedMachine
+from fesim.materials import Material
+from fesim.spaces import Spaces, make_spaces, probe_rows
+from meshes.exchange import read_structure
+from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
+from meshes.pairing import PairedJoint, pair_joint
+from meshes.structure import Probe, Structure
+
+#: C and n of Eq. 11 by law.
+CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A condensed case.
+
+    Attributes
+    ----------
+    structure : Structure
+        With all probes of the case.
+    spaces : Spaces
+        Finite-element spaces.
+    joints : tuple of PairedJoint
+        In the order of the contact elements.
+    machine : CondensedMachine
+        What marches; its displacement probes are the relative displacement along x, y and z.
+    field : DisplacementField
+        Full displacements on demand.
+    probes : dict of str to Probe
+        Temperature probes: those that the case names and its candidates.
+    probe_rows : scipy.sparse.csr_array, shape (probes, n_heat)
+        Their rows.
+    """
+
+    structure: Structure
+    spaces: Spaces
+    joints: tuple[PairedJoint, ...]
+    machine: CondensedMachine
+    field: DisplacementField
+    probes: dict[str, Probe]
+    probe_rows: csr_array
+
+
+def set_up(case: Case) -> Setup:
+    """Build, check and condense everything a case names.
+
+    Raises
+    ------
+    InputError
+        A name does not exist in the structure, or parts do not fit.
+    """
+    structure = build_structure(case)
+    materials = body_materials(case, structure)
+    for name in case.convection_W_m2K:
+        structure.surface(name, "convection_W_m2K")
+    for name in [*case.supports.fixed, *case.supports.symmetry]:
+        structure.surface(name, "supports")
+    structure.surface(case.source.surface, "source.surface")
+    heat_history(case)  # a bad history is found now, not after the factorisation
+    joints = tuple(
+        pair_joint(structure, name, section.along, section.across)
+        for name, section in case.joints.items()
+    )
+    spaces = make_spaces(structure.mesh)
+    relative = _relative_rows(case, structure, spaces)
+    temperature_probes = {
+        name: probe for name, probe in structure.probes.items() if name in case.probes
+    } | candidate_probes(case, structure)
+    if not temperature_probes:
+        raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
+    rows = probe_rows(spaces.heat, structure, temperature_probes)
+
+    laws = [
+        (joint_law(case.joints[joint.name], structure, materials, joint), len(joint.area))
+        for joint in joints
+    ]
+    operators = joint_operators(joints, spaces)
+    heat = heat_operators(
+        structure,
+        spaces.heat,
+        materials,
+        case.convection_W_m2K,
+        {case.source.surface: source_power(case) / structure.symmetry_factor},
+    )
+    elastic = elastic_operators(
+        structure, spaces, materials, case.supports.fixed, dict(case.supports.symmetry)
+    )
+    step, solver = case.march.step_s, case.march.solver
+    condensed, field = condense_elasticity(
+        elastic, operators, reference_springs(laws), relative, solver
+    )
+    machine = CondensedMachine(condense_heat(heat, operators, step, solver), condensed, laws)
+    return Setup(
+        structure=structure,
+        spaces=spaces,
+        joints=joints,
+        machine=machine,
+        field=field,
+        probes=temperature_probes,
+        probe_rows=rows,
+    )
+
+
+def build_structure(case: Case) -> Structure:
+    """Build or read the structure, with the probes and joints that the case adds."""
+    section = case.structure
+    probes = {
+        name: Probe(_metres(probe.position_mm), probe.body) for name, probe in case.probes.items()
+    }
+    if isinstance(section, MillingMachineSection):
+        known = {field.name for field in fields(MillingMachineDimensions)}
+        for name in section.dimensions_mm:
+            if name not in known:
+                raise unknown_name("dimension", name, known, "structure.dimensions_mm")
+        lengths = {name: 1e-3 * value for name, value in section.dimensions_mm.items()}
+        joint_size = section.joint_element_size_mm
+        structure = box_milling_machine(
+            MillingMachineDimensions(**lengths),
+            element_size=1e-3 * section.element_size_mm,
+            joint_element_size=None if joint_size is None else 1e-3 * joint_size,
+            half=section.half,
+            probes=probes,
+        )
+        sides = structure.joints
+    else:
+        structure = read_structure(section.file)
+        sides = structure.joints
+    joints = {}
+    for name, joint in case.joints.items():
+        if joint.side_a is not None and joint.side_b is not None:
+            joints[name] = (joint.side_a, joint.side_b)
+        elif name in sides:
+            joints[name] = sides[name]
+        else:
+            raise unknown_name("joint", name, sides, "joints")
+    unused = set(sides) - set(joints)
+    if unused:
+        raise InputError(f"joints: the structure's joint {min(unused)!r} has no section; add it")
+    factor = (
+        structure.symmetry_factor
+        if isinstance(section, MillingMachineSection)
+        else section.symmetry_factor
+    )
+    return Structure(
+        mesh=structure.mesh,
+        bodies=structure.bodies,
+        surfaces=structure.surfaces,
+        joints=joints,
+        probes=structure.probes | probes,
+        symmetry_factor=factor,
+    )
+
+
+def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
+    """Material of every body."""
+    made = {
+        name: Material(
+            conductivity=section.conductivity_W_mK,
+            density=section.density_kg_m3,
+            heat_capacity=section.heat_capacity_J_kgK,
+            youngs_modulus=1e9 * section.youngs_modulus_GPa,
+            poisson_ratio=section.poisson_ratio,
+            expansion=section.expansion_1_K,
+        )
+        for name, section in case.materials.items()
+    }
+    for body, material in case.bodies.items():
+        structure.body(body, "bodies")
+        if material not in made:
+            raise unknown_name("material", material, made, f"bodies.{body}")
+    for body in structure.bodies:
+        if body not in case.bodies:
+            raise InputError(f'bodies: body {body!r} has no material; add {body} = "MATERIAL"')
+    return {body: made[case.bodies[body]] for body in structure.bodies}
+
+
+def source_power(case: Case) -> float:
+    """Heat that enters the whole structure at heat input 1, W."""
+    source = case.source
+    each = source.reference_power_W
+    return each * source.count if source.reading == "per source" else each
+
+
+def heat_history(case: Case) -> History:
+    """The case's heat input as a function of time (s)."""
+    given = case.heat_input
+    if isinstance(given, StepInput):
+        return step_history(given.level)
+    if isinstance(given, RampInput):
+        return ramp_history(given.level, 60.0 * given.duration_min)
+    if isinstance(given, TriangleInput):
+        return triangle_history(given.peak, 60.0 * given.duration_min)
+    return read_history(given.file)
+
+
+def joint_law(
+    section: JointSection,
+    structure: Structure,
+    materials: dict[str, Material],
+    joint: PairedJoint,
+) -> JointLaw:
+    """Law of one joint; its harmonic conductivity comes from the bodies on the two sides."""
+    hardness, roughness = 1e9 * section.hardness_GPa, 1e-6 * section.roughness_um
+    preload = 1e6 * section.preload_MPa
+    slope = section.asperity_slope
+    conductivity = harmonic_conductivity(
+        *(
+            materials[_body_of(structure, int(cells[0]))].conductivity
+            for cells in (joint.cells_a, joint.cells_b)
+        )
+    )
+    normal: SurfaceNormalLaw | BackBurdekinLaw
+    if section.normal_law == "surface":
+        normal = SurfaceNormalLaw(hardness, roughness, preload)
+    else:
+        exponent = section.back_burdekin.exponent
+        coefficient = 1e-6 * section.back_burdekin.coefficient_um / 1e6**exponent
+        normal = BackBurdekinLaw(coefficient, exponent, preload)
+    stiffness = -float(normal.slope(np.zeros(1))[0])
+    chosen = section.conductance
+    if chosen.law == "cmy-exact":
+        conductance = exact_conductance(slope, roughness, conductivity, hardness)
+    else:
+        constant, exponent = CONDUCTANCE_CONSTANTS.get(
+            chosen.law, (chosen.constant or 0.0, chosen.exponent or 0.0)
+        )
+        conductance = power_law_conductance(
+            constant, exponent, slope, roughness, conductivity, hardness
+        )
+    friction = Friction(
+        section.friction_coefficient, section.tangential_stiffness_ratio * stiffness
+    )
+    return JointLaw(normal, friction, conductance, preload)
+
+
+def reference_springs(laws: list[tuple[JointLaw, int]]) -> NDArray[np.float64]:
+    """Reference springs (3 m,) as stiff as the joint is at its preload, Pa/m."""
+    stiffness = [
+        np.repeat(
+            [[-float(law.normal.slope(np.zeros(1))[0])], *([[law.friction.stiffness]] * 2)],
+            count,
+            axis=1,
+        )
+        for law, count in laws
+    ]
+    return np.concatenate(stiffness, axis=1).ravel()
+
+
+def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
+    """Possible sensors: lattice points of each ``[[candidates]]`` box that lie in its body.
+
+    A candidate is called after its position in mm, e.g. ``s575_700_150``.
+    """
+    found: dict[str, Probe] = {}
+    for section in case.candidates:
+        cells = structure.body(section.body, "candidates.body")
+        corners = structure.mesh.p[:, structure.mesh.t[:, cells]]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        for point in _lattice(section):
+            x = np.array(point)[:, None] * 1e-3
+            if bool(((x >= low - 1e-9) & (x <= high + 1e-9)).all(axis=0).any()):
+                name = "s" + "_".join(f"{value:g}" for value in point)
+                found[name] = Probe(_metres(point), section.body)
+    return found
+
+
+def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:
+    axes = [
+        np.linspace(low, high, max(2, round((high - low) / section.spacing_mm) + 1))
+        if high > low
+        else np.array([low])
+        for low, high in zip(section.low_mm, section.high_mm, strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return [(float(x), float(y), float(z)) for x, y, z in grid]
+
+
+def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = (1e-3 * value for value in point)
+    return x, y, z
+
+
+def _body_of(structure: Structure, cell: int) -> str:
+    return next(name for name, cells in structure.bodies.items() if cell in cells)
+
+
+def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
+    names = [case.displacement.point]
+    if case.displacement.relative_to is not None:
+        names.append(case.displacement.relative_to)
+    for name in names:
+        if name not in structure.probes:
+            raise unknown_name("probe", name, structure.probes, "displacement")
+    rows = probe_rows(spaces.elastic, structure, {name: structure.probes[name] for name in names})
+    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
+    at = relative.tocoo()
+    shape = (1, spaces.displacement_size)
+    return csr_array(
+        vstack(
+            [
+                csr_array((at.data, (np.zeros(at.nnz, dtype=int), 3 * at.col + i)), shape=shape)
+                for i in range(len(DIRECTIONS))
+            ],
+            format="csr",
+        )
+    )

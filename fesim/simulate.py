@@ -1,0 +1,165 @@
+"""From a case to a response: set up once, march, collect."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import islice
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError
+from artefacts.response import make_response
+from fesim.case import Case
+from fesim.elasticity import DIRECTIONS
+from fesim.march import (
+    Advance,
+    CondensedMachine,
+    State,
+    Step,
+    initial_state,
+    iterated,
+    march,
+    staggered,
+)
+from fesim.setup import Setup, heat_history, set_up
+
+COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
+
+Progress = Callable[[int, int], None]
+OnStep = Callable[[Step], None]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A finished march.
+
+    Attributes
+    ----------
+    response : xarray.Dataset
+        See `artefacts.response`.
+    state : State
+        At the end; `simulate` goes on from it with identical results.
+    """
+
+    response: xr.Dataset
+    state: State
+
+
+def simulate(
+    case: Case,
+    *,
+    setup: Setup | None = None,
+    start: State | None = None,
+    on_step: OnStep | None = None,
+    progress: Progress | None = None,
+) -> Simulation:
+    """Run a case.
+
+    Parameters
+    ----------
+    case : Case
+        What to run.
+    setup : Setup, optional
+        The case's structure condensed already, for several heat inputs on one structure; default
+        `set_up(case)`. Its heat input is not used.
+    start : State, optional
+        A saved state to go on from; default ambient and preload.
+    on_step : callable, optional
+        Called with every step, e.g. to write snapshots.
+    progress : callable, optional
+        Called with (steps done, steps in all).
+
+    Raises
+    ------
+    InputError
+        The case does not fit the structure.
+    ConvergenceError
+        A step did not converge.
+    """
+    ready = setup if setup is not None else set_up(case)
+    first = start if start is not None else initial_state(ready.machine)
+    steps = [] if start is not None else [at_rest(ready.machine)]
+    probes = [ready.probe_rows @ step.state.temperature for step in steps]
+    count = round(60.0 * case.march.duration_min / case.march.step_s) - first.index
+    if count < 1:
+        raise InputError(
+            f"march: the saved state is at {first.index * case.march.step_s:g} s already; "
+            "make march.duration_min longer"
+        )
+    state = first
+    marching = march(ready.machine, heat_history(case), COUPLINGS[case.march.coupling], first)
+    for done, step in enumerate(islice(marching, count), start=1):
+        state = step.state
+        # The temperature field is the one large thing in a step: keep the probes only.
+        probes.append(ready.probe_rows @ state.temperature)
+        steps.append(replace(step, state=replace(state, temperature=np.empty(0))))
+        if on_step is not None:
+            on_step(step)
+        if progress is not None:
+            progress(done, count)
+    return Simulation(_response(case, ready, steps, np.array(probes)), state)
+
+
+def at_rest(machine: CondensedMachine) -> Step:
+    """Row zero of a response: the machine at ambient temperature and at its preload."""
+    state = initial_state(machine)
+    return Step(
+        state=state,
+        heat_input=0.0,
+        conductance=machine.conductance(state.pressure),
+        heat_flow=np.zeros(machine.contacts),
+        displacement=np.zeros(machine.elastic.probe_thermal.shape[0]),
+        remainder=np.zeros(3 * machine.contacts),
+        residual=0.0,
+        iterations=0,
+        cuts=0,
+        heat_balance=0.0,
+    )
+
+
+def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -> xr.Dataset:
+    machine = setup.machine
+    names = [joint.name for joint in setup.joints for _ in joint.area]
+    values = {
+        "heat_input": np.array([step.heat_input for step in steps]),
+        "temperature": probes,
+        "displacement": np.array([step.displacement for step in steps]),
+        "probe_position": np.array([probe.position for probe in setup.probes.values()]),
+        "pressure": np.array([step.state.pressure for step in steps]),
+        "conductance": np.array([step.conductance for step in steps]),
+        "heat_flow": np.array([step.heat_flow for step in steps]),
+        "opening": np.array([step.state.gap[0] for step in steps]),
+        "slip": np.array([step.state.slip.T for step in steps]),
+        "contact_position": np.concatenate([joint.centre for joint in setup.joints]),
+        "contact_area": np.concatenate([joint.area for joint in setup.joints]),
+        "contact_joint": np.array(names),
+        "gap_residual": np.array([step.residual for step in steps]),
+        "iterations": np.array([step.iterations for step in steps]),
+        "cuts": np.array([step.cuts for step in steps]),
+        "heat_balance": np.array([step.heat_balance for step in steps]),
+    }
+    coords = {
+        "time": machine.thermal.step * np.array([step.state.index for step in steps]),
+        "probe": list(setup.probes),
+        "axis": list(DIRECTIONS),
+        "space": list(DIRECTIONS),
+        "tangent": ["along", "across"],
+        "contact": np.arange(1, machine.contacts + 1),
+    }
+    attrs: dict[str, str | float | int] = {
+        "title": case.title,
+        "reference_power_W": case.source.reference_power_W,
+        "case": case.model_dump_json(),
+        "versions": json.dumps(
+            {name: version(name) for name in ("thermojoint", "scikit-fem", "numpy", "scipy")}
+        ),
+        "linear_solver": machine.thermal.factor.solver,
+        "thermal_unknowns": int(machine.thermal.source.size),
+        "displacement_unknowns": int(setup.spaces.displacement_size),
+        "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
+    }
+    return make_response(values, coords, attrs)

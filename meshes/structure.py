@@ -1,0 +1,142 @@
+"""A structure: a mesh with named bodies, surfaces, joint sides and probes, checked when made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from artefacts.errors import InputError, unknown_name
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from skfem import Mesh
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A named point on or in a body.
+
+    Attributes
+    ----------
+    position : tuple of float
+        x, y, z in m.
+    body : str or None
+        The body it belongs to; needed only where two bodies touch.
+    """
+
+    position: tuple[float, float, float]
+    body: str | None = None
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A mesh and the names that a case refers to.
+
+    Attributes
+    ----------
+    mesh : skfem.Mesh
+        Hexahedra or tetrahedra, coordinates in m. Bodies that a joint separates share no node.
+    bodies : dict of str to ndarray of int
+        Cells of each body; together they are all cells, each once.
+    surfaces : dict of str to ndarray of int
+        Boundary facets of each named surface; surfaces may overlap.
+    joints : dict of str to (str, str)
+        The two surfaces (side a, side b) that face each other.
+    probes : dict of str to Probe
+        Named points.
+    symmetry_factor : int
+        How many copies of the mesh make the whole structure (2 for a half model).
+    """
+
+    mesh: Mesh
+    bodies: dict[str, NDArray[np.int64]]
+    surfaces: dict[str, NDArray[np.int64]]
+    joints: dict[str, tuple[str, str]] = field(default_factory=dict)
+    probes: dict[str, Probe] = field(default_factory=dict)
+    symmetry_factor: int = 1
+
+    def __post_init__(self) -> None:
+        """Check that the names and the mesh fit each other."""
+        _check_mesh(self.mesh)
+        _check_bodies(self)
+        _check_surfaces(self)
+        _check_joints(self)
+        _check_probes(self)
+
+    def body(self, name: str, where: str = "structure") -> NDArray[np.int64]:
+        """Return the cells of a body; InputError names the nearest one if there is none."""
+        if name not in self.bodies:
+            raise unknown_name("body", name, self.bodies, where)
+        return self.bodies[name]
+
+    def surface(self, name: str, where: str = "structure") -> NDArray[np.int64]:
+        """Return the facets of a surface; InputError names the nearest one if there is none."""
+        if name not in self.surfaces:
+            raise unknown_name("surface", name, self.surfaces, where)
+        return self.surfaces[name]
+
+
+def _check_mesh(mesh: Mesh) -> None:
+    if mesh.dim() != 3 or mesh.t.shape[0] not in (4, 8):
+        raise InputError(
+            f"structure: mesh is {type(mesh).__name__}; use tetrahedra or hexahedra in 3-D"
+        )
+    if not bool(np.isfinite(mesh.p).all()):
+        bad = int(np.flatnonzero(~np.isfinite(mesh.p).all(axis=0))[0])
+        raise InputError(
+            f"structure: node {bad} has a coordinate that is not finite; mend the mesh"
+        )
+
+
+def _check_bodies(structure: Structure) -> None:
+    count = np.zeros(structure.mesh.nelements, dtype=int)
+    for name, cells in structure.bodies.items():
+        if cells.size == 0:
+            raise InputError(f"structure: body {name!r} has no cells; remove it or mend its name")
+        if cells.min() < 0 or cells.max() >= count.size:
+            raise InputError(f"structure: body {name!r} names cells that the mesh does not have")
+        count[cells] += 1
+    if not bool((count == 1).all()):
+        none, many = int((count == 0).sum()), int((count > 1).sum())
+        raise InputError(
+            f"structure: {none} cells are in no body and {many} in several; put each in exactly one"
+        )
+
+
+def _check_surfaces(structure: Structure) -> None:
+    outside = structure.mesh.boundary_facets()
+    for name, facets in structure.surfaces.items():
+        if facets.size == 0:
+            raise InputError(
+                f"structure: surface {name!r} has no facets; remove it or mend its name"
+            )
+        if not bool(np.isin(facets, outside).all()):
+            raise InputError(
+                f"structure: surface {name!r} has facets inside a body; surfaces are boundaries"
+            )
+
+
+def _check_joints(structure: Structure) -> None:
+    for name, sides in structure.joints.items():
+        for side in sides:
+            structure.surface(side, f"joint {name!r}")
+        if np.intersect1d(*(structure.surfaces[side] for side in sides)).size:
+            raise InputError(f"structure: the sides of joint {name!r} share facets; separate them")
+
+
+def _check_probes(structure: Structure) -> None:
+    low, high = structure.mesh.p.min(axis=1), structure.mesh.p.max(axis=1)
+    slack = 1e-6 * float((high - low).max())
+    for name, probe in structure.probes.items():
+        x = np.asarray(probe.position)
+        if not bool(np.isfinite(x).all()) or bool(
+            (x < low - slack).any() | (x > high + slack).any()
+        ):
+            raise InputError(
+                f"structure: probe {name!r} at {tuple(x)} m lies outside the mesh, which spans "
+                f"{tuple(low)} to {tuple(high)} m; mend its position or its unit"
+            )
+        if probe.body is not None:
+            structure.body(probe.body, f"probe {name!r}")

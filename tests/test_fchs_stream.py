@@ -1,0 +1,423 @@
+"""The estimator of Figure 5: from temperatures alone, the same however the samples are fed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from artefacts.errors import InputError
+from artefacts.response import make_response
+from calibrate import deformation, ring_source
+from calibrate.model import (
+    DeformationModel,
+    FictitiousSource,
+    LinearModel,
+    Model,
+    Relaxation,
+    RingModel,
+)
+from calibrate.regularisation import choose_regularisation
+from estimator import blocks
+from estimator.fchs import initial_state, run, start, step, stream
+from estimator.state_file import load_state, save_state
+from estimator.validation import block_errors, readings, sensor_noise, superposed, validate
+
+DT, LENGTH = 2.0, 2100.0
+TIMES = np.arange(1051) * DT
+MAIN = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
+DISTANCES = ((0.10, 0.30), (0.32, 0.11))
+AXES = ("x", "y")
+
+
+def source(axes):
+    ring = RingModel(K=3.0, a=4.0, alpha=2e-4, r=0.10, r0=0.05)
+    return FictitiousSource(
+        K=ring.K,
+        a=ring.a,
+        alpha=ring.alpha,
+        r0=ring.r0,
+        strengths={"2.0": 1.0, "0.5": -0.3},
+        regularisation=choose_regularisation(ring, DT),
+        deformation=dict(zip(AXES, axes, strict=True)),
+    )
+
+
+MODEL = Model(
+    linear=LinearModel(
+        thermal=MAIN,
+        regularisation=choose_regularisation(MAIN, DT),
+        deformation={
+            "x": DeformationModel(0.1695e-6, -87e-6, -4.785e-8, 0.0089, 0.00129, 0.0097),
+            "y": DeformationModel(3.845e-6, 66e-6, -3.54e-8, 0.00123, 0.00142, 0.0338),
+        },
+        direct={
+            "T1": RingModel(K=2.0, a=3.0, alpha=2e-4, r=0.30, r0=0.12),
+            "T2": Relaxation(amplitudes=(0.4, 0.2, -0.1), rates=(1e-3, 4e-3, 2e-2)),
+        },
+    ),
+    sources=(
+        source(
+            (
+                DeformationModel(1.0e-6, 3.0e-6, -1e-8, 0.0097, 0.0044, 0.0085, 1e-8, 0.0199),
+                DeformationModel(-0.3e-6, 4.0e-6, 3e-8, 0.0031, 0.0046, 0.0123, 2e-8, 0.205),
+            )
+        ),
+        source(
+            (
+                DeformationModel(-0.7e-6, 1.9e-6, -1e-8, 0.0120, 0.0029, 0.0077, 1e-8, 0.0191),
+                DeformationModel(-0.1e-6, -3.0e-6, -1e-8, 0.0022, 0.0049, 0.0157, 2e-8, 0.0201),
+            )
+        ),
+    ),
+    distances=DISTANCES,
+    sensors={},
+    reference_power_W=295.0,
+)
+
+
+def ring_step(ring, times=TIMES):
+    return ring_source.step_response(times, ring.K, ring.a, ring.alpha, ring.r, ring.r0)
+
+
+def relaxation_step(spectrum, times=TIMES):
+    return sum(
+        -c * np.expm1(-rate * times)
+        for c, rate in zip(spectrum.amplitudes, spectrum.rates, strict=True)
+    )
+
+
+def plant(level, strengths):
+    """A response that obeys the model exactly: step `level`, fictitious steps `strengths`."""
+    joint = np.stack(
+        [
+            level * ring_step(MODEL.linear.direct["T1"]),
+            level * relaxation_step(MODEL.linear.direct["T2"]),
+        ],
+        axis=1,
+    )
+    displacement = np.stack(
+        [level * deformation.step_response(TIMES, MODEL.linear.deformation[a]) for a in AXES],
+        axis=1,
+    )
+    for i, strength in enumerate(strengths):
+        s = MODEL.sources[i]
+        for j, r in enumerate(DISTANCES[i]):
+            joint[:, j] += strength * ring_step(RingModel(s.K, s.a, s.alpha, r, s.r0))
+        for k, axis in enumerate(AXES):
+            displacement[:, k] += strength * deformation.step_response(TIMES, s.deformation[axis])
+    ambient = 0.1 * ring_step(MAIN)
+    temperature = np.column_stack((level * ring_step(MAIN) + ambient, ambient, joint))
+    return make_response(
+        {
+            "heat_input": np.full(TIMES.size, level),
+            "temperature": temperature,
+            "displacement": displacement,
+        },
+        {"time": TIMES, "probe": ["a", "b", "T1", "T2"], "axis": list(AXES)},
+    )
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return start(MODEL, DT, LENGTH)
+
+
+@pytest.fixture(scope="module")
+def response():
+    return plant(2.0, (1.0, -0.5))
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return plant(1.0, (0.0, 0.0))
+
+
+def random_samples(seed, count):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.choice([0.5, 2.0, 2.0, 2.0, 31.0], count))
+    return times, rng.standard_normal(count), rng.standard_normal((count, 2))
+
+
+def test_displacement_is_found_from_temperatures_alone(estimator, response):
+    seen = readings(response, MODEL)
+    estimate, _ = run(estimator, seen.times, seen.delta_T, seen.temperatures)
+    actual = response["displacement"].to_numpy()
+    nonlinear = actual - 2.0 * plant(1.0, (0.0, 0.0))["displacement"].to_numpy()
+    late = TIMES > 300.0
+    assert np.abs(estimate.heat[late] - 2.0).max() < 2e-3
+    assert np.abs(estimate.sources[TIMES > 900.0] - (1.0, -0.5)).max() < 5e-3
+    assert np.abs(estimate.total - actual)[late].max() < 5e-3 * np.abs(nonlinear).max()
+    assert np.abs(estimate.total - actual).max() < 0.15 * np.abs(nonlinear).max()
+    assert np.array_equal(estimate.total, estimate.linear + estimate.nonlinear)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.data())
+def test_samples_blocks_and_resumed_blocks_give_the_same_bits(estimator, seed, count, data):
+    times, delta_T, temperatures = random_samples(seed, count)
+    whole, end = run(estimator, times, delta_T, temperatures)
+    cut = data.draw(st.integers(1, count - 1))
+    _, half = run(estimator, times[:cut], delta_T[:cut], temperatures[:cut])
+    rest, resumed_end = run(estimator, times[cut:], delta_T[cut:], temperatures[cut:], half)
+    state = initial_state(estimator)
+    for n in range(count):
+        state, single = step(estimator, state, times[n], delta_T[n], *temperatures[n])
+        for whole_column, value in zip(whole, single, strict=True):
+            assert np.array_equal(whole_column[n], value)
+    assert np.array_equal(end, state)
+    assert np.array_equal(end, resumed_end)
+    for whole_column, rest_column in zip(whole, rest, strict=True):
+        assert np.array_equal(whole_column[cut:], rest_column)
+
+
+def test_a_saved_state_resumes_bit_for_bit(estimator, tmp_path):
+    times, delta_T, temperatures = random_samples(3, 60)
+    whole, end = run(estimator, times, delta_T, temperatures)
+    _, half = run(estimator, times[:25], delta_T[:25], temperatures[:25])
+    save_state(estimator, half, tmp_path / "state.json")
+    loaded = load_state(start(MODEL, DT, LENGTH), tmp_path / "state.json")
+    assert np.array_equal(loaded, half)
+    rest, resumed_end = run(estimator, times[25:], delta_T[25:], temperatures[25:], loaded)
+    assert np.array_equal(end, resumed_end)
+    assert np.array_equal(whole.total[25:], rest.total)
+    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+    save_state(estimator, initial_state(estimator), tmp_path / "fresh.json")
+    assert np.isnan(load_state(estimator, tmp_path / "fresh.json")[0])
+
+
+def test_a_state_that_does_not_belong_here_is_refused(estimator, tmp_path):
+    path = tmp_path / "state.json"
+    save_state(estimator, initial_state(estimator), path)
+    hotter = replace(MODEL.linear, thermal=replace(MAIN, K=3.4))
+    with pytest.raises(InputError, match="another model"):
+        load_state(start(replace(MODEL, linear=hotter), DT, LENGTH), path)
+    text = path.read_text()
+    newer = json.loads(text) | {"schema_version": 2}
+    short = json.loads(text)
+    short["values"] = short["values"][:-1]
+    for content, message in (
+        (text[: len(text) // 2], "truncated"),
+        ("[]", "not an estimator state"),
+        (json.dumps(newer), "version 2"),
+        (json.dumps(short), "damaged"),
+    ):
+        path.write_text(content)
+        with pytest.raises(InputError, match=message):
+            load_state(estimator, path)
+    with pytest.raises(InputError, match="no such file"):
+        load_state(estimator, tmp_path / "absent.json")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_every_output_superposes(estimator, seed, p, q):
+    times, u, U = random_samples(seed, 25)
+    _, v, V = random_samples(seed + 1, 25)
+    one, _ = run(estimator, times, u, U)
+    other, _ = run(estimator, times, v, V)
+    both, _ = run(estimator, times, p * u + q * v, p * U + q * V)
+    for a, b, c in list(zip(one, other, both, strict=True))[1:]:
+        scale = (1.0 + abs(p)) * np.abs(a).max() + (1.0 + abs(q)) * np.abs(b).max()
+        assert np.abs(c - (p * a + q * b)).max() <= 1e-11 * scale
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 10**6))
+def test_nothing_depends_on_when_the_clock_was_set(estimator, seed, shift):
+    times, delta_T, temperatures = random_samples(seed, 20)
+    now, _ = run(estimator, times, delta_T, temperatures)
+    later, _ = run(estimator, times + shift, delta_T, temperatures)
+    for a, b in list(zip(now, later, strict=True))[1:]:
+        assert np.array_equal(a, b)
+
+
+def test_the_single_blocks_are_the_parts_of_the_whole(estimator):
+    times, delta_T, temperatures = random_samples(8, 80)
+    whole, _ = run(estimator, times, delta_T, temperatures)
+    heat = blocks.heat_part(estimator, times, delta_T)
+    deviation = blocks.deviations(estimator, times, heat, temperatures)
+    for part, expected in (
+        (heat, whole.heat),
+        (blocks.linear_part(estimator, times, heat), whole.linear),
+        (deviation, whole.deviation),
+        (blocks.source_part(estimator, times, deviation), whole.sources),
+        (blocks.nonlinear_part(estimator, times, deviation), whole.nonlinear),
+    ):
+        assert part == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_true_heat_gives_the_exact_step_of_eq_8(estimator):
+    heat = np.where(TIMES > 0.0, 1.5, 0.0)
+    exact = 1.5 * deformation.step_response(TIMES, MODEL.linear.deformation["y"])
+    given_heat = blocks.linear_part(estimator, TIMES, heat)[:, 1]
+    assert given_heat == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
+
+
+def test_a_gap_in_the_data_heals(estimator, response):
+    seen = readings(response, MODEL)
+    kept = (TIMES < 600.0) | (TIMES > 660.0)
+    whole, _ = run(estimator, seen.times, seen.delta_T, seen.temperatures)
+    gap, _ = run(estimator, TIMES[kept], seen.delta_T[kept], seen.temperatures[kept])
+    assert np.abs(gap.total - whole.total[kept]).max() < 2e-8
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "name"),
+    [(0, np.nan, "ΔT"), (1, np.inf, "T1"), (2, -np.inf, "T2")],
+)
+def test_a_sample_that_is_not_finite_is_refused_by_name(estimator, channel, value, name):
+    times, delta_T, temperatures = random_samples(4, 10)
+    table = np.column_stack((delta_T, temperatures))
+    table[6, channel] = value
+    with pytest.raises(InputError, match=rf"sample 6: .*{times[6]:g} s: {name} is not finite"):
+        run(estimator, times, table[:, 0], table[:, 1:])
+
+
+def test_after_a_refused_sample_the_stream_goes_on_as_if_it_had_not_come(estimator):
+    times, delta_T, temperatures = random_samples(4, 10)
+    _, state = run(estimator, times, delta_T, temperatures)
+    before = state.copy()
+    for bad in (
+        (times[-1], 0.1, 0.2, 0.3),
+        (times[-1] - 5.0, 0.1, 0.2, 0.3),
+        (np.nan, 0.1, 0.2, 0.3),
+        (times[-1] + 2.0, 0.1, np.nan, 0.3),
+        (times[-1] + 2.0, 0.1, 0.2),
+    ):
+        with pytest.raises(InputError):
+            step(estimator, state, *bad)
+        assert np.array_equal(state, before)
+    with pytest.raises(InputError, match=r"sample 1: .*time does not increase"):
+        list(
+            stream(
+                estimator, [(1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)], initial_state(estimator)
+            )
+        )
+    with pytest.raises(InputError, match="time does not increase"):
+        blocks.linear_part(estimator, np.array([0.0, 2.0, 2.0]), np.zeros(3))
+    with pytest.raises(InputError, match="sample 1 at 2 s is not finite"):
+        blocks.linear_part(estimator, np.array([0.0, 2.0, 4.0]), np.array([0.0, np.nan, 1.0]))
+
+
+def test_blocks_whose_shapes_do_not_agree_are_refused(estimator):
+    times, delta_T, temperatures = random_samples(4, 10)
+    with pytest.raises(InputError, match="samples: time, ΔT and T have shapes"):
+        run(estimator, times, delta_T[:-1], temperatures)
+    with pytest.raises(InputError, match="no samples"):
+        run(estimator, times[:0], delta_T[:0], temperatures[:0])
+    with pytest.raises(InputError, match="another estimator"):
+        run(estimator, times, delta_T, temperatures, np.zeros(3))
+
+
+def test_a_model_whose_parts_do_not_fit_is_refused():
+    with pytest.raises(InputError, match="1 fictitious sources and 2 sensors"):
+        start(replace(MODEL, sources=MODEL.sources[:1], distances=DISTANCES[:1]), DT, LENGTH)
+    with pytest.raises(InputError, match="distances are not 2 rows of 2"):
+        start(replace(MODEL, distances=DISTANCES[:1]), DT, LENGTH)
+    lame = replace(MODEL.sources[1], deformation={"x": MODEL.sources[1].deformation["x"]})
+    with pytest.raises(InputError, match="source 2 has axes"):
+        start(replace(MODEL, sources=(MODEL.sources[0], lame)), DT, LENGTH)
+
+
+def test_validation_judges_both_estimators_on_every_axis(response, reference):
+    rows, estimate = validate("step-2.0", response, MODEL, reference=reference)
+    assert [(r["estimator"], r["axis"]) for r in rows] == [
+        ("linear", "x"),
+        ("linear", "y"),
+        ("fchs", "x"),
+        ("fchs", "y"),
+    ]
+    actual = response["displacement"].to_numpy()
+    nonlinear = actual - 2.0 * reference["displacement"].to_numpy()
+    for k, row in enumerate(rows[2:]):
+        error = (estimate.total - actual)[:, k] * 1e6
+        assert row["max_abs_error_um"] == pytest.approx(np.abs(error).max())
+        assert row["rms_error_um"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        assert row["peak_total_um"] == pytest.approx(np.abs(actual[:, k]).max() * 1e6)
+        assert row["peak_nonlinear_um"] == pytest.approx(np.abs(nonlinear[:, k]).max() * 1e6)
+        # What is left is the start of the step, where the regularisation answers for the delay.
+        assert row["max_abs_error_um"] < 0.25 * rows[k]["max_abs_error_um"]
+        assert row["rms_error_um"] < 0.05 * rows[k]["rms_error_um"]
+
+
+def test_validation_uses_the_temperatures_and_no_other_knowledge(response):
+    _, seeing = validate("case", response, MODEL)
+    blind = response.copy(deep=True)
+    blind["displacement"] *= 0.0
+    blind["heat_input"] *= 0.0
+    _, blinded = validate("case", blind, MODEL)
+    assert np.array_equal(seeing.total, blinded.total)
+
+
+def test_true_signals_in_place_of_estimates_remove_their_share_of_the_error(response, reference):
+    rows = block_errors("step-2.0", response, MODEL, reference)
+    worst = {(r["driven_by"], r["axis"]): r for r in rows}
+    estimate_rows, _ = validate("step-2.0", response, MODEL, reference=reference)
+    for k, axis in enumerate(AXES):
+        as_is, both = worst["temperatures", axis], worst["both", axis]
+        assert as_is["total_error_um"] == pytest.approx(
+            estimate_rows[2 + k]["max_abs_error_um"], rel=1e-6
+        )
+        # The plant obeys Eq. 8, so with the true heat nothing is left of the linear error.
+        assert worst["true heat", axis]["linear_error_um"] < 1e-6
+        assert both["linear_error_um"] < 1e-6 < as_is["linear_error_um"]
+        assert worst["true deviations", axis]["linear_error_um"] == as_is["linear_error_um"]
+
+
+def test_the_superposed_reference_follows_any_heat_input(reference):
+    ramp = np.interp(TIMES, [0.0, 600.0, 1200.0], [0.0, 2.0, 0.0])
+    case = reference.copy()
+    case["heat_input"] = ("time", ramp, reference["heat_input"].attrs)
+    result = superposed(reference, case, "displacement")
+    estimator = start(MODEL, DT, LENGTH)
+    exact = blocks.linear_part(estimator, TIMES, ramp)
+    assert result == pytest.approx(exact, abs=1e-11 * np.abs(exact).max())
+    assert superposed(case * 0.0 + reference, reference, "temperature") == pytest.approx(
+        reference["temperature"].to_numpy(), abs=1e-12
+    )
+    with pytest.raises(InputError, match="calibration needs a step"):
+        superposed(case, reference, "displacement")
+    with pytest.raises(InputError, match="shorter than the response"):
+        superposed(reference.isel(time=slice(0, 500)), case, "displacement")
+
+
+def test_noise_is_seeded_has_no_offset_and_the_stated_range():
+    noise = sensor_noise(TIMES, 0.12, seed=7, channels=3)
+    assert np.array_equal(noise, sensor_noise(TIMES, 0.12, seed=7, channels=3))
+    assert not np.array_equal(noise, sensor_noise(TIMES, 0.12, seed=8, channels=3))
+    assert np.ptp(noise, axis=0) == pytest.approx(0.12)
+    assert np.abs(noise.mean(axis=0)).max() < 1e-3
+    power = np.abs(np.fft.rfft(noise[:, 0])) ** 2
+    frequency = np.fft.rfftfreq(TIMES.size, DT)
+    assert power[frequency < 1.0 / 240.0].mean() < 0.01 * power[frequency > 1.0 / 30.0].mean()
+    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.2
+    with pytest.raises(InputError, match="sensor noise"):
+        sensor_noise(np.arange(100) * 60.0)
+
+
+def test_noise_on_the_joint_sensors_is_attenuated_by_the_deformation(response, reference):
+    noise = sensor_noise(TIMES, 0.12, seed=7, channels=2)
+    noisy = {"T1": noise[:, 0], "T2": noise[:, 1]}
+    _, quiet = validate("step-2.0", response, MODEL)
+    rows, loud = validate("noise", response, MODEL, reference=reference, noise=noisy)
+    in_sources = np.abs(loud.sources - quiet.sources).max()
+    in_displacement = np.abs(loud.nonlinear - quiet.nonlinear).max(axis=0)
+    for k, axis in enumerate(AXES):
+        gains = [deformation.step_response(1e7, s.deformation[axis]) for s in MODEL.sources]
+        assert in_displacement[k] < 0.2 * in_sources * np.abs(gains).sum()
+    assert np.array_equal(quiet.linear, loud.linear)
+    assert len(rows) == 4
+
+
+def test_an_unknown_probe_role_or_axis_is_named(response):
+    with pytest.raises(InputError, match=r"no probe named 'T9'.*did you mean"):
+        readings(response, MODEL, roles={"T1": "T9"})
+    with pytest.raises(InputError, match="no sensor role named 'T3'"):
+        readings(response, MODEL, noise={"T3": np.zeros(TIMES.size)})
+    with pytest.raises(InputError, match="no axis named 'y'"):
+        validate("case", response.isel(axis=[0]), MODEL)
