@@ -6,7 +6,7 @@ is relative to the reference step (dimensionless), so `K` is in kelvin per unit 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,11 @@ class FictitiousSource:
     regularisation : Regularisation
         f_R of its inverse.
     deformation : dict
-        Axis name to the Eq. 18 model per unit strength.
+        Axis name to the Eq. 18 model per unit strength, calibrated to steps (Table 3).
+    driven : dict
+        The same, calibrated to the strengths that the inverse filters estimate
+        (`calibrate.driven_deformation`). Where it is given, the estimator uses it; empty for the
+        paper's own scheme.
     """
 
     K: float
@@ -123,6 +127,12 @@ class FictitiousSource:
     strengths: dict[str, float]
     regularisation: Regularisation
     deformation: dict[str, DeformationModel]
+    driven: dict[str, DeformationModel] = field(default_factory=dict)
+
+    @property
+    def applied(self) -> dict[str, DeformationModel]:
+        """The deformation models that the estimator uses."""
+        return self.driven or self.deformation
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,7 @@ class _Source(_Strict):
     strengths: dict[str, float]
     regularisation: _Regularisation
     deformation: dict[str, _Deformation]
+    driven: dict[str, _Deformation]
 
 
 class _Provenance(_Strict):
@@ -301,6 +302,7 @@ def _to_model(file: _File) -> Model:
                 strengths=dict(source.strengths),
                 regularisation=Regularisation(**source.regularisation.model_dump()),
                 deformation=_deformations(source.deformation),
+                driven=_deformations(source.driven),
             )
             for source in file.sources
         ),

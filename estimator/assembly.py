@@ -112,9 +112,9 @@ def start(
             "to every sensor at the joint"
         )
     for i, source in enumerate(model.sources, start=1):
-        if set(source.deformation) != set(axes):
+        if set(source.applied) != set(axes):
             raise InputError(
-                f"model: source {i} has axes {sorted(source.deformation)}, the linear model "
+                f"model: source {i} has axes {sorted(source.applied)}, the linear model "
                 f"{sorted(axes)}; calibrate both for the same axes"
             )
     band = (dt_hint_s, run_length_hint_s, tolerance)
@@ -136,7 +136,7 @@ def start(
         ),
         nonlinear=summed(
             [
-                stacked([deformation_bank(source.deformation[axis]) for axis in axes])
+                stacked([deformation_bank(source.applied[axis]) for axis in axes])
                 for source in model.sources
             ]
         ),

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
-from skfem import BilinearForm
+from skfem import BilinearForm, DiscreteField
+from skfem.assembly.form.form import FormExtraParams
 
 from fesim.heat import cell_field
 from fesim.materials import Material
@@ -37,13 +38,13 @@ class ElasticOperators:
 
 
 @BilinearForm
-def gradient_product(u, v, w):  # noqa: ANN001, ANN201
+def gradient_product(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> NDArray[np.float64]:
     """(value d_i v, d_j u): the products that isotropic elasticity is made of."""
     return w["value"] * v.grad[w["i"]] * u.grad[w["j"]]
 
 
 @BilinearForm
-def expansion_form(u, v, w):  # noqa: ANN001, ANN201
+def expansion_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> NDArray[np.float64]:
     """(value u, d_i v): the thermal stress of a temperature u against the strain of v."""
     return w["value"] * u * v.grad[w["i"]]
 

@@ -2,8 +2,8 @@
 
 Unknown: the gaps g (opening, two tangential) of all contact elements. Residual:
 r(g) = g - g_T - C A [z(g) + k g], with the law's traction z, the thermal gap g_T and the reference
-springs k, whose force C contains already. In the gap, unlike in the tractions, the law has a bounded
-slope however much the joint slides or opens.
+springs k, whose force C contains already. In the gap, unlike in the tractions, the law has a
+bounded slope however much the joint slides or opens.
 """
 
 from __future__ import annotations
@@ -116,9 +116,10 @@ def solve_gap(
     full_steps = MAX_FULL_STEPS
     for iteration in range(MAX_ITERATIONS):
         size = float(np.abs(residual).max())
-        if size <= tolerance:
+        # The residual is a difference of gaps: where these are coarser, zero is only rounding.
+        if size <= tolerance and np.spacing(np.abs(gap).max()) <= tolerance:
             return Equilibrium(gap, traction, size, iteration)
-        step = np.linalg.solve(problem.jacobian(traction), -residual).reshape(gap.shape)
+        step = _newton_step(problem, traction, residual).reshape(gap.shape)
         length = 1.0
         while True:
             trial = gap + length * step
@@ -144,6 +145,17 @@ def solve_gap(
         f"gap equations: residual {float(np.abs(residual).max()):.1e} m after "
         f"{MAX_ITERATIONS} iterations, wanted {tolerance:.0e} m"
     )
+
+
+def _newton_step(problem: GapProblem, traction: Traction, residual: Array) -> Array:
+    try:
+        step = np.linalg.solve(problem.jacobian(traction), -residual)
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError(
+            "gap equations: the tangent is singular at a residual of "
+            f"{float(np.abs(residual).max()):.1e} m; a body that the joint holds has come loose"
+        ) from error
+    return np.asarray(step, dtype=np.float64)
 
 
 def _norm(residual: Array) -> float:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 from skfem import BilinearForm, CellBasis, DiscreteField, FacetBasis, LinearForm
+from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
 from fesim.materials import Material
@@ -23,7 +24,7 @@ class HeatOperators:
     Attributes
     ----------
     capacity, conduction, convection : scipy.sparse.csr_array, shape (n, n)
-        M (J/K), K and H (W/K).
+        M (J/K, lumped), K and H (W/K).
     source : ndarray, shape (n,)
         b: nodal heat at heat input 1, W.
     """
@@ -35,25 +36,25 @@ class HeatOperators:
 
 
 @BilinearForm
-def capacity_form(u, v, w):  # noqa: ANN001, ANN201
+def capacity_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
     """Heat stored: (rho c_p u, v)."""
     return w["value"] * u * v
 
 
 @BilinearForm
-def conduction_form(u, v, w):  # noqa: ANN001, ANN201
+def conduction_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
     """Fourier's law: (k grad u, grad v)."""
     return w["value"] * dot(grad(u), grad(v))
 
 
 @BilinearForm
-def film_form(u, v, w):  # noqa: ANN001, ANN201
+def film_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
     """Newton's law of cooling: (h u, v) on a surface."""
     return u * v
 
 
 @LinearForm
-def flux_form(v, w):  # noqa: ANN001, ANN201
+def flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
     """A uniform heat flux into a surface."""
     return 1.0 * v
 
@@ -91,7 +92,9 @@ def heat_operators(
     """
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
-    capacity = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
+    consistent = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
+    # Lumped: a consistent capacity lets temperatures next to a sudden source undershoot ambient.
+    capacity = diags_array(np.asarray(consistent.sum(axis=1)).ravel(), format="csr")
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
     for name, coefficient in films.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,12 +74,32 @@ def read_history(path: Path) -> History:
     if not path.is_file():
         raise InputError(f"{path}: no such history file; give a CSV with time_s,heat_input")
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, dtype=float, encoding="utf-8")
-    except ValueError as error:
-        raise InputError(f"{path}: rows of unequal length; mend the CSV") from error
-    columns = table.dtype.names or ()
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            rows = [(reader.line_num, row) for row in reader if row and row[0][:1] != "#"]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable CSV; give one with time_s,heat_input") from error
+    header = [name.strip() for name in rows[0][1]] if rows else []
     for column in ("time_s", "heat_input"):
-        if column not in columns:
-            raise InputError(f"{path}: column {column!r} is missing; found {', '.join(columns)}")
-    table = np.atleast_1d(table)
-    return sampled_history(table["time_s"], table["heat_input"], str(path))
+        if column not in header:
+            found = ", ".join(header) or "nothing"
+            raise InputError(f"{path}: column {column!r} is missing; found {found}")
+    for line, row in rows[1:]:
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: line {line} has {len(row)} values for {len(header)} columns; mend it"
+            )
+    times, values = (
+        np.array(
+            [_number(row[header.index(column)], f"{path}: line {line}") for line, row in rows[1:]]
+        )
+        for column in ("time_s", "heat_input")
+    )
+    return sampled_history(times, values, str(path))
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f"{where}: {text!r} is no number; mend it") from error

@@ -178,11 +178,12 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     tangent = np.zeros((3, 3, gap.shape[1]))
     tangent[0, 0] = slope
     bound = limit * pressure
-    sliding = size > bound
+    # A joint without pressure or friction slides even where it has not moved yet.
+    sliding = (size > bound) | (bound == 0.0)
     direction = np.divide(trial, size, out=np.zeros_like(trial), where=size > 0.0)
     shear = np.where(sliding, bound * direction, trial)
     # Sticking: -k_t I. Sliding: the traction turns with the slip but grows only with pressure.
-    ratio = np.divide(bound, size, out=np.ones_like(size), where=sliding)
+    ratio = np.divide(bound, size, out=np.zeros_like(size), where=sliding & (size > 0.0))
     for i in range(2):
         for j in range(2):
             turned = float(i == j) - direction[i] * direction[j]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
+from skfem import CellBasis
 
 from fesim.spaces import Spaces, interpolation
 from meshes.pairing import PairedJoint
@@ -51,7 +52,7 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
     return JointOperators(csr_array(jump), csr_array(vstack(by_direction, format="csr")), area)
 
 
-def _means(joint: PairedJoint, basis) -> csr_array:  # noqa: ANN001
+def _means(joint: PairedJoint, basis: CellBasis) -> csr_array:
     """Mean over each contact element on side b, less that on side a."""
     weights = joint.weights / joint.area[joint.element]
     count = len(joint.area)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,23 +77,30 @@ def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
     else:
         raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
     factor = Factor(rows, solve, name)
+    # A pivot that is zero but for rounding passes the factorisation; a solve shows it.
     probe = np.cos(np.arange(rows.shape[0]))
-    checked_solve(factor, probe, what)
+    if not _relative_residual(factor, solve(probe), probe) <= RESIDUAL_LIMIT:
+        raise _singular(what)
     return factor
 
 
 def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
     """Solve and raise ConvergenceError if the residual exceeds `RESIDUAL_LIMIT`."""
     solution = factor.solve(right_side)
-    residual = np.abs(factor.matrix @ solution - right_side).max()
-    scale = np.abs(right_side).max()
+    residual = _relative_residual(factor, solution, right_side)
     # Written so that NaN fails too.
-    if not residual <= RESIDUAL_LIMIT * scale:
+    if not residual <= RESIDUAL_LIMIT:
         raise ConvergenceError(
-            f"{what}: the solver left a relative residual of {residual / scale:.1e}; "
+            f"{what}: the solver left a relative residual of {residual:.1e}; "
             "some body is free to move or a property is out of range: check supports and materials"
         )
     return solution
+
+
+def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> float:
+    residual = float(np.abs(factor.matrix @ solution - right_side).max())
+    scale = float(np.abs(right_side).max())
+    return residual / scale if scale > 0.0 else residual
 
 
 def _singular(what: str) -> InputError:
@@ -129,7 +137,7 @@ def _pardiso(matrix: csr_array, what: str) -> Callable[[Array], Array]:
     solver = PyPardisoSolver(mtype=2)
     try:
         solver.factorize(upper)
-    except PyPardisoError as error:
+    except (PyPardisoError, ValueError) as error:  # ValueError: a row without entries
         raise _singular(what) from error
     solver.set_phase(33)
 
@@ -138,4 +146,6 @@ def _pardiso(matrix: csr_array, what: str) -> Callable[[Array], Array]:
         # The public solve() compares the whole matrix with its copy on every call.
         return np.asarray(solver._call_pardiso(upper, columns))
 
+    # MKL keeps a factorisation until it is told to let go of it.
+    finalize(solve, solver.free_memory, everything=True).atexit = False
     return solve

@@ -85,10 +85,10 @@ def simulate(
     steps = [] if start is not None else [at_rest(ready.machine)]
     probes = [ready.probe_rows @ step.state.temperature for step in steps]
     count = round(60.0 * case.march.duration_min / case.march.step_s) - first.index
-    if count < 1:
+    if len(steps) + count < 2:
         raise InputError(
-            f"march: the saved state is at {first.index * case.march.step_s:g} s already; "
-            "make march.duration_min longer"
+            f"march: the saved state is at {first.index * case.march.step_s:g} s already, less "
+            "than two steps before the end; make march.duration_min longer"
         )
     state = first
     marching = march(ready.machine, heat_history(case), COUPLINGS[case.march.coupling], first)
@@ -142,7 +142,7 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "cuts": np.array([step.cuts for step in steps]),
         "heat_balance": np.array([step.heat_balance for step in steps]),
     }
-    coords = {
+    coords: dict[str, np.ndarray | list[str]] = {
         "time": machine.thermal.step * np.array([step.state.index for step in steps]),
         "probe": list(setup.probes),
         "axis": list(DIRECTIONS),

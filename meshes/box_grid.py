@@ -24,7 +24,7 @@ class Box:
         """Say which of `points`, shape (3, n), lie in the box widened by `slack` (m)."""
         low = np.asarray(self.low)[:, None] - slack
         high = np.asarray(self.high)[:, None] + slack
-        return ((points >= low) & (points <= high)).all(axis=0)
+        return np.asarray(((points >= low) & (points <= high)).all(axis=0))
 
 
 @dataclass(frozen=True)

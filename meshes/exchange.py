@@ -1,12 +1,349 @@
-"""Structures in files, through meshio."""
+"""Structures in files, through meshio: VTU and Gmsh MSH, coordinates in m.
+
+How the names are kept:
+
+- VTU: cell arrays of 0 and 1, ``body:NAME`` for volume cells, ``surface:NAME`` for facet cells
+  and ``probe:NAME`` or ``probe:NAME@BODY`` for vertex cells;
+- MSH: named physical groups, of volumes for bodies, of surfaces for surfaces, and of one point,
+  called ``probe:NAME`` or ``probe:NAME@BODY``, for each probe; a facet of several surfaces is
+  repeated;
+- both: a joint is the pair of surfaces ``JOINT.a`` and ``JOINT.b``.
+
+How many copies make the whole structure stands in the case, not in these files.
+"""
 
 from __future__ import annotations
 
+import re
+import struct
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
-from meshes.structure import Structure
+import meshio
+import numpy as np
+from meshio._exceptions import CorruptionError
+from numpy.typing import NDArray
+from skfem import Mesh
+from skfem.io.meshio import to_meshio
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from meshes.structure import Probe, Structure
+from meshes.volume_cells import boundary_facets, volume_mesh
+
+SUFFIXES = (".vtu", ".msh")
+Masks = list[NDArray[np.bool_]]
+
+_MSH_END = (
+    rb"(^|\n)\$End(Comments|MeshFormat|PhysicalNames|(Partitioned)?Entities|Nodes|(Ghost)?Elements"
+    rb"|Periodic|Parametrizations|NodeData|Element(Node)?Data|InterpolationScheme)$"
+)
+_DIMENSIONS = {"body": 3, "surface": 2, "probe": 0}
+_FACET_CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
+#: What meshio's readers raise on a damaged file.
+_DAMAGE = (
+    meshio.ReadError,
+    CorruptionError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    struct.error,
+    zlib.error,
+)
 
 
 def read_structure(path: Path) -> Structure:
-    """Placeholder."""
-    raise NotImplementedError(path)
+    """Read a structure.
+
+    Cells of second order are read by their corners if they are straight. Nodes of no volume cell
+    are left out.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.vtu`` file, or a ``.msh`` file of version 4.1 or 2.2; coordinates in m.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, truncated or of another kind; its cells are of several types,
+        curved, folded or without a body; a surface is not on the boundary; a probe is no single
+        point; it is larger than
+        `meshes.volume_cells.LARGEST_EXTENT`.
+    """
+    path = Path(path)
+    raw = _read(path)
+    mesh, renumber = volume_mesh(raw, path)
+    surfaces = {
+        name: boundary_facets(mesh, _corners(raw, masks, renumber, mesh, where), where)
+        for name, masks in _names(raw, "surface", path).items()
+        for where in [f"{path}: surface {name!r}"]
+    }
+    stems = [name.removesuffix(".a") for name in surfaces if name.endswith(".a")]
+    try:
+        return Structure(
+            mesh=mesh,
+            bodies=_bodies(raw, path),
+            surfaces=surfaces,
+            joints={s: (f"{s}.a", f"{s}.b") for s in stems if f"{s}.b" in surfaces},
+            probes=_probes(raw, path),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_structure(structure: Structure, path: Path) -> None:
+    """Write a structure, whole or not at all; cells, nodes and facets keep their order.
+
+    Parameters
+    ----------
+    structure : Structure
+        What to write; its ``symmetry_factor`` is not kept.
+    path : Path
+        ``.vtu``, or ``.msh`` (written in version 2.2, binary: meshio's 4.1 cannot hold a facet of
+        several surfaces).
+
+    Raises
+    ------
+    InputError
+        The suffix is unknown, or a name would not be read back as it is.
+    """
+    path = Path(path)
+    _check_suffix(path)
+    surfaces = _surfaces_with_joint_sides(structure)
+    probes = {
+        f"probe:{name}" + (f"@{probe.body}" if probe.body else ""): probe.position
+        for name, probe in structure.probes.items()
+    }
+    _check_names([*structure.bodies, *surfaces, *structure.probes])
+    volumes = to_meshio(structure.mesh, encode_cell_data=False)
+    count = len(volumes.points)
+    points = np.vstack([volumes.points, np.array(list(probes.values())).reshape(-1, 3)])
+    vertices = count + np.arange(len(probes))[:, None]
+    parts = (structure, surfaces, list(probes), volumes.cells[0], vertices)
+    if path.suffix == ".vtu":
+        cells, arrays = _as_arrays(*parts)
+        grid = meshio.Mesh(points, cells, cell_data=arrays)
+        with whole_file(path) as part:
+            meshio.vtu.write(part, grid)
+        return
+    shared = set(structure.bodies) & set(surfaces)
+    if shared:
+        raise InputError(
+            f"{path}: {min(shared)!r} is a body and a surface; MSH needs two names, or write VTU"
+        )
+    cells, tags, groups = _as_groups(*parts)
+    data = {"gmsh:physical": tags, "gmsh:geometrical": [tag.copy() for tag in tags]}
+    grid = meshio.Mesh(points, cells, cell_data=data, field_data=groups)
+    with whole_file(path) as part:
+        meshio.gmsh.write(part, grid, fmt_version="2.2", binary=True)
+
+
+def _check_suffix(path: Path) -> None:
+    if path.suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: unknown suffix {path.suffix!r}; give one of {', '.join(SUFFIXES)}"
+        )
+
+
+def _read(path: Path) -> meshio.Mesh:
+    _check_suffix(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file; check its name")
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 256))
+        end = file.read().rstrip()
+    # meshio takes some truncated files for whole ones.
+    complete = b"</VTKFile>$" if path.suffix == ".vtu" else _MSH_END
+    if not re.search(complete, end):
+        raise InputError(f"{path}: empty or truncated mesh file; write it again")
+    # Not meshio.read: it prints, and ends the process, when a reader fails.
+    reader = meshio.vtu.read if path.suffix == ".vtu" else meshio.gmsh.read
+    try:
+        return reader(str(path))
+    except _DAMAGE as error:
+        raise InputError(
+            f"{path}: meshio cannot read it ({' '.join(str(error).split()) or 'damaged'}); "
+            "write it again, from Gmsh with the physical groups only"
+        ) from error
+
+
+def _blocks(raw: meshio.Mesh, dimension: int) -> list[int]:
+    return [k for k, block in enumerate(raw.cells) if block.dim == dimension]
+
+
+def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
+    """Names of a kind, each with a mask over every block of cells of its dimension."""
+    blocks = _blocks(raw, _DIMENSIONS[kind])
+    if path.suffix == ".vtu":
+        arrays = {
+            name.removeprefix(f"{kind}:"): [np.ravel(values[k]) for k in blocks]
+            for name, values in raw.cell_data.items()
+            if name.startswith(f"{kind}:")
+        }
+        for name, values in arrays.items():
+            if not all(np.isin(value, (0, 1)).all() for value in values):
+                raise InputError(f"{path}: cell array '{kind}:{name}' must hold 0 and 1 only")
+        return {name: [value != 0 for value in values] for name, values in arrays.items()}
+    groups = {name: tag for name, (tag, of) in raw.field_data.items() if of == _DIMENSIONS[kind]}
+    if kind == "probe":
+        return {
+            name.removeprefix("probe:"): _group(raw, name, tag, blocks)
+            for name, tag in groups.items()
+            if name.startswith("probe:")
+        }
+    return {name: _group(raw, name, tag, blocks) for name, tag in groups.items()}
+
+
+def _group(raw: meshio.Mesh, name: str, tag: int, blocks: list[int]) -> Masks:
+    masks = []
+    for k in blocks:
+        if name in raw.cell_sets:  # MSH 4.1: a block may be in several groups
+            masks.append(np.isin(np.arange(len(raw.cells[k])), raw.cell_sets[name][k]))
+        elif "gmsh:physical" in raw.cell_data:
+            masks.append(np.asarray(raw.cell_data["gmsh:physical"][k]) == tag)
+        else:
+            masks.append(np.zeros(len(raw.cells[k]), dtype=bool))
+    return masks
+
+
+def _bodies(raw: meshio.Mesh, path: Path) -> dict[str, NDArray[np.int64]]:
+    bodies = {
+        name: np.flatnonzero(np.concatenate(masks))
+        for name, masks in _names(raw, "body", path).items()
+    }
+    if not bodies:
+        name = "a cell array 'body:NAME'" if path.suffix == ".vtu" else 'Physical Volume("NAME")'
+        raise InputError(f"{path}: no body has a name; name every body by {name}")
+    return bodies
+
+
+def _corners(
+    raw: meshio.Mesh, masks: Masks, renumber: NDArray[np.int64], mesh: Mesh, where: str
+) -> NDArray[np.int64]:
+    """Corner nodes of the named facet cells, in the numbers of the mesh, shape (n, 3 or 4)."""
+    count = mesh.facets.shape[0]
+    found = [np.empty((0, count), dtype=np.int64)]
+    for k, mask in zip(_blocks(raw, 2), masks, strict=True):
+        if not mask.any():
+            continue
+        block = raw.cells[k]
+        if _FACET_CORNERS.get(block.type) != count:
+            raise InputError(f"{where} has {block.type} facets, which no cell of the mesh has")
+        found.append(renumber[block.data[mask, :count]])
+    return np.concatenate(found)
+
+
+def _probes(raw: meshio.Mesh, path: Path) -> dict[str, Probe]:
+    vertices = [raw.cells[k].data[:, 0] for k in _blocks(raw, 0)]
+    probes = {}
+    for label, masks in _names(raw, "probe", path).items():
+        named = [nodes[mask] for nodes, mask in zip(vertices, masks, strict=True)]
+        at = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
+        if at.size != 1:
+            raise InputError(f"{path}: probe {label!r} has {at.size} points; give it one")
+        x, y, z = (float(value) for value in raw.points[at[0]])
+        name, _, body = label.partition("@")
+        probes[name] = Probe((x, y, z), body or None)
+    return probes
+
+
+def _surfaces_with_joint_sides(structure: Structure) -> dict[str, NDArray[np.int64]]:
+    surfaces = dict(structure.surfaces)
+    for joint, sides in structure.joints.items():
+        for letter, side in zip("ab", sides, strict=True):
+            name, facets = f"{joint}.{letter}", structure.surfaces[side]
+            if not np.array_equal(np.sort(surfaces.get(name, facets)), np.sort(facets)):
+                raise InputError(
+                    f"surface {name!r} is not side {letter} of joint {joint!r}; rename one of them"
+                )
+            surfaces[name] = facets
+    for name in surfaces:
+        stem = name.removesuffix(".a")
+        if stem != name and f"{stem}.b" in surfaces and stem not in structure.joints:
+            raise InputError(
+                f"surfaces '{stem}.a' and '{stem}.b' would be read as a joint; rename them"
+            )
+    return surfaces
+
+
+def _check_names(names: list[str]) -> None:
+    for name in names:
+        # meshio escapes nothing in XML and MSH, and '@' and ':' have a meaning of their own.
+        if not re.fullmatch(r"[A-Za-z0-9_.+-]+", name):
+            raise InputError(
+                f"name {name!r} cannot be kept in a mesh file; use letters, digits and _ . + -"
+            )
+
+
+def _as_arrays(
+    structure: Structure,
+    surfaces: Mapping[str, NDArray[np.int64]],
+    probes: list[str],
+    volumes: meshio.CellBlock,
+    vertices: NDArray[np.int64],
+) -> tuple[list[tuple[str, NDArray[np.int64]]], dict[str, list[NDArray[np.int8]]]]:
+    """Cells and arrays of 0 and 1 for VTU."""
+    mesh = structure.mesh
+    facets = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *surfaces.values()]))
+    cells = [
+        (volumes.type, volumes.data),
+        ("quad" if mesh.facets.shape[0] == 4 else "triangle", mesh.facets[:, facets].T),
+        ("vertex", vertices),
+    ]
+    owners = [np.arange(mesh.nelements), facets, np.arange(len(probes))]
+    named = [
+        {f"body:{name}": chosen for name, chosen in structure.bodies.items()},
+        {f"surface:{name}": chosen for name, chosen in surfaces.items()},
+        {name: np.array([i]) for i, name in enumerate(probes)},
+    ]
+    arrays = {
+        name: [
+            np.isin(owner, chosen if kind == i else []).astype(np.int8)
+            for i, owner in enumerate(owners)
+        ]
+        for kind, group in enumerate(named)
+        for name, chosen in group.items()
+    }
+    kept = [i for i, (_, nodes) in enumerate(cells) if len(nodes)]
+    return [cells[i] for i in kept], {
+        name: [blocks[i] for i in kept] for name, blocks in arrays.items()
+    }
+
+
+def _as_groups(
+    structure: Structure,
+    surfaces: Mapping[str, NDArray[np.int64]],
+    probes: list[str],
+    volumes: meshio.CellBlock,
+    vertices: NDArray[np.int64],
+) -> tuple[
+    list[tuple[str, NDArray[np.int64]]], list[NDArray[np.int32]], dict[str, NDArray[np.int64]]
+]:
+    """Cells, the tag of each, and (tag, dimension) of each name, for MSH 2.2."""
+    mesh = structure.mesh
+    body_tag = np.zeros(mesh.nelements, dtype=np.int32)
+    for tag, chosen in enumerate(structure.bodies.values(), start=1):
+        body_tag[chosen] = tag
+    facets = [np.empty(0, dtype=np.int64), *surfaces.values()]
+    cells = [
+        (volumes.type, volumes.data),
+        ("quad" if mesh.facets.shape[0] == 4 else "triangle", mesh.facets[:, np.hstack(facets)].T),
+        ("vertex", vertices),
+    ]
+    tags = [
+        body_tag,
+        np.repeat(np.arange(len(facets), dtype=np.int32), [len(part) for part in facets]),
+        np.arange(1, len(probes) + 1, dtype=np.int32),
+    ]
+    groups = {
+        name: np.array([tag, dimension])
+        for dimension, names in ((3, structure.bodies), (2, surfaces), (0, probes))
+        for tag, name in enumerate(names, start=1)
+    }
+    kept = [i for i, (_, nodes) in enumerate(cells) if len(nodes)]
+    return [cells[i] for i in kept], [tags[i] for i in kept], groups

@@ -137,7 +137,8 @@ def _check_dimensions(d: MillingMachineDimensions) -> None:
     fits = {
         "bracket": d.wall < d.bracket_bottom < d.bracket_top < d.column_height - d.wall,
         "strips": d.strip_inset + d.strip_width <= d.width / 2 and d.table_top <= d.column_height,
-        "table": d.table_bottom + 2 * d.wall < d.table_top,
+        "column": 2 * d.wall < d.column_depth,
+        "table": d.table_bottom + 2 * d.wall < d.table_top and 2 * d.wall < d.table_length,
         "screw": d.screw_x + d.screw_depth <= d.column_depth + d.strip_depth + d.table_length
         and d.screw_x >= d.column_depth + d.strip_depth
         and d.screw_width <= d.width,
@@ -197,7 +198,7 @@ def _column(
     above = Box((x[0], d.bracket_top, low), (x[1], d.column_height - d.wall, high))
     heights = [d.bracket_bottom - d.source_height, d.nose_height]
     across = [d.source_inset, d.source_inset + d.source_width]
-    breaks = ([], heights, _both_sides(d, across, depth))
+    breaks = ((), heights, _both_sides(d, across, depth))
     return box_mesh([shell, *_strips(d, depth)], [below, above], breaks, size, finer)
 
 
@@ -217,7 +218,7 @@ def _table_and_screw(
         (d.screw_x, 0.0, screw_z[0]), (d.screw_x + d.screw_depth, d.table_bottom, screw_z[1])
     )
     across = [d.strip_inset, d.strip_inset + d.strip_width]
-    breaks = ([x0 + d.table_point], [], _both_sides(d, across, depth))
+    breaks = ([x0 + d.table_point], (), _both_sides(d, across, depth))
     return box_mesh([shell, screw], [cavity], breaks, size, finer)
 
 
@@ -234,7 +235,7 @@ def _surfaces(
         return np.abs(value - plane) < _SLACK
 
     def between(value: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
-        return (value > low) & (value < high)
+        return (value > low + _SLACK) & (value < high - _SLACK)
 
     from_side = np.minimum(z, d.width - z)
     on_strip = between(from_side, d.strip_inset, d.strip_inset + d.strip_width) & between(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull
 from skfem import Mesh
 
 from artefacts.errors import InputError
@@ -46,6 +47,11 @@ class PairedJoint:
         Contact element of each point, counted along the joint, patch by patch.
     area, centre : ndarray, shapes (m,) and (m, 3)
         Area (m2) and centroid (m) of each contact element.
+    pieces : tuple of ndarray, each of shape (corners, 3)
+        Plane convex pieces of side a that the joint consists of, m: where a facet of each side and
+        a contact element overlap.
+    piece_element : ndarray of int, shape (pieces,)
+        Contact element of each piece.
     """
 
     name: str
@@ -59,6 +65,8 @@ class PairedJoint:
     element: NDArray[np.int64]
     area: NDArray[np.float64]
     centre: NDArray[np.float64]
+    pieces: tuple[NDArray[np.float64], ...]
+    piece_element: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,8 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     flat_b = [anticlockwise(polygon) for polygon in plane.flat(corners_b)[..., :2]]
     boxes_b = _bounds(flat_b)
 
-    points, weights, elements, owners = [], [], [], []
+    points, weights, owners = [], [], []
+    pieces, piece_cells = [], []
     for patch, window, cell in _contact_cells(mesh, side_a, flat_a, along, across):
         for i in patch:
             on_cell = clip(flat_a[i], window)
@@ -118,15 +127,17 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
                 x, w = quadrature(overlap)
                 points.append(x)
                 weights.append(w)
-                elements.append(np.full(len(w), cell))
                 owners.append(np.tile([i, j], (len(w), 1)))
+                pieces.append(plane.lift(overlap, height_a).T)
+                piece_cells.append(cell)
     if not points:
         raise InputError(f"joint {name!r}: its sides do not face each other; check the surfaces")
     flat, weight = np.concatenate(points), np.concatenate(weights)
     owner = np.concatenate(owners)
     # Grid cells outside an irregular patch hold nothing; number the others without gaps.
-    _, element = np.unique(np.concatenate(elements), return_inverse=True)
-    area = np.bincount(element, weight)
+    _, piece_element = np.unique(piece_cells, return_inverse=True)
+    element = np.repeat(piece_element, [len(w) for w in weights])
+    area = np.bincount(element, weight).astype(float)
     on_a = plane.lift(flat, height_a)
     centre = np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1)
     return PairedJoint(
@@ -141,6 +152,8 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
         element=element,
         area=area,
         centre=centre,
+        pieces=tuple(pieces),
+        piece_element=piece_element,
     )
 
 
@@ -175,16 +188,32 @@ def _mean_plane(mesh: Mesh, side_a: NDArray[np.int64], corners: NDArray[np.float
     normal /= np.linalg.norm(normal)
     points = corners.reshape(-1, 3)
     origin = points.mean(axis=0)
-    first = corners[_largest_patch(mesh, side_a)].reshape(-1, 3)
-    spread = first - first.mean(axis=0)
-    spread -= np.outer(spread @ normal, normal)
-    along = np.linalg.svd(spread, full_matrices=False)[2][0]
+    patch = corners[_largest_patch(mesh, side_a)].reshape(-1, 3) - origin
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    basis = np.stack([first, np.cross(normal, first)])
+    along = _long_direction(patch @ basis.T) @ basis
     along *= np.sign(along[np.argmax(np.abs(along))])
-    # Rounding in the principal direction would tilt the grid against an axis-parallel joint.
+    # Rounding would tilt the grid against an axis-parallel joint.
     along[np.abs(along) < 1e-9] = 0.0
     along -= (along @ normal) * normal
     along /= np.linalg.norm(along)
     return _Plane(origin, np.stack([along, np.cross(normal, along), normal]))
+
+
+def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Direction of the longer side of the smallest rectangle around plane points (n, 2).
+
+    That rectangle has a side along an edge of the convex hull (Freeman & Shapira 1975). Unlike the
+    principal axes, it does not depend on how a rectangular patch is meshed.
+    """
+    hull = points[ConvexHull(points).vertices]
+    edges = np.roll(hull, -1, axis=0) - hull
+    along = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    length, width = (np.ptp(hull @ direction.T, axis=0) for direction in (along, across))
+    best = int(np.argmin(length * width))
+    return along[best] if length[best] >= width[best] else across[best]
 
 
 def _height(plane: _Plane, corners: NDArray[np.float64], name: str, side: str) -> float:

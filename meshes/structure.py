@@ -122,7 +122,8 @@ def _check_joints(structure: Structure) -> None:
     for name, sides in structure.joints.items():
         for side in sides:
             structure.surface(side, f"joint {name!r}")
-        if np.intersect1d(*(structure.surfaces[side] for side in sides)).size:
+        side_a, side_b = (structure.surfaces[side] for side in sides)
+        if np.intersect1d(side_a, side_b).size:
             raise InputError(f"structure: the sides of joint {name!r} share facets; separate them")
 
 

@@ -1,0 +1,153 @@
+"""Eq. 18 for sources whose strengths are known functions of time, not steps.
+
+The paper takes the fictitious sources as steps because the contact pressures of its structure reach
+most of their final value within a minute. Where they do not, the strengths that the inverse filters
+see in the calibration responses are slow functions q_i(t), and a D_i fitted to steps answers to
+inputs that never come. Here the same D_i is fitted to what does come:
+
+    δ_NL(t) = Σ_i ∫ D_i(t - τ) dq_i(τ)
+
+The strengths come in as data; what estimated them is not known here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import fftconvolve, lfilter
+
+from artefacts.errors import InputError
+from calibrate import deformation
+from calibrate.fit_result import Fit
+from calibrate.least_squares import Separable, fit
+from calibrate.linear import rate_bounds
+from calibrate.model import DeformationModel
+
+#: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
+UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
+
+
+def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -> list[np.ndarray]:
+    """Return random errors of temperature deviations, one run per correlation time.
+
+    Each is a stationary first-order Gauss-Markov process, independent in every channel. As further
+    calibration runs that must give no displacement, they keep the fit from trusting a deviation
+    more closely than `rms`: sensors err, and the map from temperature to displacement is linear
+    only in the model.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Evenly spaced, s.
+    rms : float
+        Their root mean square, K.
+    channels : int
+        Number of sensors.
+    seed : int
+        The same seed gives the same signals.
+
+    Returns
+    -------
+    list of ndarray, shape (n, channels)
+        One per `UNCERTAIN_TIMES`, K.
+    """
+    interval = float(times[1] - times[0])
+    random = np.random.default_rng(seed)
+    signals = []
+    for memory in UNCERTAIN_TIMES:
+        keep = np.exp(-interval / memory)
+        lead = int(5.0 * memory / interval)
+        white = random.standard_normal((len(times) + lead, channels))
+        # lfilter starts at rest; the lead lets the process become stationary.
+        process = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
+        signals.append(rms * process[lead:])
+    return signals
+
+
+def driven_response(shape: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+    """Return what a strength that is constant over each interval does.
+
+    Parameters
+    ----------
+    shape : ndarray, shape (n, ...)
+        Step responses at one, two, ... n intervals after the step.
+    strengths : ndarray, shape (n,)
+        Strength during the interval that ends at each sample.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        Response at the samples.
+    """
+    increments = np.diff(shape, axis=0, prepend=np.zeros((1, *shape.shape[1:])))
+    wide = strengths.reshape((-1,) + (1,) * (shape.ndim - 1))
+    return np.asarray(fftconvolve(increments, wide, axes=0)[: len(strengths)])
+
+
+def fit_driven_deformation(
+    t: np.ndarray,
+    deviations: np.ndarray,
+    strengths: np.ndarray,
+    *,
+    starts: int = 4,
+    seed: int = 0,
+) -> tuple[tuple[DeformationModel, ...], Fit]:
+    """Return Eq. 18 of every source along one axis, driven by strengths that vary.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the start, s, evenly spaced.
+    deviations : ndarray, shape (inputs, n)
+        δ_NL at each calibration input, m; zero for an input that must do nothing.
+    strengths : ndarray, shape (sources, inputs, n)
+        Strengths during the interval that ends at each sample.
+    starts, seed : int
+        Of the search (`least_squares.fit`).
+
+    Raises
+    ------
+    InputError
+        Shapes disagree or the times are not evenly spaced.
+    """
+    sources, inputs, samples = strengths.shape
+    if deviations.shape != (inputs, t.size) or samples != t.size:
+        raise InputError(
+            f"fictitious sources: strengths {strengths.shape} and displacement deviations "
+            f"{deviations.shape} do not fit {t.size} times; give one value per input and time"
+        )
+    intervals = np.diff(t)
+    if not np.allclose(intervals, intervals[0], rtol=1e-6):
+        raise InputError("fictitious sources: sample the calibration responses evenly in time")
+    after = intervals[0] * np.arange(1, t.size + 1)
+    bounds = rate_bounds(t)
+
+    def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        columns = np.empty((inputs, t.size, sources, 4))
+        slopes = np.zeros((inputs, t.size, sources, 4, 4 * sources))
+        for i in range(sources):
+            own = slice(4 * i, 4 * i + 4)
+            shape, by_rate = deformation.basis(after, theta[own])
+            for k in range(inputs):
+                columns[k, :, i] = driven_response(shape, strengths[i, k])
+                slopes[k, :, i, :, own] = driven_response(by_rate, strengths[i, k])
+        rows = inputs * t.size
+        return columns.reshape(rows, -1), slopes.reshape(rows, 4 * sources, -1)
+
+    problem = Separable(
+        basis=basis,
+        data=deviations.reshape(-1, 1),
+        names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "cdef"),
+        linear_names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "CDEF"),
+        lower=(bounds[0],) * (4 * sources),
+        upper=(bounds[1],) * (4 * sources),
+        unit="m",
+    )
+    found = fit(problem, starts=starts, seed=seed)
+    models = tuple(
+        deformation.model_from(
+            [found.values[f"{name}{i}"] for name in "CDEF"],
+            [found.values[f"{name}{i}"] for name in "cdef"],
+        )
+        for i in range(1, sources + 1)
+    )
+    return models, found

@@ -1,0 +1,114 @@
+"""The march's state as a file: written whole, read back bit for bit, refused by another machine.
+
+The file carries a fingerprint of everything that shapes the state. What is only recorded (probes,
+candidates, the displacement, snapshots, the title), the heat input and the duration may differ.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+import zlib
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from fesim.case import Case, MeshSection
+from fesim.march import State
+
+SCHEMA = "thermojoint-march-state"
+SCHEMA_VERSION = 1
+
+_RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap")
+
+
+def fingerprint(case: Case) -> str:
+    """Return a digest of all that a state depends on, the content of a mesh file included."""
+    data = case.model_dump(mode="json", exclude=_RECORDING)
+    del data["march"]["duration_min"]
+    # Contact elements are counted joint after joint: the joints' order matters, that of others not.
+    data["joints"] = list(data["joints"].items())
+    if isinstance(case.structure, MeshSection):
+        try:
+            content = case.structure.file.read_bytes()
+        except OSError as error:
+            raise InputError(f"{case.structure.file}: cannot be read; check its name") from error
+        data["structure"]["file"] = hashlib.sha256(content).hexdigest()
+    data["version"] = version("thermojoint")
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def save_state(state: State, case: Case, path: Path) -> None:
+    """Write the state of a march of `case` to `path` (npz), whole or not at all."""
+    arrays: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}
+    header = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "case": fingerprint(case),
+        "index": state.index,
+    }
+    with whole_file(Path(path)) as part, part.open("wb") as file:
+        # To an open file: np.savez adds a suffix to names.
+        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+
+
+def load_state(path: Path, case: Case) -> State:
+    """Read a state that `save_state` wrote for the same machine.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no state, of another version or of another machine.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a state saved by a simulation")
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            header = json.loads(str(content["header"]))
+            arrays = {name: content[name] for name in _ARRAYS}
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(
+            f"{path}: not a readable state, perhaps truncated; start afresh"
+        ) from error
+    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
+        raise InputError(f"{path}: not a march's state; give a file saved by a simulation")
+    if header.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: state of version {header.get('schema_version')}, expected {SCHEMA_VERSION}; "
+            "start afresh"
+        )
+    if header.get("case") != fingerprint(case):
+        raise InputError(
+            f"{path}: state of another structure, material, joint, step length or program version; "
+            "start afresh, or use the case it was saved with"
+        )
+    index: Any = header.get("index")
+    count = arrays["pressure"].size
+    shapes = {"gap": (3, count), "slip": (2, count), "thermal_gap": (3 * count,)}
+    usable = (
+        isinstance(index, int)
+        and index >= 0
+        and all(arrays[name].shape == shape for name, shape in shapes.items())
+        and all(array.dtype == np.float64 for array in arrays.values())
+        and all(bool(np.isfinite(array).all()) for array in arrays.values())
+    )
+    if not usable:
+        raise InputError(f"{path}: the state's values are damaged; start afresh")
+    return State(index=index, **arrays)

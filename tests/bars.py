@@ -1,0 +1,164 @@
+"""Two bars end to end with a joint between them: the structures that closed forms exist for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from skfem import MeshHex, MeshTet
+
+from fesim.condensation import (
+    DisplacementField,
+    ThermalCondensation,
+    condense_elasticity,
+    condense_heat,
+)
+from fesim.elasticity import ElasticOperators, elastic_operators
+from fesim.heat import HeatOperators, heat_operators
+from fesim.joint_law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
+from fesim.joint_operators import JointOperators, joint_operators
+from fesim.march import CondensedMachine
+from fesim.materials import Material
+from fesim.setup import reference_springs
+from fesim.spaces import Spaces, make_spaces, probe_rows
+from meshes.pairing import pair_joint
+from meshes.structure import Probe, Structure
+
+IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
+STEEL = Material(16.0, 7800.0, 460.0, 200e9, 0.31, 11.0e-6)
+
+WIDTH, DEPTH = 0.06, 0.04
+AREA = WIDTH * DEPTH
+LEFT, RIGHT = 0.10, 0.15
+
+ROLLERS = {"left_end": "x", "right_end": "x", "bottom": "y", "back": "z"}
+
+
+def bar_mesh(start, length, divisions, tetrahedra=False, width=WIDTH):
+    ends = ((start, start + length), (0.0, width), (0.0, DEPTH))
+    lines = [np.linspace(*end, count + 1) for end, count in zip(ends, divisions, strict=True)]
+    return (MeshTet if tetrahedra else MeshHex).init_tensor(*lines)
+
+
+def two_bars(left=(3, 3, 2), right=(4, 3, 2), tetrahedra=False, right_width=WIDTH):
+    """Bodies left and right along x; they touch at x = LEFT and share no node."""
+    first = bar_mesh(0.0, LEFT, left, tetrahedra)
+    second = bar_mesh(LEFT, RIGHT, right, tetrahedra, right_width)
+    points = np.hstack([first.p, second.p])
+    mesh = type(first)(points, np.hstack([first.t, second.t + first.p.shape[1]]))
+    cells = np.arange(mesh.nelements)
+    facets = mesh.boundary_facets()
+    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    on_left = mesh.f2t[0, facets] < first.nelements
+    near = {
+        "left_end": x < 1e-9,
+        "right_end": x > LEFT + RIGHT - 1e-9,
+        "joint.a": on_left & (x > LEFT - 1e-9),
+        "joint.b": ~on_left & (x < LEFT + 1e-9),
+        "bottom": y < 1e-9,
+        "top": y > WIDTH - 1e-9,
+        "back": z < 1e-9,
+    }
+    surfaces = {name: facets[mask] for name, mask in near.items()}
+    surfaces["left_top"] = facets[near["top"] & on_left]
+    middle = (right_width / 2, DEPTH / 2)
+    return Structure(
+        mesh=mesh,
+        bodies={"left": cells[: first.nelements], "right": cells[first.nelements :]},
+        surfaces=surfaces,
+        joints={"joint": ("joint.a", "joint.b")},
+        probes={
+            "start": Probe((0.0, *middle), "left"),
+            "left_face": Probe((LEFT, *middle), "left"),
+            "right_face": Probe((LEFT, *middle), "right"),
+            "end": Probe((LEFT + RIGHT, *middle), "right"),
+        },
+    )
+
+
+def surface_law(friction=0.6, preload=4.41e6, conductivity=47.0):
+    normal = SurfaceNormalLaw(1.961e9, 1.25e-6, preload)
+    stiffness = 0.844 * -float(normal.slope(np.zeros(1))[0])
+    conductance = power_law_conductance(1.45, 0.985, 0.14, 1.25e-6, conductivity, 1.961e9)
+    return JointLaw(normal, Friction(friction, stiffness), conductance, preload)
+
+
+@dataclass(frozen=True)
+class HeatParts:
+    """Two bars' heat operators before and after condensation."""
+
+    structure: Structure
+    spaces: Spaces
+    heat: HeatOperators
+    operators: JointOperators
+    thermal: ThermalCondensation
+
+    @property
+    def left_nodes(self):
+        """Which nodes belong to the left bar."""
+        nodes = np.zeros(self.spaces.heat.N, dtype=bool)
+        nodes[np.unique(self.structure.mesh.t[:, self.structure.bodies["left"]])] = True
+        return nodes
+
+
+def conduct(
+    structure,
+    *,
+    materials=(IRON, IRON),
+    films=None,
+    sources=None,
+    grid=(3, 2),
+    step=2.0,
+    solver=None,
+):
+    """Condense the heat equation of two bars."""
+    by_body = dict(zip(("left", "right"), materials, strict=True))
+    spaces = make_spaces(structure.mesh)
+    operators = joint_operators([pair_joint(structure, "joint", *grid)], spaces)
+    heat = heat_operators(structure, spaces.heat, by_body, films or {}, sources or {})
+    return HeatParts(
+        structure, spaces, heat, operators, condense_heat(heat, operators, step, solver)
+    )
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Two bars' operators before condensation, and the condensed machine made of them."""
+
+    parts: HeatParts
+    elastic: ElasticOperators
+    probes: csr_array
+    machine: CondensedMachine
+    field: DisplacementField
+
+
+def assemble(
+    structure,
+    *,
+    materials=(IRON, IRON),
+    law=None,
+    fixed=(),
+    symmetry=None,
+    springs=1.0,
+    solver=None,
+    **heat,
+):
+    """Condense two bars. Displacement probes: x, y, z of "end", then of "left_face"."""
+    law = surface_law() if law is None else law
+    parts = conduct(structure, materials=materials, solver=solver, **heat)
+    by_body = dict(zip(("left", "right"), materials, strict=True))
+    spaces, operators = parts.spaces, parts.operators
+    elastic = elastic_operators(structure, spaces, by_body, list(fixed), symmetry or {})
+    chosen = {name: structure.probes[name] for name in ("end", "left_face")}
+    probes = on_every_direction(probe_rows(spaces.elastic, structure, chosen))
+    laws = [(law, len(operators.area))]
+    condensed, field = condense_elasticity(
+        elastic, operators, springs * reference_springs(laws), probes, solver
+    )
+    machine = CondensedMachine(parts.thermal, condensed, laws)
+    return Bars(parts, elastic, probes, machine, field)
+
+
+def on_every_direction(rows):
+    """Rows on the scalar space, turned into x, y and z of each on interleaved unknowns."""
+    dense = rows.toarray()
+    return csr_array(np.kron(dense, np.eye(3)))

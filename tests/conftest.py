@@ -1,0 +1,91 @@
+"""Fixtures that several test files share."""
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from calibrate.model import (
+    DeformationModel,
+    FictitiousSource,
+    LinearModel,
+    Model,
+    Relaxation,
+    RingModel,
+)
+from calibrate.regularisation import choose_regularisation
+from fesim.case import case_from_data
+from fesim.setup import set_up
+from fesim.simulate import simulate
+
+
+@pytest.fixture(scope="session")
+def coarse_data():
+    """The reference case, coarse and one minute long, as nested dictionaries: copy to edit."""
+    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
+    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
+    data["march"]["duration_min"] = 1.0
+    return data
+
+
+@pytest.fixture(scope="session")
+def coarse_case(coarse_data):
+    """The coarse reference case."""
+    return case_from_data(coarse_data, "coarse case", Path())
+
+
+@pytest.fixture(scope="session")
+def coarse_setup(coarse_case):
+    """Condensed once for all tests."""
+    return set_up(coarse_case)
+
+
+@pytest.fixture(scope="session")
+def coarse_response(coarse_case, coarse_setup):
+    """Its response to the reference step."""
+    return simulate(coarse_case, setup=coarse_setup).response
+
+
+@pytest.fixture(scope="session")
+def hand_made_model(coarse_response):
+    """A model with round numbers, whose sensors are the probes of the coarse case."""
+    main = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
+    near = RingModel(K=3.0, a=4.0, alpha=2e-4, r=0.10, r0=0.05)
+    places = coarse_response["probe_position"].to_numpy().tolist()
+    sources = tuple(
+        FictitiousSource(
+            K=near.K,
+            a=near.a,
+            alpha=near.alpha,
+            r0=near.r0,
+            strengths={"0.5": -0.25, "2.0": 1.0},
+            regularisation=choose_regularisation(near, 2.0),
+            deformation={
+                axis: DeformationModel(sign * 1e-6, 3e-6, -1e-8, 0.01, 0.004, 0.008, 2e-8, 0.02)
+                for axis, sign in (("x", first), ("y", -first))
+            },
+        )
+        for first in (1.0, 2.0)
+    )
+    return Model(
+        linear=LinearModel(
+            thermal=main,
+            regularisation=choose_regularisation(main, 2.0),
+            deformation={
+                "x": DeformationModel(1e-6, -87e-6, -5e-8, 0.009, 0.0013, 0.01),
+                "y": DeformationModel(4e-6, 66e-6, -4e-8, 0.0012, 0.0014, 0.03),
+            },
+            direct={
+                "T1": Relaxation((0.4, 0.2), (1e-3, 4e-3)),
+                "T2": Relaxation((4.0, 2.0), (1e-3, 4e-3)),
+            },
+        ),
+        sources=sources,
+        distances=((0.10, 0.30), (0.32, 0.11)),
+        sensors={
+            str(name): (x, y, z)
+            for name, (x, y, z) in zip(coarse_response["probe"].to_numpy(), places, strict=True)
+        },
+        reference_power_W=295.0,
+    )

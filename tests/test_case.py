@@ -1,0 +1,258 @@
+"""The case file: what is allowed, and one line for everything that is not."""
+
+import copy
+import math
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from artefacts.errors import InputError
+from fesim.case import Case, case_from_data, parse_case, read_case
+
+REFERENCE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+PROBES = {
+    "a": {"position_mm": [575.0, 600.0, 175.0], "body": "column"},
+    "T1": {"position_mm": [625.0, 450.0, 87.5]},
+}
+DATA = tomllib.loads(REFERENCE) | {"probes": PROBES}
+
+
+def changed(place, value):
+    """The reference case with one value set."""
+    data = copy.deepcopy(DATA)
+    part = data
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    return data
+
+
+def without(place):
+    data = copy.deepcopy(DATA)
+    part = data
+    for key in place[:-1]:
+        part = part[key]
+    del part[place[-1]]
+    return data
+
+
+def refusal(data, folder=Path()):
+    with pytest.raises(InputError) as caught:
+        case_from_data(data, "machine.toml", folder)
+    said = str(caught.value)
+    assert "\n" not in said
+    assert said.startswith("machine.toml")
+    return said
+
+
+def test_the_reference_case_is_valid():
+    case = parse_case(REFERENCE, "reference.toml", Path())
+    assert case.source.reference_power_W == 295.0
+    assert case.joints["knee"].preload_MPa == 4.41
+    assert case.probes or case.candidates
+
+
+def test_a_case_survives_being_stored_in_a_response():
+    case = parse_case(REFERENCE, "reference.toml", Path())
+    assert Case.model_validate_json(case.model_dump_json()) == case
+
+
+@pytest.mark.parametrize(
+    ("place", "near", "where"),
+    [
+        (("titel",), "title", "machine.toml"),
+        (("march", "steps_s"), "step_s", "machine.toml.march"),
+        (("joints", "knee", "friction"), "friction_coefficient", "machine.toml.joints.knee"),
+        (("joints", "knee", "preload_mpa"), "preload_MPa", "machine.toml.joints.knee"),
+        (
+            ("joints", "knee", "conductance", "exponents"),
+            "exponent",
+            "machine.toml.joints.knee.conductance",
+        ),
+        (
+            ("materials", "cast_iron", "conductivity_WmK"),
+            "conductivity_W_mK",
+            "machine.toml.materials.cast_iron",
+        ),
+        (("structure", "element_size"), "element_size_mm", "machine.toml.structure"),
+        (("heat_input", "levels"), "level", "machine.toml.heat_input"),
+        (("source", "surfaces"), "surface", "machine.toml.source"),
+        (("probes", "a", "position"), "position_mm", "machine.toml.probes.a"),
+        (("supports", "fix"), "fixed", "machine.toml.supports"),
+        (("convection",), "convection_W_m2K", "machine.toml"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_its_place_and_the_nearest_known_one(place, near, where):
+    said = refusal(changed(place, 1.0))
+    assert said == f"{where}: no key named {place[-1]!r}; did you mean {near!r}?"
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        ("title",),
+        ("structure",),
+        ("supports",),
+        ("source", "surface"),
+        ("heat_input", "level"),
+        ("materials", "cast_iron", "density_kg_m3"),
+        ("probes", "T1", "position_mm"),
+        ("bodies",),
+    ],
+)
+def test_a_missing_key_is_named_with_its_place(place):
+    assert refusal(without(place)) == f"machine.toml: {'.'.join(place)} is missing; add it"
+
+
+POSITIVE = [
+    *(
+        ("materials", "cast_iron", name)
+        for name in (
+            "conductivity_W_mK",
+            "density_kg_m3",
+            "heat_capacity_J_kgK",
+            "youngs_modulus_GPa",
+        )
+    ),
+    *(
+        ("joints", "knee", name)
+        for name in (
+            "preload_MPa",
+            "roughness_um",
+            "asperity_slope",
+            "hardness_GPa",
+            "tangential_stiffness_ratio",
+        )
+    ),
+    ("structure", "element_size_mm"),
+    ("source", "reference_power_W"),
+    ("march", "step_s"),
+    ("march", "duration_min"),
+]
+NOT_NEGATIVE = [("joints", "knee", "friction_coefficient"), ("convection_W_m2K", "exterior")]
+FINITE = [
+    ("materials", "cast_iron", "expansion_1_K"),
+    ("materials", "cast_iron", "poisson_ratio"),
+    ("heat_input", "level"),
+]
+IMPOSSIBLE = [
+    *((place, value) for place in POSITIVE for value in (0.0, -1.0, math.nan, math.inf)),
+    *((place, value) for place in NOT_NEGATIVE for value in (-1e-9, math.nan, math.inf)),
+    *((place, value) for place in FINITE for value in (math.nan, math.inf, -math.inf)),
+    (("materials", "cast_iron", "poisson_ratio"), 0.5),
+    (("materials", "cast_iron", "density_kg_m3"), "heavy"),
+    (("joints", "knee", "along"), 0),
+    (("joints", "knee", "along"), 2.5),
+    (("joints", "knee", "normal_law"), "hertz"),
+    (("source", "count"), 0),
+    (("source", "reading"), "each"),
+    (("march", "coupling"), "strong"),
+    (("march", "solver"), "mumps"),
+    (("supports", "symmetry"), {"symmetry": "w"}),
+    (("probes", "a", "position_mm"), [1.0, 2.0]),
+    (("probes", "a", "position_mm"), [1.0, 2.0, math.nan]),
+    (("structure", "half"), "perhaps"),
+    (("output",), {"snapshots_s": [-1.0]}),
+]
+
+
+@pytest.mark.parametrize(("place", "value"), IMPOSSIBLE)
+def test_an_impossible_value_is_refused_with_its_place(place, value):
+    said = refusal(changed(place, value))
+    assert ".".join(place) in said
+    assert said.endswith(("; change it", "; add it"))
+
+
+@given(value=st.floats(max_value=0.0) | st.just(math.nan) | st.just(math.inf))
+@pytest.mark.parametrize("place", POSITIVE[:3])
+def test_no_property_that_is_not_positive_and_finite_gets_in(place, value):
+    assert ".".join(place) in refusal(changed(place, value))
+
+
+@pytest.mark.parametrize(
+    ("section", "kind"), [("structure", "gear_box"), ("heat_input", "sine"), ("structure", None)]
+)
+def test_an_unknown_kind_is_refused(section, kind):
+    data = changed((section, "kind"), kind) if kind else without((section, "kind"))
+    assert f"machine.toml: {section}" in refusal(data)
+
+
+@pytest.mark.parametrize(
+    "conductance",
+    [
+        {"law": "constants"},
+        {"law": "constants", "constant": 1.3},
+        {"law": "constants", "exponent": 0.9},
+        {"law": "cmy-1969", "constant": 1.3, "exponent": 0.9},
+        {"law": "cmy-exact", "exponent": 0.9},
+    ],
+)
+def test_constants_of_eq_11_come_with_their_law_and_both(conductance):
+    said = refusal(changed(("joints", "knee", "conductance"), conductance))
+    assert 'go with law = "constants", both of them' in said
+    assert "joints.knee.conductance" in said
+
+
+def test_preload_of_half_the_hardness_is_beyond_the_surface_model():
+    assert "below half of the hardness" in refusal(
+        changed(("joints", "knee", "preload_MPa"), 0.5 * 1961.0)
+    )
+
+
+def test_one_joint_side_alone_is_refused():
+    assert "both side_a and side_b" in refusal(changed(("joints", "knee", "side_a"), "knee.a"))
+
+
+def test_a_march_shorter_than_its_step_is_refused():
+    assert "shorter than one step" in refusal(changed(("march", "duration_min"), 0.01))
+
+
+@pytest.mark.parametrize("section", ["materials", "joints", "probes", "structure", "source"])
+def test_a_number_in_place_of_a_section_is_refused(section):
+    assert f"machine.toml: {section}" in refusal(changed((section,), 3))
+
+
+def test_files_are_looked_for_beside_the_case(tmp_path):
+    data = changed(("heat_input",), {"kind": "sampled", "file": "run.csv"})
+    case = case_from_data(data, "machine.toml", tmp_path)
+    assert case.heat_input.file == tmp_path / "run.csv"
+    elsewhere = tmp_path / "other" / "run.csv"
+    data = changed(("heat_input",), {"kind": "sampled", "file": str(elsewhere)})
+    assert case_from_data(data, "machine.toml", tmp_path).heat_input.file == elsewhere
+
+
+@pytest.mark.parametrize(
+    "text", ["title = ", "title = 'a'\ntitle = 'b'", "[march\nstep_s = 2", "just words"]
+)
+def test_text_that_is_no_toml_is_refused_with_its_line(text):
+    with pytest.raises(InputError, match=r"machine\.toml: no valid TOML: .*\(at ") as caught:
+        parse_case(text, "machine.toml", Path())
+    assert "\n" not in str(caught.value)
+
+
+@given(text=st.text(max_size=60))
+def test_any_text_is_a_case_or_one_line(text):
+    with pytest.raises(InputError) as caught:
+        parse_case(text, "machine.toml", Path())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_case_that_cannot_be_read_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read; give a TOML case file"):
+        read_case(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_case(tmp_path)
+    binary = tmp_path / "case.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_case(binary)
+
+
+def test_a_case_is_read_from_its_file(tmp_path):
+    path = tmp_path / "machine.toml"
+    path.write_text(REFERENCE, encoding="utf-8")
+    assert read_case(path) == parse_case(REFERENCE, "reference", Path())

@@ -1,0 +1,416 @@
+"""The command line: the whole chain from one command, and one line for every mistake."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from contextlib import contextmanager
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from artefacts.response import read_response, write_response
+from calibrate.model_file import Provenance, read_model, write_model
+from thermojoint import cli, console, study
+
+CASE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+COARSE = re.sub(r"joint_element_size_mm.*", "", CASE).replace(
+    "element_size_mm = 50.0", "element_size_mm = 100.0"
+)
+CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
+
+
+def lasting(minutes):
+    return COARSE.replace("duration_min = 35.0", f"duration_min = {minutes}")
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run the command line in this process; gives exit code, standard output and error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            with pytest.raises(SystemExit) as stop:
+                cli.main()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """What `reproduce` makes of the coarse machine."""
+    folder = tmp_path_factory.mktemp("reproduce")
+    (folder / "coarse.toml").write_text(lasting(3.0))
+    patch = pytest.MonkeyPatch()
+    before = signal.getsignal(signal.SIGTERM)
+    with patch.context() as within:
+        arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
+        within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+    signal.signal(signal.SIGTERM, before)
+    assert not stop.value.code
+    return folder / "results"
+
+
+@pytest.fixture(scope="module")
+def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
+    """A good case, response, model and CSV, and spoilt ones of each."""
+    folder = tmp_path_factory.mktemp("input")
+    (folder / "case.toml").write_text(lasting(1.0))
+    write_response(coarse_response, folder / "response.nc")
+    write_model(hand_made_model, folder / "model.json", Provenance(case="by hand"))
+    (folder / "samples.csv").write_text(
+        "time_s,delta_T_K,T1_K,T2_K\n"
+        + "".join(f"{2 * k},{0.01 * k},{0.001 * k},{0.002 * k**2}\n" for k in range(20))
+    )
+
+    def spoil(name, original, old, new):
+        text = (folder / original).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    spoil("unknown-key.toml", "case.toml", "friction_coefficient", "friction_coeficient")
+    spoil("no-region.toml", "case.toml", '"column_base"', '"column_bas"')
+    spoil("no-probe.toml", "case.toml", 'point = "A"', 'point = "C"')
+    spoil("negative.toml", "case.toml", "conductivity_W_mK = 47.0", "conductivity_W_mK = -47.0")
+    spoil("nan.toml", "case.toml", "density_kg_m3 = 7200.0", "density_kg_m3 = nan")
+    spoil("broken.toml", "case.toml", "[joints.knee]", "[joints.knee")
+    spoil(
+        "backwards.toml",
+        "case.toml",
+        'kind = "step"\nlevel = 1.0',
+        'kind = "sampled"\nfile = "backwards-history.csv"',
+    )
+    (folder / "backwards-history.csv").write_text("time_s,heat_input\n0,0\n10,1\n10,2\n")
+    whole = (folder / "response.nc").read_bytes()
+    (folder / "truncated.nc").write_bytes(whole[: len(whole) // 2])
+    text = (folder / "model.json").read_text()
+    (folder / "truncated.json").write_text(text[: len(text) // 2])
+    spoil("other-version.json", "model.json", '"schema_version": 1', '"schema_version": 99')
+    spoil("nan.csv", "samples.csv", "\n20,0.1,", "\n20,nan,")
+    spoil("word.csv", "samples.csv", "\n20,0.1,", "\n20,warm,")
+    spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
+    spoil("short-row.csv", "samples.csv", "\n20,0.1,", "\n20,")
+    spoil("no-column.csv", "samples.csv", "T2_K", "T2_F")
+    (folder / "truncated.npz").write_bytes(b"PK\x03\x04 not a state")
+    return folder
+
+
+MISTAKES = {
+    "unknown key": (["simulate", "unknown-key.toml", "--out"], "friction_coefficient"),
+    "missing region": (["simulate", "no-region.toml", "--out"], "column_base"),
+    "missing probe": (["simulate", "no-probe.toml", "--out"], "'C'"),
+    "negative property": (["simulate", "negative.toml", "--out"], "conductivity_W_mK"),
+    "NaN property": (["simulate", "nan.toml", "--out"], "density_kg_m3"),
+    "no TOML": (["simulate", "broken.toml", "--out"], "TOML"),
+    "no such case": (["simulate", "nowhere.toml", "--out"], "nowhere.toml"),
+    "history goes back": (["simulate", "backwards.toml", "--out"], "times must increase"),
+    "truncated state": (
+        ["simulate", "case.toml", "--continue", "truncated.npz", "--out"],
+        "truncated.npz",
+    ),
+    "truncated response": (["validate", "model.json", "truncated.nc", "--out"], "truncated"),
+    "truncated reference": (
+        ["calibrate", "--reference", "truncated.nc", "--input", "2=response.nc", "--out"],
+        "truncated",
+    ),
+    "truncated model": (["estimate", "truncated.json", "samples.csv", "--out"], "truncated"),
+    "another version": (["estimate", "other-version.json", "samples.csv", "--out"], "version"),
+    "no such model": (["estimate", "nothing.json", "samples.csv", "--out"], "nothing.json"),
+    "NaN sample": (["estimate", "model.json", "nan.csv", "--out"], "line 12: delta_T_K"),
+    "sample is a word": (["estimate", "model.json", "word.csv", "--out"], "'warm'"),
+    "samples go back": (["estimate", "model.json", "backwards.csv", "--out"], "line 12: time"),
+    "row too short": (["estimate", "model.json", "short-row.csv", "--out"], "line 12"),
+    "column missing": (["estimate", "model.json", "no-column.csv", "--out"], "T2_K"),
+    "no such samples": (["estimate", "model.json", "no.csv", "--out"], "no.csv"),
+    "response for a case": (["view", "truncated.nc", "--out"], "truncated"),
+    "no level": (
+        ["calibrate", "--reference", "response.nc", "--input", "response.nc", "--out"],
+        "LEVEL=RESPONSE",
+    ),
+    "level that is not the response's": (
+        ["calibrate", "--reference", "response.nc", "--input", "2=response.nc", "--out"],
+        "heat input",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_exit_code_2_and_no_file(
+    mistake, command, files_at_hand, tmp_path, monkeypatch
+):
+    arguments, said = MISTAKES[mistake]
+    monkeypatch.chdir(files_at_hand)
+    before = sorted(files_at_hand.iterdir())
+    code, out, err = command(*arguments, tmp_path / "out.png")
+    assert code == 2
+    assert err.startswith("thermojoint: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert "Traceback" not in out + err
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+    assert sorted(files_at_hand.iterdir()) == before
+
+
+def test_a_mistake_ends_the_real_process_without_a_traceback(files_at_hand, tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "thermojoint.cli", "simulate"),
+            *(files_at_hand / "unknown-key.toml", "--out", tmp_path / "out.nc"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "did you mean 'friction_coefficient'" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["simulate"], ["tables", "--nonsense"], ["no-command"]])
+def test_wrong_usage_ends_with_2(command, arguments):
+    code, _, err = command(*arguments)
+    assert code == 2
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "name", ["simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"]
+)
+def test_every_command_has_help_with_an_example(command, name):
+    code, out, _ = command(name, "--help")
+    assert code == 0
+    assert "Example" in out
+    assert f"thermojoint {name}" in out
+
+
+def test_the_version_is_printed(command):
+    code, out, _ = command("--version")
+    assert code == 0
+    assert re.fullmatch(r"thermojoint \d+\.\d+\.\d+\n", out)
+
+
+def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_hand, monkeypatch):
+    monkeypatch.setattr(cli, "set_up", None)  # would fail if it were called
+    case = files_at_hand / "case.toml"
+    code, _, err = command("simulate", case, "--out", files_at_hand)
+    assert (code, err.count("\n")) == (2, 1)
+    code, _, err = command("simulate", case, "--out", case / "below-a-file.nc")
+    assert (code, err.count("\n")) == (2, 1)
+    code, _, err = command("reproduce", "--case", case, "--out", case)
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_ctrl_c_ends_with_130_and_leaves_no_file(command, files_at_hand, tmp_path, monkeypatch):
+    @contextmanager
+    def interrupted():
+        def report(name, done, total):
+            if name == "marching" and done == 3:
+                signal.raise_signal(signal.SIGINT)
+
+        yield report
+
+    monkeypatch.setattr(console, "progress_bars", interrupted)
+    out = tmp_path / "out.nc"
+    code, _, err = command(
+        "simulate", files_at_hand / "case.toml", "--out", out, "--save-state", tmp_path / "s.npz"
+    )
+    assert code == 130
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_estimate_leaves_no_file(command, files_at_hand, tmp_path, monkeypatch):
+    def interrupted():
+        yield "time_s,delta_T_K,T1_K,T2_K\n"
+        yield from ("0,0,0,0\n", "2,0,0,0\n", "4,0,0,0\n")
+        assert [path.suffix for path in tmp_path.iterdir()] == [".csv"]  # half-written, hidden
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "stdin", interrupted())
+    model = files_at_hand / "model.json"
+    code, _, _ = command("estimate", model, "-", "--out", tmp_path / "out.csv")
+    assert code == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_continued_simulation_is_the_uninterrupted_one(
+    command, files_at_hand, tmp_path, coarse_response
+):
+    (tmp_path / "half.toml").write_text(lasting(0.5))
+    half = ["simulate", tmp_path / "half.toml", "--out", tmp_path / "half.nc"]
+    assert command(*half, "--save-state", tmp_path / "half.npz")[0] == 0
+    rest = ["simulate", files_at_hand / "case.toml", "--out", tmp_path / "rest.nc"]
+    code, out, err = command(*rest, "--continue", tmp_path / "half.npz")
+    assert code == 0
+    assert "gap residual" in out
+    assert "wrote" in err
+    first, second = read_response(tmp_path / "half.nc"), read_response(tmp_path / "rest.nc")
+    whole = coarse_response["displacement"].to_numpy()
+    parts = [part["displacement"].to_numpy() for part in (first, second)]
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_snapshots_are_written_where_they_are_asked_for(command, tmp_path):
+    case = lasting(0.1) + "\n[output]\nsnapshots_s = [2.0, 6.0]\n"
+    (tmp_path / "case.toml").write_text(case)
+    arguments = ["simulate", tmp_path / "case.toml", "--out", tmp_path / "run.nc"]
+    assert command(*arguments)[0] == 0
+    folder = tmp_path / "run-snapshots"
+    assert (folder / "snapshots.pvd").is_file()
+    assert len(list(folder.glob("structure_*.vtu"))) == 2
+
+
+def read_estimate(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_an_estimate_is_the_same_from_a_response_and_from_a_csv(
+    command, files_at_hand, tmp_path, coarse_response
+):
+    temperature = {
+        str(name): coarse_response["temperature"].to_numpy()[:, k]
+        for k, name in enumerate(coarse_response["probe"].to_numpy())
+    }
+    time = coarse_response["time"].to_numpy()
+    ambient = 21.0
+    columns = [time, *(temperature[name] + ambient for name in ("a", "b", "T1", "T2"))]
+    rows = np.column_stack([*columns, np.full(time.size, ambient)])
+    header = "time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC"
+    np.savetxt(tmp_path / "read.csv", rows, "%.17g", ",", header=header, comments="")
+    model = files_at_hand / "model.json"
+    for source, out in ((files_at_hand / "response.nc", "one"), (tmp_path / "read.csv", "two")):
+        assert command("estimate", model, source, "--out", tmp_path / out)[0] == 0
+    one, two = read_estimate(tmp_path / "one"), read_estimate(tmp_path / "two")
+    assert one.dtype.names == two.dtype.names
+    assert {"time_s", "heat_input", "source_1", "deviation_T2_K", "total_x_um"} <= {
+        *one.dtype.names
+    }
+    for name in one.dtype.names:
+        scale = np.abs(one[name]).max()
+        assert two[name] == pytest.approx(one[name], rel=1e-6, abs=1e-6 * scale)
+    assert one["total_x_um"] == pytest.approx(one["linear_x_um"] + one["nonlinear_x_um"], abs=1e-6)
+
+
+def test_an_estimate_resumed_on_the_streams_goes_on_as_if_never_stopped(
+    command, files_at_hand, tmp_path, monkeypatch
+):
+    model = files_at_hand / "model.json"
+    lines = (files_at_hand / "samples.csv").read_text().splitlines(keepends=True)
+
+    def stream(part, *options):
+        monkeypatch.setattr(sys, "stdin", iter(part))
+        code, out, _ = command("estimate", model, "-", "--out", "-", "--interval-s", "2", *options)
+        assert code == 0
+        return out.splitlines()
+
+    whole = stream(lines)
+    state = tmp_path / "state.json"
+    first = stream(lines[:11], "--save-state", state)
+    second = stream([lines[0], *lines[11:]], "--continue", state)
+    assert first + second[1:] == whole
+
+
+def test_tables_of_a_model_as_tables_and_as_json(command, files_at_hand):
+    code, out, _ = command("tables", files_at_hand / "model.json")
+    assert code == 0
+    assert "Table 3" in out
+    code, out, _ = command("tables", files_at_hand / "model.json", "--json")
+    assert code == 0
+    assert json.loads(out)["table1"]["thermal"]["K"] == 3.372
+
+
+def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, coarse_response):
+    structure, curves = tmp_path / "structure.png", tmp_path / "curves.svg"
+    assert command("view", files_at_hand / "case.toml", "--out", structure)[0] == 0
+    assert command("view", files_at_hand / "response.nc", "--out", curves)[0] == 0
+    assert structure.read_bytes().startswith(b"\x89PNG")
+    assert "</svg>" in curves.read_text()
+    measured = tmp_path / "measured.nc"
+    alone = coarse_response[["heat_input", "temperature", "displacement"]].copy()
+    del alone.attrs["case"]
+    write_response(alone, measured)
+    picture = tmp_path / "field.png"
+    code, _, err = command("view", measured, "--show", "temperature", "--out", picture)
+    assert (code, err.count("\n"), picture.exists()) == (2, 1, False)
+
+
+def test_validation_noise_is_seeded(command, results, tmp_path):
+    found = []
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        out = tmp_path / f"{name}.json"
+        arguments = ["validate", results / "model.json", results / "responses" / "triangle.nc"]
+        reference = ["--reference", results / "responses" / "step-1.0.nc"]
+        noise = ["--noise-pp", "0.12", "--seed", seed]
+        code, text, _ = command(*arguments, *reference, *noise, "--out", out)
+        assert code == 0
+        assert "triangle" in text
+        found.append(json.loads(out.read_text())["rows"])
+    assert found[0] == found[1] != found[2]
+
+
+def test_reproduce_leaves_every_file(results):
+    names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
+    responses = {f"responses/{name}.nc" for name in study.CALIBRATION | study.VALIDATION}
+    figures = {f"figures/figure-{k:02d}" for k in range(6, 12)}
+    assert {"model.json", "tables.json", "validation.json", "report.html"} | responses <= names
+    assert all(any(name.startswith(figure) for name in names) for figure in figures)
+    assert {f"figures/{name}.png" for name in ("temperature", "deformation", "pressure")} <= names
+    assert not [name for name in names if "/." in name or name.startswith(".")]
+
+
+def test_reproduce_validates_every_case_with_every_estimator(results):
+    rows = json.loads((results / "validation.json").read_text())["rows"]
+    given = {(row["case"], row["estimator"], row["axis"]) for row in rows}
+    assert {(c, e, a) for c in CASES for e in ("linear", "fchs") for a in "xy"} <= given
+    for row in rows:
+        assert 0.0 <= row["rms_error_um"] <= row["max_abs_error_um"]
+        assert {"peak_total_um", "peak_nonlinear_um"} <= set(row)
+
+
+def test_reproduce_writes_the_tables_of_its_own_model(command, results):
+    code, out, _ = command("tables", results / "model.json", "--json")
+    assert code == 0
+    assert json.loads(out) == json.loads((results / "tables.json").read_text())
+
+
+def test_calibrating_the_written_responses_gives_the_same_model(command, results, tmp_path):
+    of = {level: results / "responses" / f"step-{level}.nc" for level in ("0.5", "1.0", "2.0")}
+    inputs = ["--input", f"0.5={of['0.5']}", "--input", f"2={of['2.0']}"]
+    out = tmp_path / "model.json"
+    code, text, _ = command("calibrate", "--reference", of["1.0"], *inputs, "--out", out)
+    assert code == 0
+    assert "Table 2" in text
+    assert read_model(out) == read_model(results / "model.json")
+
+
+def test_the_report_holds_everything_in_one_page(results):
+    page = (results / "report.html").read_text()
+    for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
+        assert words in page
+    shown = len(list((results / "figures").iterdir()))
+    assert page.count("data:image/png;base64,") == shown == 9
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert "<script" not in page
+
+
+def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
+    seen = []
+    monkeypatch.setattr(cli, "run_all", lambda case, out: seen.append((case, out)))
+    code, _, _ = command("reproduce", "--out", tmp_path / "results")
+    assert code == 0
+    [(case, _)] = seen
+    assert case.title == tomllib.loads(CASE)["title"]
+    assert case.march.duration_min == 35.0

@@ -1,0 +1,161 @@
+"""The condensed march against one that solves for every unknown and refactorises every time."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from bars import assemble, conduct, surface_law, two_bars
+from scipy.sparse import block_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import spsolve
+
+from fesim.gap import solve_gap
+from fesim.history import sampled_history, triangle_history
+from fesim.march import iterated, march, staggered
+
+STEP, COUNT = 2.0, 25
+
+
+def heated_bars(friction, **changes):
+    """Heated on the top of the left bar, so that the joint turns, slides and partly opens."""
+    given = {
+        "law": surface_law(friction),
+        "films": {"bottom": 50.0},
+        "sources": {"left_top": 400.0},
+        "fixed": ["left_end", "right_end"],
+        "grid": (3, 2),
+        "step": STEP,
+    }
+    return assemble(two_bars(left=(2, 3, 1), right=(2, 2, 1)), **(given | changes))
+
+
+def plain_steps(made, history, count):
+    """Yield (temperature, displacement, pressure, slip), every matrix whole and factorised anew."""
+    heat, operators, machine = made.parts.heat, made.parts.operators, made.machine
+    elastic, free = made.elastic, made.elastic.free
+    jump, gap = operators.jump, csr_array(operators.gap[:, free])
+    stiffness = elastic.stiffness[free][:, free]
+    area, area3 = operators.area, np.tile(operators.area, 3)
+    rate = heat.capacity / STEP
+    contacts = machine.contacts
+    temperature, pressure = np.zeros(heat.source.size), machine.preload
+    u, slip = np.zeros(free.size), np.zeros((2, contacts))
+    for n in range(1, count + 1):
+        joint = jump.T @ diags_array(machine.conductance(pressure) * area) @ jump
+        level = float(history(np.array([n * STEP]))[0])
+        temperature = spsolve(
+            csc_array(rate + heat.conduction + heat.convection + joint),
+            rate @ temperature + level * heat.source,
+        )
+        load = (elastic.thermal_load @ temperature)[free]
+
+        def out_of_balance(u, load=load, slip=slip):
+            law = machine.traction((gap @ u).reshape(3, contacts), slip)
+            return stiffness @ u - load - gap.T @ (area3 * law.value.ravel()), law
+
+        forces, law = out_of_balance(u)
+        for _ in range(60):
+            blocks = [[diags_array(area * law.tangent[i, j]) for j in range(3)] for i in range(3)]
+            tangent = stiffness - gap.T @ block_array(blocks) @ gap
+            move = -spsolve(csc_array(tangent), forces)
+            length = 1.0
+            while True:
+                trial, trial_law = out_of_balance(u + length * move)
+                if np.linalg.norm(trial) < np.linalg.norm(forces) or length < 1e-3:
+                    break
+                length /= 2.0
+            u, forces, law = u + length * move, trial, trial_law
+            if np.abs(move).max() < 1e-17:
+                break
+        else:
+            assert np.abs(move).max() < 1e-14, "the plain march itself has not converged"
+        slip, pressure = law.slip, machine.preload + law.value[0]
+        displacement = np.zeros(elastic.stiffness.shape[0])
+        displacement[free] = u
+        yield temperature, displacement, pressure, slip
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
+def test_condensed_march_is_the_plain_one(friction, monkeypatch):
+    """Temperature, displacement and pressure to 1e-9 in every step, heated and then cooled."""
+    monkeypatch.setattr("fesim.march.solve_gap", partial(solve_gap, tolerance=1e-18))
+    made = heated_bars(friction)
+    history = sampled_history(np.array([0.0, 16.0, 20.0, 50.0]), np.array([0.0, 2.0, -6.0, -6.0]))
+    slid = 0.0
+    lowest = highest = made.machine.preload[0]
+    plain = plain_steps(made, history, COUNT)
+    condensed = march(made.machine, history, staggered)
+    for (temperature, displacement, pressure, slip), step in zip(plain, condensed, strict=False):
+        state = step.state
+        field = made.field.solve(state.temperature, step.remainder)
+        for ours, theirs in (
+            (state.temperature, temperature),
+            (field, displacement),
+            (step.displacement, made.probes @ displacement),
+            (state.pressure, pressure),
+        ):
+            scale = np.abs(theirs).max()
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9 * scale)
+        np.testing.assert_allclose(
+            state.slip, slip, rtol=0.0, atol=1e-9 * np.abs(displacement).max()
+        )
+        slid = max(slid, np.abs(slip).max())
+        lowest, highest = min(lowest, pressure.min()), max(highest, pressure.max())
+    assert state.index == COUNT
+    # The comparison means something: the joint is pressed, relieved and slides.
+    assert highest > 2.0 * made.machine.preload[0]
+    assert lowest < 0.1 * made.machine.preload[0]
+    assert slid > 0.05e-6
+
+
+def test_field_on_demand_has_the_gaps_and_probes_of_the_march():
+    made = heated_bars(0.1)
+    history = triangle_history(2.0, 60.0)
+    for step, _ in zip(march(made.machine, history, iterated), range(5), strict=False):
+        field = made.field.solve(step.state.temperature, step.remainder)
+        gaps = (made.field.gap @ field).reshape(3, -1)
+        np.testing.assert_allclose(gaps, step.state.gap, rtol=0.0, atol=2e-11)
+        np.testing.assert_allclose(made.probes @ field, step.displacement, rtol=0.0, atol=1e-15)
+        held = np.setdiff1d(np.arange(field.size), made.elastic.free)
+        np.testing.assert_array_equal(field[held], 0.0)
+
+
+def test_condensed_matrices_are_what_they_are_called():
+    made = heated_bars(0.6)
+    thermal, heat, jump = made.machine.thermal, made.parts.heat, made.parts.operators.jump
+    matrix = (heat.capacity / STEP + heat.conduction + heat.convection).toarray()
+    influence = np.linalg.solve(matrix, jump.toarray().T)
+    np.testing.assert_allclose(thermal.influence, influence, rtol=0.0, atol=1e-12 * influence.max())
+    np.testing.assert_allclose(thermal.joint_influence, jump @ influence, rtol=1e-9, atol=1e-12)
+    elastic, free = made.elastic, made.elastic.free
+    gap = made.parts.operators.gap[:, free].toarray()
+    condensed = made.machine.elastic
+    springs = gap.T @ ((condensed.area * condensed.reference)[:, None] * gap)
+    whole = np.linalg.inv(elastic.stiffness[free][:, free].toarray() + springs)
+    load = elastic.thermal_load[free].toarray()
+    probes = made.probes[:, free].toarray()
+    for ours, theirs in (
+        (condensed.compliance, gap @ whole @ gap.T),
+        (condensed.thermal_gap, gap @ whole @ load),
+        (condensed.probe_compliance, probes @ whole @ gap.T),
+        (condensed.probe_thermal, probes @ whole @ load),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_both_solvers_condense_to_the_same_machine():
+    pytest.importorskip("pypardiso")
+    one, other = (heated_bars(0.6, solver=solver) for solver in ("pardiso", "superlu"))
+    for name in ("compliance", "thermal_gap", "probe_compliance", "probe_thermal"):
+        first, second = (getattr(made.machine.elastic, name) for made in (one, other))
+        np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-10 * np.abs(first).max())
+
+
+def test_the_step_length_changes_the_heat_equation_only():
+    two, four = (
+        conduct(two_bars(), films={"bottom": 50.0}, sources={"left_top": 1.0}, step=step)
+        for step in (2.0, 4.0)
+    )
+    np.testing.assert_allclose(
+        two.thermal.capacity_rate.toarray(), 2.0 * four.thermal.capacity_rate.toarray(), rtol=1e-14
+    )
+    np.testing.assert_array_equal(two.thermal.heat_capacities, four.thermal.heat_capacities)

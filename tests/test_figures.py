@@ -1,0 +1,223 @@
+"""Figures and pictures show the data they are given, and always exist."""
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from artefacts.errors import InputError
+from artefacts.response import make_response
+from fesim.simulate import at_rest
+from meshes.milling_machine import box_milling_machine
+from thermojoint import pictures
+from thermojoint.figures import (
+    displacements_figure,
+    pressure_figure,
+    response_figure,
+    temperatures_figure,
+    write_figure,
+)
+from thermojoint.report import Picture, ReportData, report_html
+from thermojoint.scene_file import load_scene, save_scene
+from thermojoint.scenes import (
+    boundary_faces,
+    mirror_of,
+    pressure_scene,
+    probe_position,
+    structure_scene,
+)
+from thermojoint.summary import convergence, pressure_share
+from thermojoint.view import field_scenes, whole_structure
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def settling(constants, changes, end=2100.0):
+    """A response whose contact pressures settle exponentially."""
+    time = np.arange(0.0, end + 1.0, 2.0)
+    moved = -np.expm1(-np.divide.outer(time, np.asarray(constants)))
+    return make_response(
+        {
+            "heat_input": np.ones_like(time),
+            "temperature": np.zeros((time.size, 1)),
+            "displacement": np.zeros((time.size, 1)),
+            "pressure": 4.41e6 + moved * np.asarray(changes),
+        },
+        {
+            "time": time,
+            "probe": ["a"],
+            "axis": ["x"],
+            "contact": np.arange(1, len(changes) + 1),
+        },
+    )
+
+
+def polygon_areas(surface):
+    corners = surface.points[surface.faces]
+    around = np.roll(corners, -1, axis=1)
+    middle = corners.mean(axis=1, keepdims=True)
+    return np.linalg.norm(np.cross(corners - middle, around - middle).sum(axis=1), axis=1) / 2.0
+
+
+def test_figure_7_has_compression_negative_in_mpa_over_minutes(coarse_response):
+    axes = pressure_figure(coarse_response).axes[0]
+    curves = [line for line in axes.lines if str(line.get_label()).startswith("element")]
+    assert len(curves) == coarse_response.sizes["contact"]
+    pressure = coarse_response["pressure"].to_numpy()
+    for k, curve in enumerate(curves):
+        assert np.allclose(curve.get_ydata(), (pressure[0, k] - pressure[:, k]) / 1e6)
+        assert curve.get_xdata()[-1] == pytest.approx(1.0)
+    assert "MPa" in axes.get_ylabel()
+    assert "min" in axes.get_xlabel()
+
+
+def test_no_two_contact_elements_look_alike():
+    figure = pressure_figure(settling(np.full(24, 60.0), np.linspace(-1e6, 1e6, 24)))
+    curves = figure.axes[0].lines[:24]
+    looks = {(str(curve._unscaled_dash_pattern), curve.get_color()) for curve in curves}
+    assert len(looks) == 24
+
+
+def test_axes_say_their_units_and_displacements_are_in_micrometres():
+    times = np.array([0.0, 60.0])
+    figure = displacements_figure(times, {"x": {"actual": np.array([0.0, 1e-6])}})
+    assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(1.0)
+    assert "µm" in figure.axes[0].get_ylabel()
+    figure = temperatures_figure(times, {"T1": {"simulated": times}, "T2": {"simulated": times}})
+    assert ["K" in axes.get_ylabel() for axes in figure.axes] == [True, True]
+
+
+def test_an_unknown_picture_format_is_refused_and_leaves_nothing(tmp_path, coarse_response):
+    with pytest.raises(InputError, match="picture format"):
+        write_figure(response_figure(coarse_response), tmp_path / "curves.xyz")
+    assert list(tmp_path.iterdir()) == []
+
+
+@given(constant=st.floats(5.0, 200.0), change=st.floats(1e4, 1e7), sign=st.sampled_from((-1, 1)))
+def test_a_pressure_that_settles_exponentially_has_the_exponential_share(constant, change, sign):
+    found = pressure_share(settling([constant], [sign * change]), at_s=60.0)
+    assert found.share[0] == pytest.approx(-np.expm1(-60.0 / constant), rel=1e-3)
+    assert bool(found.compressed[0]) is (sign > 0)
+
+
+def test_the_least_share_counts_compressed_elements_only():
+    found = pressure_share(settling([30.0, 60.0, 600.0], [1e6, 1e6, -1e6]))
+    assert found.least_compressed == pytest.approx(-np.expm1(-1.0), rel=1e-3)
+
+
+def test_an_element_whose_pressure_stays_has_no_share():
+    found = pressure_share(settling([30.0, 30.0], [1e6, 0.0]))
+    assert np.isnan(found.share[1])
+
+
+def test_a_response_too_short_for_a_share_is_refused():
+    with pytest.raises(InputError, match="simulate it for longer"):
+        pressure_share(settling([30.0], [1e6], end=60.0), at_s=60.0)
+
+
+def test_convergence_takes_the_worst_step(coarse_response):
+    found = convergence(coarse_response)
+    assert found.steps == 30
+    assert found.gap_residual == coarse_response["gap_residual"].max() <= 1e-11
+    assert found.heat_balance <= 1e-8
+    assert found.iterations == coarse_response["iterations"].sum()
+
+
+def test_a_measured_response_has_no_solver_to_sum_up(coarse_response):
+    measured = coarse_response[["heat_input", "temperature", "displacement"]]
+    with pytest.raises(InputError, match="simulated"):
+        convergence(measured)
+    with pytest.raises(InputError, match="simulated"):
+        pressure_figure(measured)
+
+
+def test_boundary_faces_go_around_their_facets():
+    mesh = box_milling_machine(element_size=0.1).mesh
+    facets = mesh.boundary_facets()
+    corners = mesh.p.T[boundary_faces(mesh, facets)]
+    # Parallelograms: both diagonals meet in the middle only if the corners are in order.
+    assert np.allclose(corners[:, 0] + corners[:, 2], corners[:, 1] + corners[:, 3])
+    assert np.array_equal(np.sort(boundary_faces(mesh, facets)), np.sort(mesh.facets[:, facets].T))
+
+
+def test_the_pressure_map_covers_the_joint_on_both_halves(coarse_setup, coarse_response):
+    pressure = coarse_response["pressure"].to_numpy()[-1]
+    mirror = mirror_of(coarse_setup.structure, {"symmetry": "z"})
+    surfaces = pressure_scene(coarse_setup, pressure, mirror).panels[0].surfaces
+    maps = [surface for surface in surfaces if surface.values is not None]
+    assert len(maps) == 2
+    for surface in maps:
+        assert polygon_areas(surface) == pytest.approx(coarse_response["contact_area"].to_numpy())
+        assert surface.values == pytest.approx(pressure / 1e6)
+    assert maps[0].points[:, 2].max() < 0.25 < maps[1].points[:, 2].min()
+
+
+def test_the_structure_is_drawn_whole_with_its_points(coarse_case, coarse_setup):
+    scene = whole_structure(coarse_case, coarse_setup.structure)
+    section, joint = scene.panels
+    assert {"A", "B", "a", "b", "T1", "T2", "Q"} <= {marker.label for marker in section.markers}
+    every = np.concatenate([s.points[s.faces].reshape(-1, 3) for s in section.surfaces])
+    assert np.ptp(every, axis=0) == pytest.approx([1.45, 1.15, 0.25])
+    # The second view is mirrored to the full width.
+    every = np.concatenate([s.points[s.faces].reshape(-1, 3) for s in joint.surfaces])
+    assert np.ptp(every, axis=0)[2] == pytest.approx(0.50)
+
+
+def test_a_point_that_does_not_exist_cannot_be_marked():
+    structure = box_milling_machine(element_size=0.1)
+    with pytest.raises(InputError, match="probe named 'C'"):
+        probe_position(structure, "C")
+
+
+def test_a_scene_survives_the_way_to_another_process(tmp_path, coarse_case, coarse_setup):
+    scene = whole_structure(coarse_case, coarse_setup.structure)
+    save_scene(scene, tmp_path / "scene.npz")
+    back = load_scene(tmp_path / "scene.npz")
+    for panel, other in zip(scene.panels, back.panels, strict=True):
+        assert (panel.title, panel.markers, panel.view) == (other.title, other.markers, other.view)
+        for surface, copy in zip(panel.surfaces, other.surfaces, strict=True):
+            assert np.array_equal(surface.points, copy.points)
+            assert np.array_equal(surface.faces, copy.faces)
+            assert (surface.colour, surface.opacity) == (copy.colour, copy.opacity)
+
+
+def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coarse_setup, tmp_path):
+    scenes = field_scenes(coarse_case, coarse_setup, at_rest(coarse_setup.machine))
+    files = {tmp_path / f"{show}.png": scene for show, scene in scenes.items()}
+    assert set(pictures.write_pictures(files, pyvista=False).values()) == {"matplotlib"}
+    assert all(path.read_bytes().startswith(PNG) for path in files)
+
+
+def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    scene = structure_scene(box_milling_machine(element_size=0.1), "bearings", [])
+    path = tmp_path / "structure.png"
+    assert pictures.write_pictures({path: scene}) == {path: "matplotlib"}
+    assert [file.name for file in tmp_path.iterdir()] == ["structure.png"]
+    assert path.read_bytes().startswith(PNG)
+
+
+def test_a_fallback_picture_says_that_it_is_one():
+    scene = structure_scene(box_milling_machine(element_size=0.1), "bearings", [])
+    assert "matplotlib" in pictures.matplotlib_picture(scene).get_supxlabel()
+
+
+def test_the_report_escapes_what_it_shows_and_loads_nothing(tmp_path, coarse_response):
+    write_figure(response_figure(coarse_response), tmp_path / "curves.svg")
+    data = ReportData(
+        title="<script>alert('title')</script>",
+        facts=[("case & file", "<b>bold</b>")],
+        share=pressure_share(settling([30.0, 30.0], [1e6, 0.0])),
+        convergence={"<i>step</i>": convergence(coarse_response)},
+        placement="a < b",
+        pictures=[Picture(tmp_path / "curves.svg", 'a "quoted" <caption>')],
+    )
+    page = report_html(data)
+    assert "<script" not in page
+    assert "<b>bold" not in page
+    assert "<i>step" not in page
+    assert "a &lt; b" in page
+    assert 'src="data:image/svg+xml;base64,' in page
+    assert "http" not in page

@@ -1,0 +1,227 @@
+"""Heat conduction through bodies, films and joints against closed forms."""
+
+import numpy as np
+import pytest
+from bars import AREA, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, surface_law, two_bars
+from scipy.linalg import expm
+from skfem import FacetBasis, MeshHex, MeshTet
+
+from fesim.heat import flux_form, heat_operators
+from fesim.march import heat_balance, heat_step
+from fesim.spaces import make_spaces
+from meshes.structure import Structure
+
+FOREVER = 1e15  # s: so long an implicit Euler step ends in the steady state
+MESHES = {
+    "matching": two_bars(left=(3, 3, 2), right=(4, 3, 2)),
+    "not matching": two_bars(left=(3, 3, 2), right=(2, 4, 3)),
+    "tetrahedra": two_bars(left=(2, 2, 2), right=(3, 3, 2), tetrahedra=True),
+}
+
+
+def block(kind):
+    """A block of two materials meeting at x = 0.5 on shared nodes; nodes inside are shifted."""
+    lines = [np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 4)]
+    mesh = (MeshHex if kind == "hexahedra" else MeshTet).init_tensor(*lines)
+    inside = (np.abs(mesh.p - 0.5) < 0.49).all(axis=0) & (np.abs(mesh.p[0] - 0.5) > 0.1)
+    points = mesh.p.copy()
+    points[:, inside] += np.random.default_rng(1).uniform(-0.04, 0.04, (3, inside.sum()))
+    mesh = type(mesh)(points, mesh.t)
+    centres = mesh.p[0, mesh.t].mean(axis=0)
+    cells = np.arange(mesh.nelements)
+    facets = mesh.boundary_facets()
+    middle = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    return Structure(
+        mesh,
+        bodies={"left": cells[centres < 0.5], "right": cells[centres > 0.5]},
+        surfaces={
+            "all": facets,
+            "hot": facets[middle[0] > 1.0 - 1e-9],
+            "cold": facets[middle[0] < 1e-9],
+        },
+    ), inside
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "tetrahedra"])
+def test_linear_temperatures_are_exact_on_distorted_elements(kind):
+    structure, inside = block(kind)
+    basis = make_spaces(structure.mesh).heat
+    heat = heat_operators(structure, basis, {"left": IRON, "right": IRON}, {}, {})
+    x, y, z = basis.doflocs
+    forces = heat.conduction @ (3.0 + 2.0 * x - 5.0 * y + 0.5 * z)
+    np.testing.assert_allclose(forces[inside], 0.0, atol=1e-12 * IRON.conductivity)
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "tetrahedra"])
+def test_two_conductivities_in_series_share_the_flux(kind):
+    """A temperature with a kink at the interface, in balance with the flux through the ends."""
+    structure, _ = block(kind)
+    basis = make_spaces(structure.mesh).heat
+    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, {})
+    flux = 1000.0
+    x = basis.doflocs[0]
+    temperature = flux * (
+        np.minimum(x, 0.5) / IRON.conductivity + np.maximum(x - 0.5, 0.0) / STEEL.conductivity
+    )
+
+    def through(name):
+        return flux * flux_form.assemble(
+            FacetBasis(structure.mesh, basis.elem, facets=structure.surfaces[name])
+        )
+
+    np.testing.assert_allclose(
+        heat.conduction @ temperature, through("hot") - through("cold"), atol=1e-11 * flux
+    )
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "tetrahedra"])
+def test_operators_hold_the_energy(kind):
+    """Conduction makes no heat, the capacity is the body's, films and sources are what is said."""
+    structure, _ = block(kind)
+    basis = make_spaces(structure.mesh).heat
+    heat = heat_operators(
+        structure, basis, {"left": IRON, "right": STEEL}, {"all": 6.0, "hot": 4.0}, {"cold": 90.0}
+    )
+    np.testing.assert_allclose(heat.conduction.sum(axis=0), 0.0, atol=1e-12 * IRON.conductivity)
+    stored = [m.density * m.heat_capacity for m in (IRON, STEEL)]
+    assert heat.capacity.sum() == pytest.approx(0.5 * sum(stored), rel=1e-12)
+    assert heat.convection.sum() == pytest.approx(6.0 * 6.0 + 4.0, rel=1e-12)
+    assert heat.source.sum() == pytest.approx(90.0, rel=1e-12)
+    assert (heat.source >= 0.0).all()
+    for matrix in (heat.capacity, heat.conduction, heat.convection):
+        np.testing.assert_allclose((matrix - matrix.T).toarray(), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_joint_takes_from_one_side_what_it_gives_to_the_other(mesh):
+    made = conduct(MESHES[mesh], films={"left_end": 10.0})
+    jump = made.operators.jump
+    np.testing.assert_allclose(jump.sum(axis=1), 0.0, atol=1e-13)
+    assert made.operators.area.sum() == pytest.approx(AREA, rel=1e-12)
+    one_side = made.left_nodes.astype(float)
+    np.testing.assert_allclose(jump @ one_side, 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize("pressure", [0.0, 1e3, 0.1e6, 4.41e6, 40e6])
+def test_two_bars_in_series_through_a_joint(mesh, pressure):
+    """q = T_1 / (L1/k1 + 1/h_c(p) + L2/k2 + 1/h_2), with the heat film h_1 takes at the source."""
+    power, film_1, film_2 = 10.0, 80.0, 500.0
+    made = conduct(
+        MESHES[mesh],
+        materials=(IRON, STEEL),
+        films={"left_end": film_1, "right_end": film_2},
+        sources={"left_end": power},
+        step=FOREVER,
+    )
+    conductance = surface_law().conductance(np.full(made.operators.area.size, pressure))
+    thermal = made.thermal
+    start = np.zeros(thermal.source.size)
+    temperature, flow = heat_step(thermal, start, 1.0, conductance * made.operators.area)
+
+    bars = LEFT / IRON.conductivity + RIGHT / STEEL.conductivity
+    joint = 1.0 / conductance[0] if pressure > 0.0 else np.inf
+    series = 1.0 / (bars + joint + 1.0 / film_2)
+    hot = power / AREA / (film_1 + series)
+    flux = hot * series
+    np.testing.assert_allclose(flow, flux * made.operators.area, rtol=1e-9, atol=1e-12)
+
+    x = made.spaces.heat.doflocs[0]
+    expected = np.where(
+        made.left_nodes,
+        hot - flux * x / IRON.conductivity,
+        flux * (1.0 / film_2 + (LEFT + RIGHT - x) / STEEL.conductivity),
+    )
+    np.testing.assert_allclose(temperature, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_jump_is_the_mean_over_each_contact_element_also_where_they_differ_in_size():
+    """The right bar covers the first contact element and four fifths of the second."""
+    made = conduct(two_bars(right_width=0.6 * WIDTH), films={"left_end": 1.0}, grid=(3, 1))
+    np.testing.assert_allclose(made.operators.area, [AREA / 3, 0.8 * AREA / 3], rtol=1e-9)
+    y = made.spaces.heat.doflocs[1]
+    middles = [WIDTH / 6, WIDTH / 3 + 0.4 * WIDTH / 3]
+    left = made.left_nodes
+    jump = made.operators.jump
+    np.testing.assert_allclose(jump @ np.where(left, y, 0.0), middles, rtol=1e-9)
+    np.testing.assert_allclose(jump @ np.where(left, 0.0, y), -np.array(middles), rtol=1e-9)
+
+
+def test_an_uneven_joint_conducts_where_it_is_pressed():
+    """Contact elements 1 and 3 of three carry all the heat when 2 is open."""
+    made = conduct(
+        MESHES["not matching"],
+        films={"left_end": 1e-3, "right_end": 500.0},
+        sources={"left_end": 10.0},
+        grid=(3, 1),
+        step=FOREVER,
+    )
+    conductance = np.array([2000.0, 0.0, 2000.0]) * made.operators.area
+    _, flow = heat_step(made.thermal, np.zeros(made.spaces.heat.N), 1.0, conductance)
+    assert flow[1] == 0.0
+    assert flow.sum() == pytest.approx(10.0, rel=1e-3)  # less what the left film takes
+    assert flow.min() >= 0.0
+
+
+def transient(step, count):
+    made = conduct(
+        MESHES["matching"],
+        films={"right_end": 500.0},
+        sources={"left_end": 10.0},
+        step=step,
+    )
+    joint = 18806.0 * made.operators.area
+    temperature = np.zeros(made.spaces.heat.N)
+    worst = 0.0
+    for _ in range(count):
+        before = temperature
+        temperature, _ = heat_step(made.thermal, before, 1.0, joint)
+        worst = max(worst, abs(heat_balance(made.thermal, before, temperature, 1.0)))
+    return made, joint, temperature, worst
+
+
+def test_implicit_euler_is_of_first_order_and_keeps_the_balance():
+    """Against the matrix exponential of the same heat equation."""
+    end = 60.0
+    results = {count: transient(end / count, count) for count in (20, 40, 80)}
+    made, joint, _, _ = results[20]
+    jump = made.operators.jump.toarray()
+    matrix = (made.heat.conduction + made.heat.convection).toarray() + jump.T @ (
+        joint[:, None] * jump
+    )
+    steady = np.linalg.solve(matrix, made.heat.source)
+    decay = expm(-end * np.linalg.solve(made.heat.capacity.toarray(), matrix))
+    exact = steady - decay @ steady
+    error = {n: np.abs(result[2] - exact).max() for n, result in results.items()}
+    assert error[80] < 0.02 * exact.max()
+    assert error[20] / error[40] == pytest.approx(2.0, abs=0.2)
+    assert error[40] / error[80] == pytest.approx(2.0, abs=0.1)
+    assert max(result[3] for result in results.values()) < 1e-12
+
+
+@pytest.mark.parametrize("mesh", ["matching", "not matching"])
+def test_nothing_gets_colder_when_heat_comes_in(mesh):
+    """Steps far shorter than the time heat takes through an element: no undershoot."""
+    made = conduct(MESHES[mesh], films={"right_end": 50.0}, sources={"left_end": 10.0}, step=0.5)
+    temperature = np.zeros(made.spaces.heat.N)
+    for _ in range(20):
+        before = temperature
+        temperature, _ = heat_step(made.thermal, before, 1.0, 18806.0 * made.operators.area)
+        assert (temperature - before).min() >= -1e-3 * temperature.max()
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_one_condensed_step_is_the_uncondensed_one(mesh):
+    """W and S are exact: no approximation in Eq. (I + A h S) j = A h B y."""
+    made = conduct(MESHES[mesh], films={"right_end": 50.0}, sources={"left_end": 10.0})
+    rng = np.random.default_rng(2)
+    before = rng.uniform(0.0, 10.0, made.spaces.heat.N)
+    joint = 10.0 ** rng.uniform(1.0, 5.0, made.operators.area.size) * made.operators.area
+    after, flow = heat_step(made.thermal, before, 1.5, joint)
+    jump = made.operators.jump.toarray()
+    rate = made.heat.capacity.toarray() / 2.0
+    matrix = rate + (made.heat.conduction + made.heat.convection).toarray()
+    matrix += jump.T @ (joint[:, None] * jump)
+    full = np.linalg.solve(matrix, rate @ before + 1.5 * made.heat.source)
+    np.testing.assert_allclose(after, full, rtol=1e-10)
+    np.testing.assert_allclose(flow, joint * (jump @ full), rtol=1e-7, atol=1e-9)

@@ -1,0 +1,302 @@
+"""The march: what every step must fulfil, and that it can be cut, stopped and continued."""
+
+import copy
+from dataclasses import replace
+from functools import partial
+from itertools import islice, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bars import assemble, surface_law, two_bars
+from scipy.spatial import cKDTree
+
+from artefacts.errors import ConvergenceError, InputError
+from fesim.case import case_from_data
+from fesim.gap import solve_gap
+from fesim.history import sampled_history, step_history, triangle_history
+from fesim.joint_law import evaluate
+from fesim.march import iterated, march, staggered
+from fesim.setup import set_up
+from fesim.simulate import simulate
+
+
+def take(machine, history, count, advance=staggered, start=None):
+    return list(islice(march(machine, history, advance, start), count))
+
+
+def heated_bars(step=2.0, friction=0.3):
+    return assemble(
+        two_bars(left=(2, 3, 1), right=(2, 2, 1)),
+        law=surface_law(friction),
+        films={"bottom": 50.0},
+        sources={"left_top": 300.0},
+        fixed=["left_end", "right_end"],
+        step=step,
+    ).machine
+
+
+@pytest.fixture(scope="module")
+def bars():
+    return heated_bars()
+
+
+@pytest.fixture(scope="module")
+def hard_run(coarse_setup):
+    """35 min at three times the reference heat."""
+    return take(coarse_setup.machine, step_history(3.0), 1050)
+
+
+def test_every_step_balances_heat_and_closes_its_gaps(hard_run, coarse_setup):
+    assert max(step.residual for step in hard_run) <= 1e-11
+    assert max(abs(step.heat_balance) for step in hard_run) <= 1e-8
+    # ... on a run in which the joint slides and its pressures more than halve and double.
+    preload = coarse_setup.machine.preload[0]
+    last = hard_run[-1].state
+    assert last.pressure.min() < 0.5 * preload
+    assert last.pressure.max() > 2.0 * preload
+    assert np.abs(last.slip).max() > 0.1e-6
+
+
+def test_no_pressure_pulls_and_no_shear_exceeds_friction(hard_run, coarse_setup):
+    machine = coarse_setup.machine
+    for before, step in pairwise(hard_run):
+        state = step.state
+        assert state.pressure.min() >= 0.0
+        shear = machine.traction(state.gap, before.state.slip).value[1:]
+        np.testing.assert_array_less(np.hypot(*shear), 0.6 * state.pressure * (1 + 1e-9) + 1e-6)
+
+
+def test_every_joint_has_its_own_law(bars):
+    """Contact elements 1-2 lubricated and lightly loaded, 3-6 as before."""
+    other = surface_law(friction=0.05, preload=1e6)
+    usual = bars.laws[0][0]
+    machine = replace(bars, laws=[(other, 2), (usual, 4)])
+    np.testing.assert_array_equal(machine.preload, [1e6, 1e6, 4.41e6, 4.41e6, 4.41e6, 4.41e6])
+    rng = np.random.default_rng(8)
+    gap, slip = rng.uniform(-1e-6, 1e-6, (3, 6)), np.zeros((2, 6))
+    together = machine.traction(gap, slip)
+    pressure = machine.preload + together.value[0]
+    for law, at in ((other, slice(0, 2)), (usual, slice(2, 6))):
+        alone = evaluate(law, gap[:, at], slip[:, at])
+        np.testing.assert_array_equal(together.value[:, at], alone.value)
+        np.testing.assert_array_equal(together.tangent[..., at], alone.tangent)
+        np.testing.assert_array_equal(together.slip[:, at], alone.slip)
+        np.testing.assert_array_equal(
+            machine.conductance(pressure)[at], law.conductance(pressure[at])
+        )
+    steps = take(machine, step_history(1.0), 10)
+    assert max(step.residual for step in steps) <= 1e-11
+    assert max(abs(step.heat_balance) for step in steps) <= 1e-8
+
+
+def test_time_is_the_step_index_times_the_step(hard_run):
+    assert [step.state.index for step in hard_run] == list(range(1, 1051))
+
+
+def test_heat_flows_from_hot_to_cold_through_every_contact(hard_run, coarse_setup):
+    machine = coarse_setup.machine
+    for step in hard_run[::50]:
+        jump = machine.thermal.jump @ step.state.temperature
+        expected = step.conductance * machine.elastic.area[: machine.contacts] * jump
+        np.testing.assert_allclose(step.heat_flow, expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("advance", [staggered, iterated])
+def test_balance_holds_when_the_heat_is_gone(bars, advance):
+    steps = take(bars, triangle_history(2.0, 40.0), 40, advance)
+    assert steps[-1].heat_input == 0.0
+    assert max(abs(step.heat_balance) for step in steps) <= 1e-8
+    assert max(step.residual for step in steps) <= 1e-11
+
+
+def test_at_rest_nothing_happens(bars):
+    for step in take(bars, step_history(0.0), 3):
+        np.testing.assert_array_equal(step.state.temperature, 0.0)
+        np.testing.assert_allclose(step.displacement, 0.0, atol=1e-20)
+        np.testing.assert_allclose(step.state.pressure, bars.preload, rtol=1e-12)
+        assert step.heat_balance == 0.0
+
+
+def test_small_inputs_are_answered_in_proportion(bars):
+    """The nonlinearity is of second order in the heat."""
+    one, two, four = (
+        np.array([s.displacement for s in take(bars, step_history(q), 10)])
+        for q in (1e-3, 2e-3, 4e-3)
+    )
+    scale = np.abs(one).max()
+    first, second = np.abs(two - 2 * one).max() / scale, np.abs(four - 2 * two).max() / scale
+    assert first < 1e-3
+    assert second == pytest.approx(4.0 * first, rel=0.1)
+
+
+def test_large_inputs_are_not(hard_run, coarse_setup):
+    reference = take(coarse_setup.machine, step_history(1.0), 1050)[-1].displacement
+    off = hard_run[-1].displacement - 3.0 * reference
+    assert np.abs(off).max() > 1e-6
+
+
+def test_iterated_coupling_agrees_with_itself(bars):
+    for step in take(bars, step_history(1.0), 10, iterated):
+        np.testing.assert_allclose(
+            step.conductance, bars.conductance(step.state.pressure), rtol=1e-7
+        )
+
+
+def test_staggered_uses_the_pressure_of_the_last_step(bars):
+    steps = take(bars, step_history(1.0), 5)
+    np.testing.assert_array_equal(steps[0].conductance, bars.conductance(bars.preload))
+    for before, step in pairwise(steps):
+        np.testing.assert_array_equal(step.conductance, bars.conductance(before.state.pressure))
+
+
+def test_staggered_and_iterated_come_together_in_proportion_to_the_step(monkeypatch):
+    monkeypatch.setattr("fesim.march.solve_gap", partial(solve_gap, tolerance=1e-16))
+    difference = []
+    for step in (4.0, 2.0, 1.0):
+        machine = heated_bars(step)
+        ends = [
+            take(machine, step_history(1.0), round(48.0 / step), advance)[-1].state
+            for advance in (staggered, iterated)
+        ]
+        difference.append(np.abs(ends[0].pressure - ends[1].pressure).max())
+    assert difference[-1] > 100.0  # Pa: well above what the solver leaves
+    assert difference[0] / difference[1] == pytest.approx(2.0, abs=0.4)
+    assert difference[1] / difference[2] == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("advance", [staggered, iterated])
+def test_a_march_goes_on_bit_for_bit_from_its_state(bars, advance):
+    history = sampled_history(np.array([0.0, 10.0, 30.0]), np.array([0.0, 3.0, -1.0]))
+    whole = take(bars, history, 20, advance)
+    saved = copy.deepcopy(whole[11].state)
+    rest = take(bars, history, 8, advance, saved)
+    for ours, theirs in zip(rest, whole[12:], strict=True):
+        for name in ("conductance", "heat_flow", "displacement", "remainder"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        for name, value in vars(ours.state).items():
+            np.testing.assert_array_equal(value, getattr(theirs.state, name))
+        assert (ours.residual, ours.iterations) == (theirs.residual, theirs.iterations)
+
+
+def test_a_march_does_not_change_the_state_it_starts_from(bars):
+    start = take(bars, step_history(2.0), 3)[-1].state
+    kept = copy.deepcopy(start)
+    take(bars, step_history(2.0), 3, start=start)
+    for name, value in vars(kept).items():
+        np.testing.assert_array_equal(getattr(start, name), value)
+
+
+def test_two_marches_of_one_machine_do_not_disturb_each_other(bars):
+    alone = take(bars, step_history(1.0), 6)
+    one, other = (march(bars, step_history(q), staggered) for q in (1.0, 3.0))
+    for expected in alone:
+        found = next(one)
+        next(other)
+        np.testing.assert_array_equal(found.displacement, expected.displacement)
+
+
+@pytest.mark.parametrize("advance", [staggered, iterated])
+def test_a_step_out_of_reach_raises_and_yields_nothing(bars, advance, monkeypatch):
+    marching = march(bars, step_history(1.0), advance)
+    done = list(islice(marching, 3))
+    monkeypatch.setattr("fesim.march.solve_gap", partial(solve_gap, tolerance=0.0))
+    with pytest.raises(ConvergenceError, match=r"step to t = 8 s: gap equations") as caught:
+        done.append(next(marching))
+    assert "\n" not in str(caught.value)
+    assert len(done) == 3
+    assert list(marching) == []
+
+
+def test_a_step_too_long_for_newton_is_cut_and_ends_in_the_same_place(monkeypatch):
+    """Without friction the end does not depend on the way there."""
+    machine = heated_bars(step=10.0, friction=0.0)
+    whole = take(machine, step_history(1.0), 3)
+    reached = np.zeros(3 * machine.contacts)
+    asked = []
+
+    def short_sighted(problem, thermal_gap, slip, guess):
+        nonlocal reached
+        asked.append(float(np.abs(thermal_gap - reached).max()))
+        if asked[-1] > 0.1e-6:
+            raise ConvergenceError("too far")
+        reached = thermal_gap
+        return solve_gap(problem, thermal_gap, slip, guess)
+
+    monkeypatch.setattr("fesim.march.solve_gap", short_sighted)
+    cut = take(machine, step_history(1.0), 3)
+    assert max(asked) > 0.1e-6
+    assert sum(step.cuts for step in cut) >= 2
+    for ours, theirs in zip(cut, whole, strict=True):
+        assert theirs.cuts == 0
+        assert (ours.cuts == 0) or (ours.iterations > theirs.iterations)
+        assert ours.residual <= 1e-11
+        np.testing.assert_allclose(ours.state.gap[0], theirs.state.gap[0], rtol=0.0, atol=1e-10)
+
+
+def test_in_step_iteration_that_does_not_settle_raises(bars, monkeypatch):
+    monkeypatch.setattr("fesim.march.MAX_SWEEPS", 1)
+    with pytest.raises(ConvergenceError, match="in-step iteration"):
+        take(bars, step_history(1.0), 1, iterated)
+
+
+def test_half_and_whole_machine_agree(coarse_data, coarse_setup, monkeypatch):
+    monkeypatch.setattr("fesim.march.solve_gap", partial(solve_gap, tolerance=1e-16))
+    data = copy.deepcopy(coarse_data)
+    data["structure"]["half"] = False
+    data["supports"] = {"fixed": data["supports"]["fixed"]}
+    setup = set_up(case_from_data(data, "whole", Path()))
+    assert setup.machine.contacts == 2 * coarse_setup.machine.contacts
+    places = setup.joints[0].centre
+    mirrored = np.column_stack([places[:, :2], np.minimum(places[:, 2], 0.5 - places[:, 2])])
+    # The contact element of the half model that each one of the whole model is or mirrors.
+    apart, twin = cKDTree(coarse_setup.joints[0].centre).query(mirrored)
+    assert apart.max() < 1e-9
+    halves = take(coarse_setup.machine, step_history(2.0), 60)
+    wholes = take(setup.machine, step_history(2.0), 60)
+    for half, whole in zip(halves[::10], wholes[::10], strict=True):
+        np.testing.assert_allclose(
+            whole.displacement[:2], half.displacement[:2], rtol=1e-7, atol=1e-13
+        )
+        assert abs(whole.displacement[2]) < 1e-12
+        np.testing.assert_allclose(whole.state.pressure, half.state.pressure[twin], rtol=1e-6)
+        assert whole.heat_flow.sum() == pytest.approx(2.0 * half.heat_flow.sum(), rel=1e-6)
+        np.testing.assert_allclose(
+            setup.probe_rows @ whole.state.temperature,
+            coarse_setup.probe_rows @ half.state.temperature,
+            rtol=1e-8,
+        )
+
+
+def test_simulation_continued_from_its_state_is_the_one_in_one_go(coarse_data, coarse_setup):
+    def case_of(minutes):
+        data = copy.deepcopy(coarse_data)
+        data["march"]["duration_min"] = minutes
+        data["heat_input"] = {"kind": "triangle", "peak": 2.0, "duration_min": 1.5}
+        return case_from_data(data, "case", Path())
+
+    whole = simulate(case_of(2.0), setup=coarse_setup).response
+    first = simulate(case_of(1.0), setup=coarse_setup)
+    second = simulate(case_of(2.0), setup=coarse_setup, start=first.state)
+    assert whole.sizes["time"] == 61
+    assert whole["time"].to_numpy()[-1] == 120.0
+    for name in ("displacement", "temperature", "pressure", "slip", "heat_input", "gap_residual"):
+        joined = np.concatenate([first.response[name], second.response[name]])
+        np.testing.assert_array_equal(joined, whole[name])
+    with pytest.raises(InputError, match=r"make march\.duration_min longer"):
+        simulate(case_of(1.0), setup=coarse_setup, start=second.state)
+
+
+def test_simulation_starts_at_rest_and_tells_its_progress(coarse_case, coarse_setup):
+    seen, steps = [], []
+    run = simulate(
+        coarse_case,
+        setup=coarse_setup,
+        progress=lambda done, count: seen.append((done, count)),
+        on_step=lambda step: steps.append(step.state.temperature.size),
+    )
+    assert seen == [(i, 30) for i in range(1, 31)]
+    assert set(steps) == {coarse_setup.spaces.heat.N}
+    for name in ("displacement", "temperature", "heat_flow", "slip", "opening"):
+        np.testing.assert_array_equal(run.response[name][0], 0.0)
+    np.testing.assert_allclose(run.response["pressure"][0], 4.41e6, rtol=1e-12)

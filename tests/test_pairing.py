@@ -1,0 +1,189 @@
+"""Plane geometry of a joint: clipping, quadrature, and the pairing of sides that do not match."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bars import AREA, DEPTH, LEFT, WIDTH, two_bars
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from artefacts.errors import InputError
+from fesim.spaces import interpolation, local_coordinates, make_spaces
+from meshes.milling_machine import box_milling_machine
+from meshes.pairing import pair_joint
+from meshes.polygons import anticlockwise, clip, quadrature, signed_area
+
+
+@st.composite
+def polygons(draw):
+    """Convex polygons of three to eight corners, each on an ellipse near the origin."""
+    count = draw(st.integers(3, 8))
+    gaps = np.array([draw(st.floats(0.2, 1.0)) for _ in range(count)])
+    angles = 2 * np.pi * np.cumsum(gaps) / gaps.sum()
+    width, height, x, y = (draw(st.floats(*ends)) for ends in [(0.2, 2)] * 2 + [(-1, 1)] * 2)
+    return np.stack([x + width * np.cos(angles), y + height * np.sin(angles)], axis=1)
+
+
+def overlap(first, second):
+    both = clip(first, second)
+    return signed_area(both) if len(both) else 0.0
+
+
+@given(polygons(), polygons())
+def test_clipping_is_symmetric_and_never_grows(first, second):
+    area = overlap(first, second)
+    assert area == pytest.approx(overlap(second, first), abs=1e-12)
+    assert -1e-12 <= area <= min(signed_area(first), signed_area(second)) + 1e-12
+
+
+@given(polygons(), st.floats(0.0, 2 * np.pi), st.floats(-0.5, 0.5))
+def test_two_halves_make_the_whole(polygon, angle, offset):
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    foot = polygon.mean(axis=0) + offset * across
+    half = np.array([foot - 9 * along, foot + 9 * along])
+    above = np.array([*half, *(half[::-1] + 9 * across)])
+    below = np.array([*half[::-1], *(half - 9 * across)])
+    assert overlap(polygon, above) + overlap(polygon, below) == pytest.approx(
+        signed_area(polygon), rel=1e-12
+    )
+
+
+@given(polygons())
+def test_clipping_with_itself_and_with_a_stranger(polygon):
+    assert overlap(polygon, polygon) == pytest.approx(signed_area(polygon), rel=1e-12)
+    assert overlap(polygon, polygon + 7.0) == 0.0
+
+
+@given(polygons())
+def test_orientation_does_not_change_the_polygon(polygon):
+    assert np.array_equal(anticlockwise(polygon), polygon)
+    assert signed_area(polygon[::-1]) == pytest.approx(-signed_area(polygon))
+    assert signed_area(anticlockwise(polygon[::-1])) > 0.0
+
+
+def moment(polygon, i, j):
+    """Integral of x^i y^j over a polygon, by Green's theorem with a rule of degree seven."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    t = (1 + nodes[:, None]) / 2
+    x = start[:, 0] + t * (end - start)[:, 0]
+    y = start[:, 1] + t * (end - start)[:, 1]
+    slope = (end - start)[:, 1]
+    return float((weights[:, None] / 2 * x ** (i + 1) * y**j * slope).sum() / (i + 1))
+
+
+@given(polygons())
+def test_quadrature_is_exact_to_degree_four(polygon):
+    (x, y), weights = quadrature(polygon)[0].T, quadrature(polygon)[1]
+    assert (weights > 0.0).all()
+    assert weights.sum() == pytest.approx(signed_area(polygon), rel=1e-12)
+    for i in range(5):
+        for j in range(5 - i):
+            assert weights @ (x**i * y**j) == pytest.approx(moment(polygon, i, j), abs=1e-11)
+
+
+DIVISIONS = st.tuples(st.integers(1, 2), st.integers(1, 5), st.integers(1, 5))
+
+
+@settings(max_examples=25, deadline=None)
+@given(DIVISIONS, DIVISIONS, st.booleans(), st.integers(1, 7), st.integers(1, 3))
+def test_sides_that_do_not_match_are_integrated_exactly(left, right, tetrahedra, along, across):
+    structure = two_bars(left, right, tetrahedra)
+    joint = pair_joint(structure, "joint", along, across)
+    assert joint.weights.sum() == pytest.approx(AREA, rel=1e-12)
+    # Equal contact elements: the grid, not the facets, divides the joint.
+    assert joint.area == pytest.approx(np.full(along * across, AREA / (along * across)), rel=1e-9)
+
+    basis = make_spaces(structure.mesh).heat
+    slopes, constant = np.array([3.0, -5.0, 7.0]), 11.0
+    field = slopes @ structure.mesh.p + constant
+    share = joint.weights / joint.area[joint.element]
+    for points, cells in ((joint.points_a, joint.cells_a), (joint.points_b, joint.cells_b)):
+        means = interpolation(basis, points, cells, joint.element, share, len(joint.area))
+        assert means @ field == pytest.approx(joint.centre @ slopes + constant, rel=1e-11)
+        local = local_coordinates(structure.mesh, points, cells)
+        inside = np.maximum(-local, local - 1.0).max()
+        assert inside < 1e-9
+        if tetrahedra:
+            assert (local.sum(axis=0) < 1.0 + 1e-9).all()
+    assert np.isin(joint.cells_a, structure.bodies["left"]).all()
+    assert np.isin(joint.cells_b, structure.bodies["right"]).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    st.tuples(*[st.floats(-2.0, 2.0)] * 3),
+    st.floats(0.0, 0.01),
+)
+def test_a_joint_may_stand_anywhere_and_have_a_gap(turn, shift, gap):
+    bars = two_bars((2, 3, 2), (2, 4, 3))
+    rotation = Rotation.from_rotvec(turn)
+    points = bars.mesh.p.copy()
+    points[0, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += gap
+    moved = type(bars.mesh)(rotation.apply(points.T).T + np.array(shift)[:, None], bars.mesh.t)
+    joint = pair_joint(replace(bars, mesh=moved, probes={}), "joint", 3, 2)
+    assert joint.normal == pytest.approx(rotation.apply([1.0, 0.0, 0.0]), abs=1e-9)
+    assert joint.area == pytest.approx(np.full(6, AREA / 6), rel=1e-6)
+    apart = joint.points_b - joint.points_a
+    assert apart == pytest.approx(np.outer(joint.normal, np.full(apart.shape[1], gap)), abs=1e-12)
+    frame = np.vstack([joint.normal, joint.tangents])
+    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-9)
+
+
+def test_contact_elements_are_counted_along_the_strip_from_bottom_to_top():
+    half = pair_joint(box_milling_machine(element_size=0.1), "knee", 9, 1)
+    assert half.tangents[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
+    assert half.centre[:, 1] == pytest.approx(0.35 + 0.4 * (np.arange(9) + 0.5) / 9)
+    whole = pair_joint(box_milling_machine(element_size=0.1, half=False), "knee", 9, 2)
+    assert whole.area == pytest.approx(np.full(36, 0.4 * 0.075 / 18))
+    first, second = whole.centre[:18], whole.centre[18:]
+    for strip in (first, second):
+        assert strip[:9, 1] == pytest.approx(half.centre[:, 1])
+        assert np.ptp(strip[:9, 2]) < 1e-12
+    assert (first[:, 2] < 0.25).all() != (second[:, 2] < 0.25).all()
+
+
+def test_pieces_cover_the_contact_elements():
+    joint = pair_joint(two_bars((2, 3, 2), (2, 4, 3)), "joint", 4, 2)
+    areas = [
+        0.5 * np.linalg.norm(np.cross(piece, np.roll(piece, -1, axis=0)).sum(axis=0))
+        for piece in joint.pieces
+    ]
+    assert np.bincount(joint.piece_element, areas) == pytest.approx(joint.area)
+    corners = np.concatenate(joint.pieces)
+    assert corners.min(axis=0) == pytest.approx([LEFT, 0.0, 0.0], abs=1e-12)
+    assert corners.max(axis=0) == pytest.approx([LEFT, WIDTH, DEPTH])
+
+
+def test_only_the_overlap_of_the_sides_is_joint():
+    bars = two_bars((2, 2, 2), (2, 2, 2))
+    points = bars.mesh.p.copy()
+    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += WIDTH / 4
+    joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
+    assert joint.area.sum() == pytest.approx(0.75 * AREA)
+    assert len(joint.area) == 3
+
+
+def test_sides_that_do_not_face_each_other_are_refused():
+    bars = two_bars((1, 1, 1), (1, 1, 1))
+    points = bars.mesh.p.copy()
+    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += 2 * WIDTH
+    apart = replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t))
+    with pytest.raises(InputError, match="'joint': its sides do not face each other"):
+        pair_joint(apart, "joint", 3, 1)
+
+
+@pytest.mark.parametrize(("body", "side"), [("left", "a"), ("right", "b")])
+def test_a_side_that_is_not_plane_is_refused(body, side):
+    bars = two_bars((2, 2, 2), (2, 2, 2))
+    points = bars.mesh.p.copy()
+    corner = np.isclose(points, np.array([[LEFT], [0.0], [0.0]])).all(axis=0)
+    own = np.isin(np.arange(points.shape[1]), bars.mesh.t[:, bars.bodies[body]])
+    points[0, corner & own] += 0.002
+    bent = replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t))
+    with pytest.raises(InputError, match=rf"side {side} leaves its mean plane"):
+        pair_joint(bent, "joint", 3, 1)

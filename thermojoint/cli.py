@@ -1,0 +1,342 @@
+"""The command line: reads what it is given, calls the packages, prints and writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import signal
+from collections.abc import Iterator
+from importlib.metadata import version
+from importlib.resources import as_file, files
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from artefacts.errors import InputError, ThermojointError
+from artefacts.files import write_text
+from artefacts.response import read_response, write_response
+from calibrate.model_file import read_model, read_provenance, write_model
+from estimator.assembly import start
+from estimator.fchs import initial_state, stream
+from estimator.state_file import load_state, save_state
+from fesim import state_file
+from fesim.case import read_case
+from fesim.setup import set_up
+from fesim.simulate import simulate as run_case
+from fesim.snapshots import snapshot_writer
+from thermojoint import arguments, console, measured, study
+from thermojoint.provenance import provenance_of
+from thermojoint.reproduce import reproduce as run_all
+from thermojoint.summary import convergence
+from thermojoint.tables import printed_tables, tables_json
+from thermojoint.view import Show, draw
+
+#: Exit code of everything the user can mend.
+BAD_INPUT = 2
+
+app = typer.Typer(
+    help="Nonlinear thermoelastic machine tools: simulate the joints, calibrate the generalised "
+    "models, estimate the displacement in real time from temperatures.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
+
+
+def main() -> None:
+    """Run the command line; errors a user can mend are one line on standard error, exit code 2."""
+    signal.signal(signal.SIGTERM, _stop)
+    try:
+        app()
+    except ThermojointError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or 'file'}: {error.strerror or error}; choose another place")
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    """End as after Ctrl-C, so that no half-written file stays behind."""
+    raise SystemExit(128 + number)
+
+
+def _fail(message: str) -> None:
+    console.say("thermojoint: " + " ".join(message.split()))
+    raise SystemExit(BAD_INPUT)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"thermojoint {version('thermojoint')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _every_command(
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version and end.", callback=_show_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+@app.command()
+def simulate(
+    case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Response file to write (NetCDF).")],
+    save: Annotated[
+        Path | None, typer.Option("--save-state", help="Write the state at the end here (NPZ).")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--continue", help="Go on from a saved state (NPZ).")
+    ] = None,
+    snapshots: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for field snapshots (VTU/PVD) at the case's output.snapshots_s, or at "
+            "the end if it names none."
+        ),
+    ] = None,
+) -> None:
+    """Simulate a case: heat, contact and displacement in time.
+
+    Example: [bold]thermojoint simulate machine.toml --out machine.nc[/bold]
+
+    Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
+    """
+    arguments.check_writable(out, save)
+    given = read_case(case)
+    begin = state_file.load_state(resume, given) if resume else None
+    with console.progress_bars() as report:
+        report("setting up", 0, 1)
+        setup = set_up(given)
+        report("setting up", 1, 1)
+        times = given.output.snapshots_s
+        folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
+        finished = run_case(
+            given,
+            setup=setup,
+            start=begin,
+            on_step=snapshot_writer(setup, folder, times or [60.0 * given.march.duration_min])
+            if folder
+            else None,
+            progress=lambda done, total: report("marching", done, total),
+        )
+    write_response(finished.response, out)
+    if save:
+        state_file.save_state(finished.state, given, save)
+    console.show_convergence(console.out(), {out.name: convergence(finished.response)})
+    _wrote(out, save, folder)
+
+
+@app.command()
+def calibrate(
+    reference: Annotated[Path, typer.Option(help="Response to the reference step (NetCDF).")],
+    given: Annotated[
+        list[str],
+        typer.Option("--input", help="Another step: LEVEL=RESPONSE; give two or more."),
+    ],
+    out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
+) -> None:
+    """Calibrate the generalised models: Tables 1-3.
+
+    Example: [bold]thermojoint calibrate --reference r1.nc --input 0.5=r05.nc --input 2=r2.nc --out
+    model.json[/bold]
+    """
+    arguments.check_writable(out)
+    base = read_response(reference)
+    others = {level: read_response(path) for level, path in map(arguments.level_and_file, given)}
+    if len(others) < len(given):
+        raise InputError("--input: a heat input is given twice; give each once")
+    with console.progress_bars() as report:
+        report("calibrating", 0, 1)
+        calibrated = study.calibrate_responses(base, others)
+        report("calibrating", 1, 1)
+    case = str(base.attrs.get("case", reference.name))
+    provenance = provenance_of(calibrated.linear, calibrated.fictitious, case)
+    write_model(calibrated.model, out, provenance)
+    console.show_tables(console.out(), printed_tables(tables_json(calibrated.model, provenance)))
+    _wrote(out)
+
+
+@app.command()
+def tables(
+    model: ModelFile,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Print Tables 1-3 of a model with the paper's values beside them.
+
+    Example: [bold]thermojoint tables model.json[/bold]
+
+    Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
+    """
+    content = tables_json(read_model(model), read_provenance(model))
+    if as_json:
+        print(json.dumps(content, indent=2, allow_nan=False))
+    else:
+        console.show_tables(console.out(), printed_tables(content))
+
+
+@app.command()
+def estimate(
+    model: ModelFile,
+    temperatures: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MEASURED",
+            help="CSV of measured temperatures, '-' for standard input, or a response (.nc).",
+            allow_dash=True,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="CSV to write, '-' for standard output.", allow_dash=True)
+    ],
+    interval: Annotated[
+        float | None,
+        typer.Option("--interval-s", help="Nominal sampling interval, s; default: the first one."),
+    ] = None,
+    run_length: Annotated[
+        float, typer.Option("--run-length-min", help="Length of a run, min.")
+    ] = 120.0,
+    save: Annotated[
+        Path | None, typer.Option("--save-state", help="Write the estimator's state here (JSON).")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--continue", help="Go on from a saved state (JSON).")
+    ] = None,
+) -> None:
+    """Estimate heat and displacement from temperatures alone, row by row.
+
+    The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above ambient), or time_s, a_degC,
+    b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing.
+
+    Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
+
+    Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
+    """
+    arguments.check_writable(out, save)
+    if not 0.0 < run_length < math.inf:
+        raise InputError(f"--run-length-min {run_length:g}: give a positive number of minutes")
+    table = read_model(model)
+    sensors, where = list(table.linear.direct), arguments.shown(temperatures)
+    with arguments.opened(temperatures) as source:
+        samples: Iterator[measured.Sample]
+        if source is None:
+            samples = measured.response_samples(read_response(temperatures), table)
+        else:
+            samples = measured.read_samples(source, sensors, where)
+        nominal, samples = measured.nominal_interval(samples, interval, where)
+        machine = start(table, nominal, 60.0 * run_length)
+        state = load_state(machine, resume) if resume else initial_state(machine)
+        with arguments.output(out) as target:
+            writer = csv.writer(target, lineterminator="\n")
+            writer.writerow(measured.estimate_header(machine.axes, sensors))
+            for reached, result in stream(machine, samples, state):
+                state = reached
+                writer.writerow(measured.estimate_row(result))
+                target.flush()
+    if save:
+        save_state(machine, state, save)
+    _wrote(None if str(out) == "-" else out, save)
+
+
+@app.command()
+def validate(
+    model: ModelFile,
+    responses: Annotated[list[Path], typer.Argument(help="Responses to validate against.")],
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="Response to the reference step: makes the nonlinear part exact."),
+    ] = None,
+    noise_pp: Annotated[
+        float | None,
+        typer.Option("--noise-pp", help="Peak-to-peak noise put on every temperature, K."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+) -> None:
+    """Judge the estimator: it sees the temperatures, the displacement is the judge.
+
+    Example: [bold]thermojoint validate model.json step-3.nc --reference r1.nc[/bold]
+
+    Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
+    """
+    arguments.check_writable(out)
+    table = read_model(model)
+    base = read_response(reference) if reference else None
+    given = {path.stem: read_response(path) for path in responses}
+    if len(given) < len(responses):
+        raise InputError("validate: two responses have the same name; rename one")
+    if noise_pp is not None:
+        given = {
+            f"{name}-noise": measured.with_noise(response, table, noise_pp, seed)
+            for name, response in given.items()
+        }
+    found = study.validate_model(table, base, given)
+    if out:
+        write_text(out, json.dumps({"rows": found.rows, "blocks": found.blocks}, indent=2) + "\n")
+    console.show_validation(console.out(), found.rows)
+    console.show_blocks(console.out(), found.blocks)
+    _wrote(out)
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for all results.")] = Path("results"),
+    case: Annotated[
+        Path | None, typer.Option(help="Another case file; default: the reference machine.")
+    ] = None,
+) -> None:
+    """Run the whole chain: simulate, calibrate, Tables 1-3, validate, figures, report.
+
+    Example: [bold]thermojoint reproduce --out results[/bold]
+
+    Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is a file; give a folder")
+    with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
+        given = read_case(case or standard)
+    run_all(given, out)
+    _wrote(out)
+
+
+@app.command()
+def view(
+    source: Annotated[Path, typer.Argument(help="Case file (TOML) or response (NetCDF).")],
+    out: Annotated[Path, typer.Option(help="Picture to write (PNG; curves also SVG, PDF).")],
+    show: Annotated[
+        Show | None,
+        typer.Option(help="What to show; default: the structure of a case, a response's curves."),
+    ] = None,
+) -> None:
+    """Draw a structure, its curves, or its fields at the end of the run.
+
+    Temperature, deformation and pressure simulate the case, or the case inside the response.
+
+    Example: [bold]thermojoint view machine.toml --out machine.png[/bold]
+
+    Example: [bold]thermojoint view machine.nc --show deformation --out deformed.png[/bold]
+    """
+    arguments.check_writable(out)
+    with console.progress_bars() as report:
+        draw(source, show, out, report)
+    _wrote(out)
+
+
+def _wrote(*paths: Path | None) -> None:
+    for path in paths:
+        if path is not None:
+            console.say(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""What the user sees: tables on standard output, progress and errors on the other one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from thermojoint import paper_values
+from thermojoint.summary import Convergence, PressureShare
+from thermojoint.tables import NOTE, PrintedTable
+
+#: Called with (what is being worked on, done, in all).
+Report = Callable[[str, int, int], None]
+
+
+def out() -> Console:
+    """Return the console for results, as wide as the terminal, or 100 columns in a file."""
+    console = Console(highlight=False, markup=False)
+    return console if console.is_terminal else Console(highlight=False, markup=False, width=100)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Report]:
+    """Give a function that shows one bar for each thing named; silent where there is no terminal.
+
+    Yields
+    ------
+    callable
+        To be called with (name, done, in all).
+    """
+    console = Console(stderr=True)
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+    tasks: dict[str, TaskID] = {}
+
+    def report(name: str, done: int, total: int) -> None:
+        if name not in tasks:
+            tasks[name] = bars.add_task(name, total=total)
+        bars.update(tasks[name], completed=done, total=total)
+
+    with bars:
+        yield report
+
+
+def say(text: str) -> None:
+    """Print one line about what was done, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number as a table shows it; a dash where there is none."""
+    return "–" if value is None else f"{value:.{digits}g}"
+
+
+def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
+    """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
+    for printed in tables:
+        table = Table()
+        table.add_column("parameter")
+        table.add_column("unit")
+        table.add_column("ours", justify="right")
+        table.add_column("paper", justify="right")
+        for block in printed.blocks:
+            table.add_section()
+            table.add_row(block.title, style="bold")
+            for row in block.rows:
+                table.add_row(row.name, row.unit, number(row.ours), number(row.paper))
+        _titled(console, printed.title, table)
+    console.print(NOTE)
+    console.print(f"Paper: {paper_values.CITATION}.")
+
+
+def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+    """Print the errors of the estimators, from temperatures alone."""
+    table = Table()
+    title = "Validation from temperatures alone (µm)"
+    for name in ("case", "estimator", "axis"):
+        table.add_column(name, no_wrap=True)
+    for name in ("max error", "rms error", "peak", "nonlinear peak", "paper's error"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        claim = paper_claim(row)
+        table.add_row(
+            str(row["case"]),
+            str(row["estimator"]),
+            str(row["axis"]),
+            *(
+                number(float(row[name]), 3)
+                for name in (
+                    "max_abs_error_um",
+                    "rms_error_um",
+                    "peak_total_um",
+                    "peak_nonlinear_um",
+                )
+            ),
+            number(claim),
+        )
+    _titled(console, title, table)
+
+
+def paper_claim(row: Mapping[str, str | float]) -> float | None:
+    """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
+    if row["estimator"] != "fchs":
+        return None
+    return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
+
+
+def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+    """Print which block of Figure 5 an error comes from."""
+    if not rows:
+        return
+    table = Table()
+    title = "Largest error by what drives the blocks (µm)"
+    for name in ("case", "driven by", "axis"):
+        table.add_column(name)
+    for name in ("linear", "nonlinear", "total"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(
+            str(row["case"]),
+            str(row["driven_by"]),
+            str(row["axis"]),
+            *(
+                number(float(row[f"{part}_error_um"]), 3)
+                for part in ("linear", "nonlinear", "total")
+            ),
+        )
+    _titled(console, title, table)
+
+
+def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
+    """Print the solver's figures of each response."""
+    table = Table()
+    title = "Solver"
+    table.add_column("response")
+    for name in ("steps", "gap residual (m)", "heat balance", "iterations", "most", "cuts"):
+        table.add_column(name, justify="right")
+    for name, row in rows.items():
+        table.add_row(
+            name,
+            str(row.steps),
+            f"{row.gap_residual:.1e}",
+            f"{row.heat_balance:.1e}",
+            str(row.iterations),
+            str(row.most_iterations),
+            str(row.cuts),
+        )
+    _titled(console, title, table)
+
+
+def show_share(console: Console, share: PressureShare) -> None:
+    """Print the share of the steady contact pressure reached, for each contact element."""
+    table = Table()
+    title = (
+        f"Share of the final change of contact pressure after {share.at_s:g} s "
+        f"(paper, under compression: {paper_values.PRESSURE_SHARE:.0%})"
+    )
+    table.add_column("contact element", justify="right")
+    table.add_column("pressure")
+    table.add_column("share", justify="right")
+    for name, value, rises in zip(share.contact, share.share, share.compressed, strict=True):
+        shown = f"{value:.0%}" if value == value else "–"
+        table.add_row(str(name), "rises" if rises else "falls", shown)
+    _titled(console, title, table)
+
+
+def _titled(console: Console, title: str, table: Table) -> None:
+    """Print a table under its title; a title inside would be broken to the table's width."""
+    console.print()
+    console.print(title, style="bold")
+    console.print(table)

@@ -1,0 +1,182 @@
+"""The paper's Figures 7-11 from our data: pure functions from data to a matplotlib figure.
+
+Time is in minutes, temperature in K, displacement in µm, pressure in MPa. Curves differ in line
+style as well as in shade, so that they can be told apart in grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+_SIZE = (7.0, 4.2)
+_STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
+#: Above this many contact elements their curves get no label of their own.
+_LABELLED = 12
+
+
+def pressure_figure(response: xr.Dataset) -> Figure:
+    """Figure 7: change of the contact pressure of each contact element, compression negative.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A simulated response, with ``pressure``.
+    """
+    if "pressure" not in response:
+        raise InputError("response: variable 'pressure' is missing; give a simulated response")
+    minutes = response["time"].to_numpy() / 60.0
+    change = -(response["pressure"] - response["pressure"].isel(time=0)).to_numpy() / 1e6
+    numbers = response["contact"].to_numpy()
+    figure, axes = _figure(1)
+    labelled = len(numbers) <= _LABELLED
+    for k, number in enumerate(numbers):
+        axes[0].plot(
+            minutes,
+            change[:, k],
+            linestyle=_STYLES[k % len(_STYLES)],
+            # One shade fewer than styles: no pair of the two comes twice among thirty curves.
+            color=_SHADES[k % (len(_SHADES) - 1)],
+            linewidth=1.3,
+            label=f"element {number}" if labelled else None,
+        )
+    if labelled:
+        _name_ends(axes[0], minutes[-1], change[-1], [str(number) for number in numbers])
+    preload = float(response["pressure"].isel(time=0).max()) / 1e6
+    axes[0].set_title(f"Contact pressure from the preload of {preload:.2f} MPa", fontsize=10)
+    axes[0].set_ylabel("change of contact pressure (MPa),\ncompression negative")
+    _finish(axes, legend=labelled, outside=True)
+    return figure
+
+
+def temperatures_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]) -> Figure:
+    """Figures 8 and 10: temperature deviations, one panel for each sensor.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    curves : mapping
+        Sensor to {label: deviation from the linear structure in K, shape (k,)}.
+    """
+    figure, axes = _figure(len(curves))
+    for axis, (sensor, series) in zip(axes, curves.items(), strict=True):
+        _draw(axis, times, series, 1.0)
+        axis.set_ylabel(f"deviation at {sensor} (K)")
+    _finish(axes)
+    return figure
+
+
+def displacements_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]) -> Figure:
+    """Figures 9 and 11: nonlinear displacement, one panel for each axis.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    curves : mapping
+        Axis to {label: nonlinear displacement in m, shape (k,)}.
+    """
+    figure, axes = _figure(len(curves))
+    for axis, (direction, series) in zip(axes, curves.items(), strict=True):
+        _draw(axis, times, series, 1e6)
+        axis.set_ylabel(f"nonlinear displacement {direction} (µm)")
+    _finish(axes)
+    return figure
+
+
+def response_figure(response: xr.Dataset) -> Figure:
+    """Overview of one response: heat input, temperatures and displacements.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Simulated or measured; no more than the first six probes are drawn.
+    """
+    times = response["time"].to_numpy()
+    figure, axes = _figure(3)
+    _draw(axes[0], times, {"heat input": response["heat_input"].to_numpy()}, 1.0)
+    axes[0].set_ylabel("heat input (reference = 1)")
+    probes = [str(name) for name in response["probe"].to_numpy()][: len(_STYLES)]
+    temperature = response["temperature"].to_numpy()
+    _draw(axes[1], times, {name: temperature[:, k] for k, name in enumerate(probes)}, 1.0)
+    axes[1].set_ylabel("temperature above ambient (K)")
+    names = [str(name) for name in response["axis"].to_numpy()]
+    displacement = response["displacement"].to_numpy()
+    _draw(axes[2], times, {name: displacement[:, k] for k, name in enumerate(names)}, 1e6)
+    axes[2].set_ylabel("displacement (µm)")
+    _finish(axes)
+    return figure
+
+
+def write_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
+    """Write `figure` to `path`, whole or not at all; the suffix (.png, .svg, .pdf) is the format.
+
+    Raises
+    ------
+    InputError
+        matplotlib does not know the suffix.
+    """
+    known = figure.canvas.get_supported_filetypes()
+    suffix = Path(path).suffix.lstrip(".").lower()
+    if suffix not in known:
+        raise InputError(f"{path}: no picture format {suffix!r}; use .png, .svg or .pdf")
+    with whole_file(Path(path)) as part:
+        figure.savefig(part, dpi=dpi, format=suffix)
+
+
+def _figure(panels: int) -> tuple[Figure, list[Axes]]:
+    """Return an empty figure with `panels` panels side by side, without pyplot's global state."""
+    figure = Figure(figsize=(_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, list(figure.subplots(1, panels, squeeze=False)[0])
+
+
+def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) -> None:
+    for k, (label, values) in enumerate(series.items()):
+        axis.plot(
+            times / 60.0,
+            factor * values,
+            linestyle=_STYLES[k % len(_STYLES)],
+            color=_SHADES[k % len(_SHADES)],
+            linewidth=1.2,
+            label=label,
+        )
+
+
+def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:
+    """Write names behind the ends of curves, apart from each other where the ends are not."""
+    order = np.argsort(values)
+    apart = 0.035 * float(np.ptp(axis.get_ylim()))
+    lowest = -np.inf
+    for k in order:
+        lowest = max(float(values[k]), lowest + apart)
+        axis.text(end, lowest, f" {names[k]}", fontsize=8, va="center")
+
+
+def _finish(axes: list[Axes], legend: bool = True, outside: bool = False) -> None:
+    for axis in axes:
+        axis.set_xlabel("time (min)")
+        axis.grid(visible=True, color="0.88", linewidth=0.6)
+        axis.axhline(0.0, color="0.5", linewidth=0.6)
+        axis.margins(x=0.04)
+        if legend and outside:
+            axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.04, 0.5))
+        elif legend:
+            axis.legend(fontsize=8)

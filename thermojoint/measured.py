@@ -1,0 +1,214 @@
+"""Measured temperatures as CSV, row by row, and the estimates that go out the same way.
+
+A file has one of two layouts, told apart by their column names; the order is free, other columns
+are ignored:
+
+- ``time_s, delta_T_K, T1_K, T2_K``: ΔT = T_a - T_b, and T1, T2 above ambient;
+- ``time_s, a_degC, b_degC, T1_degC, T2_degC, ambient_degC``: as thermometers read.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError, unknown_name
+from calibrate.model import Model
+from estimator.fchs import Estimate
+from estimator.validation import readings, sensor_noise
+
+_MICRO = 1e6
+#: A probe this near to a sensor of the model is that sensor, m.
+_SAME_PLACE = 1e-6
+#: Time (s), ΔT (K) and the temperatures at the joint above ambient (K).
+Sample = tuple[float, ...]
+
+
+def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> Iterator[Sample]:
+    """Yield the samples of a CSV as its lines come in.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        An open file, or standard input.
+    sensors : sequence of str
+        Names of the sensors at the joint, e.g. T1 and T2.
+    where : str
+        Name of the file, for error messages.
+
+    Yields
+    ------
+    tuple of float
+        (time s, ΔT K, T1 K, T2 K, ...).
+
+    Raises
+    ------
+    InputError
+        A column is missing, a value is no finite number, or time does not increase.
+    """
+    reader = csv.reader(lines)
+    header = [name.strip().lstrip("\ufeff") for name in next(reader, [])]
+    above_ambient = ["time_s", "delta_T_K", *(f"{name}_K" for name in sensors)]
+    as_read = ["time_s", "a_degC", "b_degC", *(f"{name}_degC" for name in sensors), "ambient_degC"]
+    if set(above_ambient) <= set(header):
+        wanted = above_ambient
+    elif set(as_read) <= set(header):
+        wanted = as_read
+    else:
+        raise InputError(
+            f"{where}: columns {', '.join(header) or 'none'}; give {', '.join(above_ambient)} or "
+            f"{', '.join(as_read)}"
+        )
+    at = [header.index(name) for name in wanted]
+    last = -math.inf
+    for row in reader:
+        if not row:
+            continue
+        line = f"{where}, line {reader.line_num}"
+        if len(row) != len(header):
+            raise InputError(f"{line}: {len(row)} values, expected {len(header)}; mend the row")
+        values = [_number(row[k], name, line) for k, name in zip(at, wanted, strict=True)]
+        if not values[0] > last:
+            raise InputError(
+                f"{line}: time {values[0]:g} s does not come after {last:g} s; drop or re-order it"
+            )
+        last = values[0]
+        if wanted is above_ambient:
+            yield tuple(values)
+        else:
+            time, hot, cold, *joint, ambient = values
+            yield (time, hot - cold, *(value - ambient for value in joint))
+
+
+def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
+    """Yield the temperatures of a response as `read_samples` yields measured ones."""
+    seen = readings(response, model, roles_in(response, model))
+    for time, difference, joint in zip(seen.times, seen.delta_T, seen.temperatures, strict=True):
+        yield (float(time), float(difference), *map(float, joint))
+
+
+def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
+    """Return sensor role to the name of the probe in a response.
+
+    The probe of the role's own name, unless it lies elsewhere than the model's sensor: then the
+    probe that lies there.
+
+    Raises
+    ------
+    InputError
+        A role has no probe.
+    """
+    names = [str(name) for name in response["probe"].to_numpy()]
+    found = {}
+    for role in ("a", "b", *model.linear.direct):
+        if "probe_position" not in response or role not in model.sensors:
+            found[role] = role  # whether it exists is checked where it is read
+            continue
+        apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
+        distance = np.linalg.norm(apart, axis=1)
+        if role in names and distance[names.index(role)] <= _SAME_PLACE:
+            found[role] = role
+        elif distance.min() <= _SAME_PLACE:
+            found[role] = names[int(distance.argmin())]
+        else:
+            raise InputError(
+                f"response: no probe at sensor {role!r} of the model, {model.sensors[role]} m; "
+                f"the nearest, {names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
+            )
+    return found
+
+
+def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: int) -> xr.Dataset:
+    """Return the response with noise on the temperatures that the estimator reads.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A response; it is not changed.
+    model : Model
+        Says which probes are read.
+    peak_to_peak : float
+        Of each channel, K (`estimator.validation.sensor_noise`).
+    seed : int
+        The same seed gives the same noise.
+    """
+    if not 0.0 < peak_to_peak < math.inf:
+        raise InputError(f"noise of {peak_to_peak:g} K peak to peak; give a positive number")
+    probes = list(dict.fromkeys(roles_in(response, model).values()))
+    noise = sensor_noise(response["time"].to_numpy(), peak_to_peak, seed, len(probes))
+    names = [str(name) for name in response["probe"].to_numpy()]
+    temperature = response["temperature"].copy(deep=True)
+    for probe, values in zip(probes, noise.T, strict=True):
+        if probe not in names:
+            raise unknown_name("probe", probe, names, "response")
+        temperature[:, names.index(probe)] += values
+    return response.assign(temperature=temperature)
+
+
+def nominal_interval(
+    samples: Iterator[Sample], given: float | None, where: str
+) -> tuple[float, Iterator[Sample]]:
+    """Return the nominal sampling interval (s), and the samples from the first one on.
+
+    Parameters
+    ----------
+    samples : iterator of tuple
+        As `read_samples` yields them.
+    given : float, optional
+        Taken as it is; default the interval between the first two samples.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        `given` is not positive, or there are fewer than two samples to take it from.
+    """
+    if given is not None:
+        if not 0.0 < given < math.inf:
+            raise InputError(f"--interval-s {given:g}: give a positive number of seconds")
+        return given, samples
+    first = list(islice(samples, 2))
+    if len(first) < 2:
+        raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
+    return first[1][0] - first[0][0], chain(first, samples)
+
+
+def estimate_header(axes: Sequence[str], sensors: Sequence[str]) -> list[str]:
+    """Return the columns of an estimate, units in their names."""
+    return [
+        "time_s",
+        "heat_input",
+        *(f"source_{k + 1}" for k in range(len(sensors))),
+        *(f"deviation_{name}_K" for name in sensors),
+        *(f"{part}_{axis}_um" for part in ("linear", "nonlinear", "total") for axis in axes),
+    ]
+
+
+def estimate_row(estimate: Estimate) -> list[str]:
+    """Return one estimate as text, in the order of `estimate_header`; displacements in µm."""
+    values = [
+        estimate.time,
+        estimate.heat,
+        *estimate.sources,
+        *estimate.deviation,
+        *(_MICRO * estimate.linear),
+        *(_MICRO * estimate.nonlinear),
+        *(_MICRO * estimate.total),
+    ]
+    return [f"{float(value):.9g}" for value in values]
+
+
+def _number(text: str, name: str, line: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{line}: {name} is {text!r}, no number; mend the row") from None
+    if not math.isfinite(value):
+        raise InputError(f"{line}: {name} is not finite; leave the row out, gaps are allowed")
+    return value

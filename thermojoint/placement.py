@@ -1,0 +1,311 @@
+"""The placement rule: which candidate sensors serve as a, b, T1 and T2, by calibration alone.
+
+It sees the responses to the calibration steps, never a validation case. In every choice a wrong
+displacement is what counts, so both halves of the rule are in micrometres.
+
+Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input within
+`PROPORTIONAL`, larger than `SMALLEST_DIFFERENCE` and monotone. Of these take the `SHORTLIST` that
+answer fastest (a fast pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and
+choose the pair whose estimated linear displacement is best at all calibration inputs.
+
+Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
+the nonlinear displacement at the calibration inputs with each pair, shrunk as if a deviation were
+known to `DEVIATION_UNCERTAINTY`. Order the pairs by what is left; sensors closer than `APART` would
+see one source twice. The first pair whose source model has a stable inverse is taken. Fictitious
+source i lies at the contact element nearest to T_i, on which r_ij follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from artefacts.errors import InputError, ThermojointError
+from calibrate import steps
+from calibrate.driven_deformation import UNCERTAIN_TIMES
+from calibrate.linear import fit_ring
+from calibrate.model import DeformationModel
+from calibrate.regularisation import choose_regularisation, steepest_rise
+from estimator.assembly import deformation_bank
+from estimator.inverse import inverse_bank
+from estimator.recursion import Bank, respond_to_line, respond_to_steps, stacked
+
+Array = NDArray[np.float64]
+
+PROPORTIONAL = 1e-3
+SMALLEST_DIFFERENCE = 4.0
+SHORTLIST = 60
+RING_RADIUS = 0.12
+#: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
+#: calibrated (`thermojoint.study`), as if a temperature deviation were known to this rms.
+DEVIATION_UNCERTAINTY = 0.12
+APART = 0.1
+#: Tolerance of the rational approximations while pairs are compared.
+_SCREENING = 1e-5
+
+
+@dataclass(frozen=True)
+class HeatPair:
+    """A pair of sensors near the heat source.
+
+    Attributes
+    ----------
+    a, b : str
+        Probe names; a is the warmer.
+    difference : float
+        T_a - T_b at the end of the reference step, K.
+    disproportion : float
+        Largest deviation from proportionality over the calibration inputs, relative.
+    ring_error : float
+        Largest error of Eq. 2, relative to the difference.
+    rise_time : float
+        Time of the steepest rise of the fitted Eq. 2, s.
+    displacement_error : float
+        Largest error of the estimated linear displacement over the calibration inputs, m.
+    """
+
+    a: str
+    b: str
+    difference: float
+    disproportion: float
+    ring_error: float
+    rise_time: float
+    displacement_error: float
+
+
+@dataclass(frozen=True)
+class JointPair:
+    """A pair of sensors near the joint.
+
+    Attributes
+    ----------
+    T1, T2 : str
+        Probe names; T1 is the lower one on the joint.
+    signal : float
+        The smaller of the two largest deviations at the calibration inputs, K.
+    misfit : float
+        Rms of the nonlinear displacement left by the screening map, relative.
+    """
+
+    T1: str
+    T2: str
+    signal: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The chosen sensors and sources.
+
+    Attributes
+    ----------
+    heat : HeatPair
+    joint : JointPair
+    sources : ndarray, shape (2, 3)
+        Positions of the fictitious sources, m.
+    distances : ndarray, shape (2, 2)
+        r_ij from source i to sensor T_j, m.
+    """
+
+    heat: HeatPair
+    joint: JointPair
+    sources: Array
+    distances: Array
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """Role to probe name."""
+        return {"a": self.heat.a, "b": self.heat.b, "T1": self.joint.T1, "T2": self.joint.T2}
+
+    def __str__(self) -> str:
+        """Lines for the terminal and the report."""
+        h, j = self.heat, self.joint
+        where = "; ".join(
+            f"q{i + 1} at ({', '.join(f'{1e3 * x:.0f}' for x in point)}) mm"
+            for i, point in enumerate(self.sources)
+        )
+        r = ", ".join(
+            f"r{i + 1}{k + 1} = {100 * self.distances[i, k]:.2f} cm" for i in (0, 1) for k in (0, 1)
+        )
+        return (
+            f"a = {h.a}, b = {h.b}: difference {h.difference:.2f} K, proportional within "
+            f"{100 * h.disproportion:.3f} %, Eq. 2 within {100 * h.ring_error:.2f} %, steepest at "
+            f"{h.rise_time:.0f} s, linear displacement within {1e6 * h.displacement_error:.2f} µm\n"
+            f"T1 = {j.T1}, T2 = {j.T2}: deviations of {j.signal:.2f} K and more, screening map "
+            f"leaves {100 * j.misfit:.0f} % of the nonlinear displacement\n{where}; {r}"
+        )
+
+
+def choose_heat_pair(
+    reference: xr.Dataset,
+    others: Mapping[float, xr.Dataset],
+    deformation: Mapping[str, DeformationModel],
+    candidates: list[str],
+) -> HeatPair:
+    """Choose a and b.
+
+    Parameters
+    ----------
+    reference : xarray.Dataset
+        Response to the reference step.
+    others : mapping
+        Heat input to the response to it.
+    deformation : mapping
+        Eq. 8 of every axis that counts.
+    candidates : list of str
+        Probes to choose from.
+
+    Raises
+    ------
+    InputError
+        No pair fulfils the rule.
+    """
+    t = steps.times(reference)
+    interval = float(np.median(np.diff(t)))
+    one = _temperatures(reference, candidates)
+    scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
+    linear = stacked([deformation_bank(model) for model in deformation.values()])
+    shortlist: list[tuple[float, int, int, float, float]] = []
+    for i in range(len(candidates)):
+        difference = one[:, [i]] - one
+        size = difference[-1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.max([np.abs(s[:, [i]] - s - difference).max(0) for s in scaled], axis=0) / size
+            early = difference[min(15, len(t) - 1)] / size
+        falls = (np.diff(difference, axis=0) < -1e-6 * np.abs(size)).any(axis=0)
+        good = (size > SMALLEST_DIFFERENCE) & (off < PROPORTIONAL) & ~falls
+        shortlist += [
+            (-float(early[j]), i, int(j), float(size[j]), float(off[j]))
+            for j in np.flatnonzero(good)
+        ]
+    shortlist.sort()
+    found: list[HeatPair] = []
+    for _, i, j, size, off in shortlist[:SHORTLIST]:
+        try:
+            ring, fit = fit_ring(t, one[:, i] - one[:, j], RING_RADIUS, starts=6)
+            regularisation = choose_regularisation(ring, interval)
+            inverse = inverse_bank(
+                [[ring]], [regularisation], interval, float(t[-1]), _SCREENING, "candidate pair"
+            )
+        except ThermojointError:
+            continue  # no stable inverse: the pair is out
+        error = max(
+            _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * level
+            for level, s in zip((1.0, *others), (one, *scaled), strict=True)
+        )
+        name = candidates[i], candidates[j]
+        rise = steepest_rise(ring)[0]
+        found.append(HeatPair(*name, size, off, fit.max_abs_error / size, rise, error))
+    if not found:
+        raise InputError(
+            "placement: no pair of candidates near the source is proportional to the heat input "
+            "and invertible; give more [[candidates]] around the source"
+        )
+    return min(found, key=lambda pair: pair.displacement_error)
+
+
+def rank_joint_pairs(
+    reference: xr.Dataset,
+    others: Mapping[float, xr.Dataset],
+    axes: list[str],
+    candidates: list[str],
+) -> Iterator[JointPair]:
+    """Yield pairs T1, T2 in the order of the rule, best first.
+
+    Parameters
+    ----------
+    reference, others, candidates
+        As in `choose_heat_pair`.
+    axes : list of str
+        Directions of the displacement that count.
+    """
+    t = steps.times(reference)
+    interval = float(np.median(np.diff(t)))
+    at = _positions(reference, candidates)
+    base = _temperatures(reference, candidates)
+    deviations = [_temperatures(r, candidates) - q * base for q, r in others.items()]
+    targets = [
+        _displacements(r, axes) - q * _displacements(reference, axes) for q, r in others.items()
+    ]
+    signals = np.max([np.abs(d).max(axis=0) for d in deviations], axis=0)
+    features = np.concatenate([_filtered(d, interval) for d in deviations])
+    target = np.concatenate(targets)
+    gram = features.T @ features
+    drive = features.T @ target
+    power = (target**2).sum(axis=0)
+    wide = len(UNCERTAIN_TIMES)
+    ridge = len(target) * DEVIATION_UNCERTAINTY**2 * np.eye(2 * wide)
+    order: list[tuple[float, int, int]] = []
+    for i, j in combinations(range(len(candidates)), 2):
+        if np.linalg.norm(at[i] - at[j]) < APART:
+            continue
+        own = np.r_[wide * i : wide * (i + 1), wide * j : wide * (j + 1)]
+        inner = gram[np.ix_(own, own)]
+        weights = np.linalg.solve(inner + ridge, drive[own])
+        left = power - 2.0 * (weights * drive[own]).sum(0) + (weights * (inner @ weights)).sum(0)
+        order.append((float(np.sqrt((left / power).max())), i, j))
+    order.sort()
+    # Along the joint means along the direction in which the candidates spread most.
+    along = at[:, int(np.argmax(np.ptp(at, axis=0)))]
+    for misfit, i, j in order:
+        low, high = (i, j) if along[i] <= along[j] else (j, i)
+        signal = float(min(signals[i], signals[j]))
+        yield JointPair(candidates[low], candidates[high], signal, misfit)
+
+
+def sources_for(response: xr.Dataset, pair: JointPair) -> tuple[Array, Array]:
+    """Positions of the fictitious sources (2, 3) and distances r_ij (2, 2), m.
+
+    Source i lies at the centre of the contact element nearest to T_i.
+    """
+    sensors = _positions(response, [pair.T1, pair.T2])
+    elements = response["contact_position"].to_numpy()
+    nearest = [int(np.argmin(np.linalg.norm(elements - x, axis=1))) for x in sensors]
+    sources = elements[nearest]
+    return sources, np.linalg.norm(sources[:, None] - sensors[None], axis=2)
+
+
+def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
+    """Return the response with further probes named after the roles they play."""
+    chosen = response.sel(probe=list(roles.values())).assign_coords(probe=list(roles))
+    kept = response.sel(probe=[str(p) for p in response["probe"].to_numpy() if str(p) not in roles])
+    joined = xr.concat(
+        [chosen[["temperature", "probe_position"]], kept[["temperature", "probe_position"]]],
+        dim="probe",
+    )
+    return response.drop_dims("probe").merge(joined).assign_attrs(response.attrs)
+
+
+def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> float:
+    """Largest error of δ_L, m, for the unit step that `difference` (K per unit) answers."""
+    interval = float(np.median(np.diff(t)))
+    heat = respond_to_line(inverse, t, difference[:, None], interval)[0]
+    error = respond_to_steps(linear, t, heat - (t > 0.0)[:, None], interval)
+    return float(np.abs(error).max())
+
+
+def _filtered(deviations: Array, interval: float) -> Array:
+    """Deviations (n, sensors) through each low-pass filter, shape (n, sensors * filters)."""
+    columns = []
+    for time in UNCERTAIN_TIMES:
+        pole = np.exp(-interval / time)
+        columns.append(lfilter([1.0 - pole], [1.0, -pole], deviations, axis=0))
+    return np.stack(columns, axis=-1).reshape(len(deviations), -1)
+
+
+def _temperatures(response: xr.Dataset, probes: list[str]) -> Array:
+    return np.asarray(response["temperature"].sel(probe=probes).to_numpy())
+
+
+def _displacements(response: xr.Dataset, axes: list[str]) -> Array:
+    return np.asarray(response["displacement"].sel(axis=axes).to_numpy())
+
+
+def _positions(response: xr.Dataset, probes: list[str]) -> Array:
+    return np.asarray(response["probe_position"].sel(probe=probes).to_numpy())

@@ -1,0 +1,102 @@
+"""One self-contained HTML page of a run: tables, validation, solver's figures, pictures."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from artefacts.errors import InputError
+from artefacts.files import write_text
+from thermojoint import paper_values
+from thermojoint.console import number, paper_claim
+from thermojoint.summary import Convergence, PressureShare
+from thermojoint.tables import NOTE, PrintedTable
+
+_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture file and what it shows."""
+
+    path: Path
+    caption: str
+
+    @property
+    def source(self) -> str:
+        """The picture itself as a data address."""
+        suffix = self.path.suffix.lower()
+        if suffix not in _TYPES:
+            raise InputError(f"{self.path}: a report holds .png and .svg pictures only")
+        data = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f"data:{_TYPES[suffix]};base64,{data}"
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """All that the page shows.
+
+    Attributes
+    ----------
+    title : str
+        The case's title.
+    facts : sequence of (str, str)
+        What was run: versions, mesh sizes, solver.
+    tables : sequence of PrintedTable
+        Tables 1-3.
+    validation, blocks : sequence of mapping
+        Rows of `estimator.validation.validate` and `block_errors`.
+    convergence : mapping
+        Response to the solver's figures.
+    share : PressureShare, optional
+        At the heat input of Figure 7.
+    placement : str
+        How the sensors were chosen, and which.
+    fits : mapping
+        Model to the report of its fit.
+    pictures : sequence of Picture
+        In their order on the page.
+    case : str
+        The whole case.
+    """
+
+    title: str
+    facts: Sequence[tuple[str, str]]
+    tables: Sequence[PrintedTable] = ()
+    validation: Sequence[Mapping[str, str | float]] = ()
+    blocks: Sequence[Mapping[str, str | float]] = ()
+    convergence: Mapping[str, Convergence] = field(default_factory=dict)
+    share: PressureShare | None = None
+    placement: str = ""
+    fits: Mapping[str, str] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
+    case: str = ""
+
+
+def report_html(data: ReportData) -> str:
+    """Return the page; everything in it is escaped, nothing is loaded from elsewhere."""
+    environment = Environment(
+        loader=PackageLoader("thermojoint"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    environment.globals["paper_claim"] = paper_claim
+    template = environment.get_template("report.html.j2")
+    return template.render(
+        data=data,
+        note=NOTE,
+        citation=paper_values.CITATION,
+        paper_share=paper_values.PRESSURE_SHARE,
+    )
+
+
+def write_report(data: ReportData, path: Path) -> None:
+    """Write the page to `path`, whole or not at all."""
+    write_text(Path(path), report_html(data))

@@ -1,0 +1,220 @@
+"""Tables 1-3: as data (results/tables.json), and as rows beside the paper's printed values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from calibrate.model import DeformationModel, Model
+from calibrate.model_file import Provenance
+from thermojoint import paper_values
+
+_MICRO = 1e6
+#: Parameters of Eqs. 8 and 18 that carry a length; the model keeps them in m, people read µm.
+_LENGTHS = ("C", "D", "E", "F")
+
+#: Name of a parameter to its unit in the tables.
+UNITS = {
+    "K": "K",
+    "a": "1/m2",
+    "alpha": "m2/s",
+    "r": "m",
+    "r0": "m",
+    "distances_m": "m",
+    "q": "1",
+    "A": "K/s",
+    "B": "K/s2",
+    "gamma": "1/s",
+    "C": "um",
+    "D": "um",
+    "E": "um/s",
+    "F": "um/s",
+    "c": "1/s",
+    "d": "1/s",
+    "e": "1/s",
+    "f": "1/s",
+    "max_abs_error_K": "K",
+    "max_abs_error_um": "um",
+}
+
+NOTE = (
+    "The two columns describe two different structures and need not agree. The paper prints "
+    "neither the units of its parameters nor the positions of its sensors and sources, and only "
+    "part of its geometry; K and the displacement parameters scale with the heat input and the "
+    "place of measurement, a and alpha stand for wall, film and distance together, and f_R "
+    "follows our own rule. Beyond that several parameters of Eqs. 8 and 18 trade against each "
+    "other: different values can draw the same curve. What should agree is how well each form "
+    "fits its own structure: the largest errors below the tables."
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter: its name, its unit, our value and the paper's (None where it has none)."""
+
+    name: str
+    unit: str
+    ours: float | None
+    paper: float | None
+
+
+@dataclass(frozen=True)
+class Block:
+    """A titled list of rows, part of one table."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class PrintedTable:
+    """A table of the paper with ours beside it."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
+    """Return Tables 1-3 as plain data.
+
+    Parameters
+    ----------
+    model : Model
+        The calibrated model.
+    provenance : Provenance
+        Its largest calibration errors, under "thermal" and "sources" (K), "deformation.AXIS" and
+        "sources.INPUT.AXIS" (µm); what is missing becomes None.
+
+    Returns
+    -------
+    dict
+        ``table1``, ``table2``, ``table3`` and ``units``. Displacement parameters in µm and µm/s per
+        unit of heat input or strength.
+    """
+    linear, kelvin, micro = model.linear, provenance.max_abs_error_K, provenance.max_abs_error_um
+    inputs = [level for source in model.sources[:1] for level in source.strengths]
+    thermal = asdict(linear.thermal) | asdict(linear.regularisation)
+    return {
+        "table1": {
+            "thermal": thermal | {"max_abs_error_K": kelvin.get("thermal")},
+            "deformation": {
+                axis: _micrometres(shape, "CDEcde")
+                | {"max_abs_error_um": micro.get(f"deformation.{axis}")}
+                for axis, shape in linear.deformation.items()
+            },
+        },
+        "table2": {
+            "sources": [
+                {
+                    "a": source.a,
+                    "alpha": source.alpha,
+                    "K": source.K,
+                    "r0": source.r0,
+                    "q": dict(source.strengths),
+                }
+                | asdict(source.regularisation)
+                for source in model.sources
+            ],
+            "distances_m": [list(row) for row in model.distances],
+            "max_abs_error_K": kelvin.get("sources"),
+        },
+        "table3": {
+            axis: {
+                "sources": [
+                    _micrometres(source.deformation[axis], "CDEFcdef") for source in model.sources
+                ]
+            }
+            for axis in linear.deformation
+        }
+        | {
+            "max_abs_error_um": {
+                level: {axis: micro.get(f"sources.{level}.{axis}") for axis in linear.deformation}
+                for level in inputs
+            }
+        },
+        "units": dict(UNITS),
+    }
+
+
+def printed_tables(tables: Mapping[str, Any]) -> tuple[PrintedTable, ...]:
+    """Return Tables 1-3 of `tables_json` with the paper's values beside ours.
+
+    Axes and sources that the paper does not have get no value of the paper.
+    """
+    return _table1(tables["table1"]), _table2(tables["table2"]), _table3(tables["table3"])
+
+
+def _table1(table: Mapping[str, Any]) -> PrintedTable:
+    blocks = [_block("Thermal model (Eqs. 2, 7)", table["thermal"], paper_values.TABLE1_THERMAL)]
+    for axis, shape in table["deformation"].items():
+        paper = paper_values.TABLE1_DEFORMATION.get(axis, {})
+        claim = {"max_abs_error_um": paper_values.CALIBRATION_ERROR_UM} if paper else {}
+        blocks.append(_block(f"Deformation {axis} (Eq. 8)", shape, paper | claim))
+    return PrintedTable("Table 1: linear thermal and deformation models", tuple(blocks))
+
+
+def _table2(table: Mapping[str, Any]) -> PrintedTable:
+    blocks = []
+    for index, source in enumerate(table["sources"]):
+        strengths = {f"q {level}": value for level, value in source["q"].items()}
+        ours = {name: value for name, value in source.items() if name != "q"} | strengths
+        blocks.append(
+            _block(f"Fictitious source {index + 1}", ours, _nth(paper_values.TABLE2, index))
+        )
+    distances = {
+        f"r {i + 1}{j + 1}": value
+        for i, row in enumerate(table["distances_m"])
+        for j, value in enumerate(row)
+    }
+    blocks.append(_block("Distances source to sensor", distances, {}))
+    # The paper's carry no unit, so they cannot stand beside metres.
+    printed = tuple(
+        Row(f"r {i + 1}{j + 1}", "", None, value)
+        for i, row in enumerate(paper_values.TABLE2_DISTANCES)
+        for j, value in enumerate(row)
+    )
+    blocks.append(Block("Distances as the paper prints them, without a unit", printed))
+    blocks.append(_block("Both sources", {"max_abs_error_K": table["max_abs_error_K"]}, {}))
+    return PrintedTable("Table 2: fictitious contact heat sources (Eqs. 2, 7, 16)", tuple(blocks))
+
+
+def _table3(table: Mapping[str, Any]) -> PrintedTable:
+    blocks = [
+        _block(
+            f"Source {index + 1}, {axis}",
+            shape,
+            _nth(paper_values.TABLE3.get(axis, ()), index),
+        )
+        for axis, part in table.items()
+        if axis != "max_abs_error_um"
+        for index, shape in enumerate(part["sources"])
+    ]
+    for level, errors in table["max_abs_error_um"].items():
+        rows = tuple(
+            Row(f"max_abs_error_um {axis}", "um", value, None) for axis, value in errors.items()
+        )
+        blocks.append(Block(f"Both sources, heat input {level}", rows))
+    return PrintedTable("Table 3: deformation by the fictitious sources (Eq. 18)", tuple(blocks))
+
+
+def _block(title: str, ours: Mapping[str, float | None], paper: Mapping[str, float]) -> Block:
+    return Block(
+        title,
+        tuple(Row(name, _unit(name), value, paper.get(name)) for name, value in ours.items()),
+    )
+
+
+def _unit(name: str) -> str:
+    if name.startswith("q "):
+        return UNITS["q"]
+    return UNITS["r"] if name.startswith("r ") else UNITS[name]
+
+
+def _nth(items: tuple[dict[str, float], ...], index: int) -> dict[str, float]:
+    return items[index] if index < len(items) else {}
+
+
+def _micrometres(shape: DeformationModel, names: str) -> dict[str, float]:
+    values = asdict(shape)
+    return {name: values[name] * (_MICRO if name in _LENGTHS else 1.0) for name in names}

@@ -1,0 +1,159 @@
+"""Pictures of one case or one response."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from pathlib import Path
+
+import xarray as xr
+
+from artefacts.errors import InputError
+from artefacts.response import read_response
+from fesim.case import Case, case_from_data, read_case
+from fesim.march import Step
+from fesim.setup import Setup, build_structure, set_up
+from fesim.simulate import at_rest, simulate
+from meshes.structure import Structure
+from thermojoint.console import Report
+from thermojoint.figures import pressure_figure, response_figure, write_figure
+from thermojoint.pictures import write_pictures
+from thermojoint.scenes import (
+    Scene,
+    deformed_scene,
+    markers,
+    mirror_of,
+    pressure_scene,
+    probe_position,
+    structure_scene,
+    temperature_scene,
+)
+
+
+class Show(StrEnum):
+    """What a picture shows."""
+
+    structure = "structure"
+    curves = "curves"
+    pressures = "pressures"
+    temperature = "temperature"
+    deformation = "deformation"
+    pressure = "pressure"
+
+
+CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
+
+
+def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
+    """Draw what a case file or a response holds into `out`.
+
+    Curves are drawn from the response; the fields at the end of the run are simulated again, since
+    a response keeps only its probes.
+
+    Parameters
+    ----------
+    source : Path
+        A case (TOML) or a response (.nc).
+    show : Show, optional
+        Default the structure of a case, and a response's curves.
+    out : Path
+        PNG; curves also SVG or PDF.
+    report : callable
+        Progress.
+
+    Raises
+    ------
+    InputError
+        The source is unusable, or a response without its case is asked for more than curves.
+    """
+    response = read_response(source) if source.suffix == ".nc" else None
+    show = show or (Show.structure if response is None else Show.curves)
+    if show not in CURVES and out.suffix.lower() != ".png":
+        raise InputError(f"{out}: 3-D pictures are PNG files; name it {out.stem}.png")
+    if show in CURVES and response is not None:
+        write_figure(CURVES[show](response), out)
+        return
+    case = read_case(source) if response is None else case_in(response, str(source))
+    if show is Show.structure:
+        write_pictures({out: whole_structure(case, build_structure(case))})
+        return
+    setup, result, last = run_to_end(case, report)
+    if show in CURVES:
+        write_figure(CURVES[show](result), out)
+    else:
+        write_pictures({out: field_scenes(case, setup, last)[show]})
+
+
+def case_in(response: xr.Dataset, where: str) -> Case:
+    """Return the case that a simulated response carries.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is unusable.
+    """
+    try:
+        data = json.loads(response.attrs["case"])
+    except (KeyError, ValueError, TypeError):
+        raise InputError(
+            f"{where}: holds no case, so only its curves can be drawn; use --show curves"
+        ) from None
+    return case_from_data(data, f"{where}, case", Path())
+
+
+def run_to_end(
+    case: Case, report: Report, setup: Setup | None = None
+) -> tuple[Setup, xr.Dataset, Step]:
+    """Simulate a case and return its setup, its response and its last step, fields included."""
+    if setup is None:
+        report("setting up", 0, 1)
+        setup = set_up(case)
+        report("setting up", 1, 1)
+    last = at_rest(setup.machine)
+
+    def keep(step: Step) -> None:
+        nonlocal last
+        last = step
+
+    progress: Callable[[int, int], None] = lambda done, total: report("marching", done, total)  # noqa: E731
+    finished = simulate(case, setup=setup, on_step=keep, progress=progress)
+    return setup, finished.response, last
+
+
+def whole_structure(
+    case: Case,
+    structure: Structure,
+    sensors: Mapping[str, tuple[float, float, float]] | None = None,
+) -> Scene:
+    """Structure with the points of the displacement and the sensors.
+
+    Parameters
+    ----------
+    case : Case
+        Its displacement, source and symmetry are marked.
+    structure : Structure
+        As built from the case.
+    sensors : mapping, optional
+        Role to position, m; default the temperature probes that the case names.
+    """
+    ends = [case.displacement.point, case.displacement.relative_to]
+    at = {name: structure.probes[name].position for name in case.probes}
+    points = {name: probe_position(structure, name) for name in ends if name is not None}
+    points |= at if sensors is None else dict(sensors)
+    return structure_scene(
+        structure,
+        case.source.surface,
+        markers(points),
+        mirror_of(structure, case.supports.symmetry),
+    )
+
+
+def field_scenes(case: Case, setup: Setup, step: Step) -> dict[Show, Scene]:
+    """Temperature, deformed shape and contact pressure at one step."""
+    mirror = mirror_of(setup.structure, case.supports.symmetry)
+    return {
+        Show.temperature: temperature_scene(setup, step, mirror),
+        Show.deformation: deformed_scene(setup, step, mirror),
+        Show.pressure: pressure_scene(setup, step.state.pressure, mirror),
+    }
