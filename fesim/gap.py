@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Traction]
 
 #: Largest gap residual of an accepted state, m.
-TOLERANCE = 1e-11
+TOLERANCE = 1e-12
 MAX_ITERATIONS = 60
 SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10

@@ -40,8 +40,8 @@ class MillingMachineDimensions:
         Heights of the table's faces and its length along x.
     screw_x, screw_depth, screw_width : float
         Start along x, extent along x, and extent along z of the support screw.
-    source_height, source_inset, source_width : float
-        Bearing source on the inside of the column's front wall, just under the bracket: its height
+    source_top, source_height, source_inset, source_width : float
+        Bearing source on the inside of the column's front wall: the height of its top edge, its size
         along y, distance from the side along z, and width along z.
     nose_height : float
         Height of the spindle nose, point A.
@@ -64,6 +64,7 @@ class MillingMachineDimensions:
     screw_x: float = 1.00
     screw_depth: float = 0.05
     screw_width: float = 0.10
+    source_top: float = 0.75
     source_height: float = 0.10
     source_inset: float = 0.05
     source_width: float = 0.10
@@ -142,7 +143,8 @@ def _check_dimensions(d: MillingMachineDimensions) -> None:
         "screw": d.screw_x + d.screw_depth <= d.column_depth + d.strip_depth + d.table_length
         and d.screw_x >= d.column_depth + d.strip_depth
         and d.screw_width <= d.width,
-        "source": d.source_height < d.bracket_bottom - d.wall
+        "source": d.wall < d.source_top - d.source_height
+        and d.source_top <= d.bracket_bottom
         and d.source_inset >= d.wall
         and d.source_inset + d.source_width <= d.width / 2,
         "nose": d.nose_height <= d.column_height,
@@ -196,7 +198,7 @@ def _column(
     shell = Box((0.0, 0.0, 0.0), (d.column_depth, d.column_height, depth))
     below = Box((x[0], d.wall, low), (x[1], d.bracket_bottom, high))
     above = Box((x[0], d.bracket_top, low), (x[1], d.column_height - d.wall, high))
-    heights = [d.bracket_bottom - d.source_height, d.nose_height]
+    heights = [d.source_top - d.source_height, d.source_top, d.nose_height]
     across = [d.source_inset, d.source_inset + d.source_width]
     breaks = ((), heights, _both_sides(d, across, depth))
     return box_mesh([shell, *_strips(d, depth)], [below, above], breaks, size, finer)
@@ -253,7 +255,7 @@ def _surfaces(
     source = (
         of_column
         & at(x, d.column_depth - d.wall)
-        & between(y, d.bracket_bottom - d.source_height, d.bracket_bottom)
+        & between(y, d.source_top - d.source_height, d.source_top)
         & between(from_side, d.source_inset, d.source_inset + d.source_width)
     )
     chosen = {

@@ -96,7 +96,13 @@ def reproduce(case: Case, out: Path) -> None:
         report("validating", 0, 1)
         judged = {name: responses[name] for name in study.VALIDATION}
         validated = study.validate_model(calibrated.model, responses[REFERENCE], judged)
-        _write_json(out / "validation.json", {"rows": validated.rows, "blocks": validated.blocks})
+        judgement = {
+            "rows": validated.rows,
+            "vectors": validated.vectors,
+            "as_printed": validated.as_printed,
+            "blocks": validated.blocks,
+        }
+        _write_json(out / "validation.json", judgement)
         report("validating", 1, 1)
 
         report("drawing", 0, 1)

@@ -1,0 +1,72 @@
+"""The whole chain for several friction coefficients: where the paper's scheme works, and where not.
+
+For each coefficient: simulate, place, calibrate, validate from temperatures alone, exactly as
+`thermojoint reproduce` does, and print the errors of the linear estimator, of the scheme with the
+deformation models calibrated to steps (as in the paper) and to estimated strengths (ours), and of
+the blocks of Figure 5 driven by true signals.
+
+    python benchmarks/friction_study.py            # about 1 minute per coefficient
+"""
+
+from __future__ import annotations
+
+import argparse
+from importlib.resources import files
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from fesim.case import read_case
+from thermojoint import study
+from thermojoint.console import show_blocks
+
+COEFFICIENTS = (0.2, 0.6, 10.0)
+
+
+def main() -> None:
+    """Run the chain for each coefficient and print its tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("friction", nargs="*", type=float, default=COEFFICIENTS)
+    parser.add_argument("--blocks", action="store_true", help="print the block errors, too")
+    options = parser.parse_args()
+    reference = read_case(Path(str(files("thermojoint").joinpath("cases/reference.toml"))))
+    console = Console(width=110)
+    for friction in options.friction:
+        knee = reference.joints["knee"].model_copy(update={"friction_coefficient": friction})
+        case = reference.model_copy(update={"joints": {"knee": knee}})
+        responses = study.simulate_inputs(case, study.CALIBRATION | study.VALIDATION)
+        base = responses["step-1.0"]
+        others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
+        calibrated = study.calibrate_responses(base, others)
+        judged = {name: responses[name] for name in study.VALIDATION}
+        found = study.validate_model(calibrated.model, base, judged)
+        console.print(f"\nfriction {friction:g}", style="bold")
+        console.print(str(calibrated.placement))
+        console.print(_errors(found))
+        if options.blocks:
+            show_blocks(console, found.blocks)
+
+
+def _errors(found: study.Validated) -> Table:
+    """Largest errors, µm, one row per case and axis."""
+    table = Table("case", "axis", "δ", "δNL", "linear", "FCHS, steps", "FCHS, estimated")
+    rows = {(r["case"], r["axis"], r["estimator"]): r for r in found.rows}
+    steps = {(r["case"], r["axis"]): r for r in found.as_printed}
+    for (case, axis, estimator), row in rows.items():
+        if estimator != "linear":
+            continue
+        ours = rows[case, axis, "fchs"]
+        values = (
+            row["peak_total_um"],
+            row["peak_nonlinear_um"],
+            row["max_abs_error_um"],
+            steps[case, axis]["max_abs_error_um"],
+            ours["max_abs_error_um"],
+        )
+        table.add_row(str(case), str(axis), *(f"{value:.3g}" for value in values))
+    return table
+
+
+if __name__ == "__main__":
+    main()

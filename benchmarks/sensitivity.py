@@ -1,0 +1,90 @@
+"""What each reading of the paper does to the displacement of the reference machine.
+
+Every variant is the reference case file with one edit. Printed: total displacement at the end of
+the step at heat input 3, and its nonlinear part.
+
+    python benchmarks/sensitivity.py            # about 3 minutes
+"""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from fesim.case import StepInput, case_from_data
+from fesim.setup import set_up
+from fesim.simulate import simulate
+
+LEVEL = 3.0
+
+#: name -> edits of the case file: dotted key and value.
+VARIANTS: dict[str, dict[str, object]] = {
+    "reference": {},
+    "friction 0.15": {"joints.knee.friction_coefficient": 0.15},
+    "friction 0.2": {"joints.knee.friction_coefficient": 0.2},
+    "friction 0.3": {"joints.knee.friction_coefficient": 0.3},
+    "friction 10 (sticks)": {"joints.knee.friction_coefficient": 10.0},
+    "tangential stiffness ratio 0.3": {"joints.knee.tangential_stiffness_ratio": 0.3},
+    "295 W in total": {"source.reading": "total"},
+    "90 W per source": {"source.reference_power_W": 90.0},
+    "conductance 1.25, 0.95": {"joints.knee.conductance.law": "yovanovich-1982"},
+    "conductance exact CMY": {"joints.knee.conductance.law": "cmy-exact"},
+    "normal law Back-Burdekin": {"joints.knee.normal_law": "back-burdekin"},
+    "preload 2 MPa": {"joints.knee.preload_MPa": 2.0},
+    "one contact element across": {"joints.knee.across": 1},
+    "18 x 3 contact elements": {"joints.knee.along": 18},
+    "convection 12 W/m2K": {"convection_W_m2K.exterior": 12.0},
+    "source 100 mm lower": {"structure.dimensions_mm.source_top": 650.0},
+    "source 150 mm lower, mid-strip": {"structure.dimensions_mm.source_top": 600.0},
+    "iterated coupling": {"march.coupling": "iterated"},
+}
+
+
+def edited(data: dict, edits: dict[str, object]) -> dict:
+    """Return a copy of the case with some dotted keys set."""
+    result = copy.deepcopy(data)
+    for key, value in edits.items():
+        *path, last = key.split(".")
+        section = result
+        for part in path:
+            section = section.setdefault(part, {})
+        section[last] = value
+    return result
+
+
+def main() -> None:
+    """Run the variants and print the table."""
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    data = tomllib.loads(text)
+    data["candidates"] = []
+    data["probes"] = {"nose": {"position_mm": [600.0, 1050.0, 250.0], "body": "column"}}
+    table = Table("variant", "δx, µm", "δy, µm", "δNL x, µm", "δNL y, µm", "open elements")
+    for name, edits in VARIANTS.items():
+        case = case_from_data(edited(data, edits), name, Path())
+        setup = set_up(case)
+        found = {
+            level: simulate(
+                case.model_copy(update={"heat_input": StepInput(kind="step", level=level)}),
+                setup=setup,
+            ).response
+            for level in (1.0, LEVEL)
+        }
+        total = 1e6 * found[LEVEL]["displacement"].to_numpy()[-1]
+        nonlinear = total - LEVEL * 1e6 * found[1.0]["displacement"].to_numpy()[-1]
+        pressure = found[LEVEL]["pressure"].to_numpy()
+        is_open = (pressure[-1] < 1e-3 * pressure[0]).mean()
+        table.add_row(
+            name,
+            *(f"{value:.2f}" for value in (*total[:2], *nonlinear[:2])),
+            f"{100.0 * is_open:.0f} %",
+        )
+    Console(width=110).print(table)
+
+
+if __name__ == "__main__":
+    main()
