@@ -15,11 +15,11 @@ from importlib.resources import files
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from fesim.case import read_case
 from thermojoint import study
-from thermojoint.console import show_blocks
+from thermojoint.console import show_blocks, show_schemes, show_validation
+from thermojoint.summary import compare_schemes
 
 COEFFICIENTS = (0.2, 0.6, 10.0)
 
@@ -43,29 +43,10 @@ def main() -> None:
         found = study.validate_model(calibrated.model, base, judged)
         console.print(f"\nfriction {friction:g}", style="bold")
         console.print(str(calibrated.placement))
-        console.print(_errors(found))
+        show_validation(console, found.rows)
+        show_schemes(console, compare_schemes(found.rows, found.as_printed, found.vectors))
         if options.blocks:
             show_blocks(console, found.blocks)
-
-
-def _errors(found: study.Validated) -> Table:
-    """Largest errors, µm, one row per case and axis."""
-    table = Table("case", "axis", "δ", "δNL", "linear", "FCHS, steps", "FCHS, estimated")
-    rows = {(r["case"], r["axis"], r["estimator"]): r for r in found.rows}
-    steps = {(r["case"], r["axis"]): r for r in found.as_printed}
-    for (case, axis, estimator), row in rows.items():
-        if estimator != "linear":
-            continue
-        ours = rows[case, axis, "fchs"]
-        values = (
-            row["peak_total_um"],
-            row["peak_nonlinear_um"],
-            row["max_abs_error_um"],
-            steps[case, axis]["max_abs_error_um"],
-            ours["max_abs_error_um"],
-        )
-        table.add_row(str(case), str(axis), *(f"{value:.3g}" for value in values))
-    return table
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from itertools import islice
 
 import numpy as np
 import xarray as xr
+from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
@@ -92,15 +93,17 @@ def simulate(
         )
     state = first
     marching = march(ready.machine, heat_history(case), COUPLINGS[case.march.coupling], first)
-    for done, step in enumerate(islice(marching, count), start=1):
-        state = step.state
-        # The temperature field is the one large thing in a step: keep the probes only.
-        probes.append(ready.probe_rows @ state.temperature)
-        steps.append(replace(step, state=replace(state, temperature=np.empty(0))))
-        if on_step is not None:
-            on_step(step)
-        if progress is not None:
-            progress(done, count)
+    # A step is many small dense products: threads would only wait for each other.
+    with threadpool_limits(limits=1):
+        for done, step in enumerate(islice(marching, count), start=1):
+            state = step.state
+            # The temperature field is the one large thing in a step: keep the probes only.
+            probes.append(ready.probe_rows @ state.temperature)
+            steps.append(replace(step, state=replace(state, temperature=np.empty(0))))
+            if on_step is not None:
+                on_step(step)
+            if progress is not None:
+                progress(done, count)
     return Simulation(_response(case, ready, steps, np.array(probes)), state)
 
 

@@ -41,8 +41,8 @@ class MillingMachineDimensions:
     screw_x, screw_depth, screw_width : float
         Start along x, extent along x, and extent along z of the support screw.
     source_top, source_height, source_inset, source_width : float
-        Bearing source on the inside of the column's front wall: the height of its top edge, its size
-        along y, distance from the side along z, and width along z.
+        Bearing source on the inside of the column's front wall: height of its top edge, size along
+        y, distance from the side along z, and width along z.
     nose_height : float
         Height of the spindle nose, point A.
     table_point : float

@@ -30,7 +30,7 @@ from fesim.snapshots import snapshot_writer
 from thermojoint import arguments, console, measured, study
 from thermojoint.provenance import provenance_of
 from thermojoint.reproduce import reproduce as run_all
-from thermojoint.summary import convergence
+from thermojoint.summary import compare_schemes, convergence
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import Show, draw
 
@@ -282,8 +282,10 @@ def validate(
         }
     found = study.validate_model(table, base, given)
     if out:
-        write_text(out, json.dumps({"rows": found.rows, "blocks": found.blocks}, indent=2) + "\n")
+        write_text(out, json.dumps(found.figures(), indent=2) + "\n")
     console.show_validation(console.out(), found.rows)
+    schemes = compare_schemes(found.rows, found.as_printed, found.vectors)
+    console.show_schemes(console.out(), schemes)
     console.show_blocks(console.out(), found.blocks)
     _wrote(out)
 

@@ -19,7 +19,7 @@ from rich.progress import (
 from rich.table import Table
 
 from thermojoint import paper_values
-from thermojoint.summary import Convergence, PressureShare
+from thermojoint.summary import Convergence, PressureShare, SchemeErrors
 from thermojoint.tables import NOTE, PrintedTable
 
 #: Called with (what is being worked on, done, in all).
@@ -123,6 +123,19 @@ def paper_claim(row: Mapping[str, str | float]) -> float | None:
     if row["estimator"] != "fchs":
         return None
     return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
+
+
+def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
+    """Print the two ways of calibrating Eq. 18 beside the linear estimator."""
+    table = Table()
+    for name in ("case", "axis"):
+        table.add_column(name)
+    for name in ("linear", "FCHS, calibrated to steps", "FCHS, to estimated strengths"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        errors = (number(value, 3) for value in (row.linear, row.steps, row.estimated))
+        table.add_row(row.case, row.axis, *errors)
+    _titled(console, "Largest error by the calibration of Eq. 18 (µm)", table)
 
 
 def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:

@@ -13,7 +13,7 @@ from artefacts.errors import InputError
 from artefacts.files import write_text
 from thermojoint import paper_values
 from thermojoint.console import number, paper_claim
-from thermojoint.summary import Convergence, PressureShare
+from thermojoint.summary import Convergence, PressureShare, SchemeErrors
 from thermojoint.tables import NOTE, PrintedTable
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -50,6 +50,8 @@ class ReportData:
         Tables 1-3.
     validation, blocks : sequence of mapping
         Rows of `estimator.validation.validate` and `block_errors`.
+    schemes : sequence of SchemeErrors
+        The two calibrations of Eq. 18 beside the linear estimator.
     convergence : mapping
         Response to the solver's figures.
     share : PressureShare, optional
@@ -68,6 +70,7 @@ class ReportData:
     facts: Sequence[tuple[str, str]]
     tables: Sequence[PrintedTable] = ()
     validation: Sequence[Mapping[str, str | float]] = ()
+    schemes: Sequence[SchemeErrors] = ()
     blocks: Sequence[Mapping[str, str | float]] = ()
     convergence: Mapping[str, Convergence] = field(default_factory=dict)
     share: PressureShare | None = None

@@ -30,7 +30,7 @@ from thermojoint.measured import roles_in
 from thermojoint.pictures import write_pictures
 from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
-from thermojoint.summary import convergence, pressure_share
+from thermojoint.summary import compare_schemes, convergence, pressure_share
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import field_scenes, run_to_end, whole_structure
 
@@ -96,13 +96,7 @@ def reproduce(case: Case, out: Path) -> None:
         report("validating", 0, 1)
         judged = {name: responses[name] for name in study.VALIDATION}
         validated = study.validate_model(calibrated.model, responses[REFERENCE], judged)
-        judgement = {
-            "rows": validated.rows,
-            "vectors": validated.vectors,
-            "as_printed": validated.as_printed,
-            "blocks": validated.blocks,
-        }
-        _write_json(out / "validation.json", judgement)
+        _write_json(out / "validation.json", validated.figures())
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
@@ -116,6 +110,7 @@ def reproduce(case: Case, out: Path) -> None:
         facts=facts(case, responses[REFERENCE]),
         tables=printed_tables(tables),
         validation=validated.rows,
+        schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
         blocks=validated.blocks,
         convergence={name: convergence(response) for name, response in responses.items()},
         share=pressure_share(responses[PRESSURE]),
@@ -132,6 +127,7 @@ def show(terminal: Console, data: ReportData) -> None:
     """Print the tables of a report."""
     console.show_tables(terminal, data.tables)
     console.show_validation(terminal, data.validation)
+    console.show_schemes(terminal, data.schemes)
     console.show_blocks(terminal, data.blocks)
     console.show_convergence(terminal, data.convergence)
     if data.share is not None:

@@ -9,6 +9,7 @@ from itertools import islice
 import numpy as np
 import pydantic
 import xarray as xr
+from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError, ThermojointError
 from calibrate import steps
@@ -101,6 +102,15 @@ class Validated:
     blocks: list[dict[str, str | float]]
     estimates: dict[str, Estimate]
 
+    def figures(self) -> dict[str, list[dict[str, str | float]]]:
+        """All errors, ready for a JSON file."""
+        return {
+            "rows": self.rows,
+            "vectors": self.vectors,
+            "as_printed": self.as_printed,
+            "blocks": self.blocks,
+        }
+
 
 def simulate_inputs(
     case: Case,
@@ -123,6 +133,7 @@ def simulate_inputs(
     return {name: run(name, heat) for name, heat in inputs.items()}
 
 
+@threadpool_limits.wrap(limits=1)
 def calibrate_responses(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
@@ -158,6 +169,7 @@ def calibrate_responses(
     return _place_and_calibrate(base, rest)
 
 
+@threadpool_limits.wrap(limits=1)
 def validate_model(
     model: Model, reference: xr.Dataset | None, responses: Mapping[str, xr.Dataset]
 ) -> Validated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,29 @@ class PressureShare:
         return float(known.min()) if known.size else None
 
 
+@dataclass(frozen=True)
+class SchemeErrors:
+    """Largest errors of one validation case, µm.
+
+    Attributes
+    ----------
+    case, axis : str
+        The axis is "vector" for the length of the error in all directions together.
+    linear : float
+        Of the linear estimator.
+    steps : float or None
+        Of FCHS with Eq. 18 calibrated to steps, as the paper does.
+    estimated : float
+        Of FCHS with Eq. 18 calibrated to estimated strengths; what the estimator does.
+    """
+
+    case: str
+    axis: str
+    linear: float
+    steps: float | None
+    estimated: float
+
+
 def convergence(response: xr.Dataset) -> Convergence:
     """Return the solver's figures of a simulated response.
 
@@ -124,6 +148,45 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
         share=share,
         compressed=change > 0.0,
     )
+
+
+def compare_schemes(
+    rows: Sequence[Mapping[str, str | float]],
+    as_printed: Sequence[Mapping[str, str | float]],
+    vectors: Sequence[Mapping[str, str | float]],
+) -> list[SchemeErrors]:
+    """Return the largest errors of the linear estimator and of both FCHS calibrations.
+
+    Parameters
+    ----------
+    rows, as_printed, vectors
+        See `thermojoint.study.Validated`.
+
+    Returns
+    -------
+    list of SchemeErrors
+        Every case along every axis, and as the length of the whole vector where that is known.
+    """
+    error = {(row["case"], row["axis"], row["estimator"]): row["max_abs_error_um"] for row in rows}
+    steps = {(row["case"], row["axis"]): row["max_abs_error_um"] for row in as_printed}
+    length = {(row["case"], row["estimator"]): row["max_abs_error_um"] for row in vectors}
+    found = [
+        SchemeErrors(
+            str(case),
+            str(axis),
+            float(linear),
+            float(steps[case, axis]),
+            float(error[case, axis, "fchs"]),
+        )
+        for (case, axis, estimator), linear in error.items()
+        if estimator == "linear"
+    ]
+    found += [
+        SchemeErrors(str(case), "vector", float(linear), None, float(length[case, "fchs"]))
+        for (case, estimator), linear in length.items()
+        if estimator == "linear"
+    ]
+    return found
 
 
 def _need(response: xr.Dataset, name: str) -> None:
