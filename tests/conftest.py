@@ -26,6 +26,13 @@ def coarse_data():
     data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
     data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
     data["march"]["duration_min"] = 1.0
+    data["candidates"] = []
+    data["probes"] = {
+        "a": {"position_mm": [575.0, 600.0, 175.0], "body": "column"},
+        "b": {"position_mm": [550.0, 450.0, 125.0], "body": "column"},
+        "T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"},
+        "T2": {"position_mm": [625.0, 700.0, 87.5], "body": "column"},
+    }
     return data
 
 

@@ -64,8 +64,9 @@ def polygon_areas(surface):
 def test_figure_7_has_compression_negative_in_mpa_over_minutes(coarse_response):
     axes = pressure_figure(coarse_response).axes[0]
     curves = [line for line in axes.lines if str(line.get_label()).startswith("element")]
-    assert len(curves) == coarse_response.sizes["contact"]
-    pressure = coarse_response["pressure"].to_numpy()
+    across = coarse_response["pressure"].to_numpy().reshape(len(coarse_response["time"]), 3, 9)
+    pressure = across.mean(axis=1)
+    assert len(curves) == 9
     for k, curve in enumerate(curves):
         assert np.allclose(curve.get_ydata(), (pressure[0, k] - pressure[:, k]) / 1e6)
         assert curve.get_xdata()[-1] == pytest.approx(1.0)

@@ -104,8 +104,9 @@ def test_volumes_and_areas_are_the_closed_forms(half):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_dimension_is_a_parameter(name):
-    # The source may not reach into the side wall, where the reference has it end.
-    factor = 1.04 if name == "source_inset" else 0.96
+    # The source may reach neither into the side wall nor into the bracket, where the reference has
+    # it end.
+    factor = 1.04 if name in ("source_inset", "bracket_bottom") else 0.96
     changed = replace(REFERENCE, **{name: factor * getattr(REFERENCE, name)})
     structure = box_milling_machine(changed, element_size=0.2)
     agrees(structure, changed, 0.5)
@@ -120,7 +121,13 @@ def test_every_dimension_is_a_parameter(name):
     size=st.floats(0.06, 0.3),
     joint_size=st.none() | st.floats(0.03, 0.1),
     scales=st.fixed_dictionaries({name: st.floats(0.97, 1.0) for name in NAMES}).map(
-        lambda scales: scales | {"source_inset": 2.0 - scales["source_inset"]}
+        lambda scales: (
+            scales
+            | {
+                "source_inset": 2.0 - scales["source_inset"],
+                "source_top": 0.99 * scales["bracket_bottom"],
+            }
+        )
     ),
 )
 def test_volumes_and_areas_hold_for_all_sizes(size, joint_size, scales):
@@ -185,6 +192,7 @@ def test_a_dimension_that_is_no_length_is_named(name, value):
         ({"table_bottom": 0.7}, "table"),
         ({"screw_x": 1.43}, "screw"),
         ({"source_width": 0.3}, "source"),
+        ({"source_top": 0.76}, "source"),
         ({"nose_height": 1.2}, "nose"),
         ({"table_point": 0.9}, "table_point"),
         ({"column_depth": 0.09}, "column"),

@@ -32,7 +32,10 @@ _LABELLED = 12
 
 
 def pressure_figure(response: xr.Dataset) -> Figure:
-    """Figure 7: change of the contact pressure of each contact element, compression negative.
+    """Figure 7: change of the contact pressure along the joint, compression negative.
+
+    Contact elements at the same place along the joint are averaged over their area, and numbered
+    from its lower end, as in the paper.
 
     Parameters
     ----------
@@ -42,8 +45,9 @@ def pressure_figure(response: xr.Dataset) -> Figure:
     if "pressure" not in response:
         raise InputError("response: variable 'pressure' is missing; give a simulated response")
     minutes = response["time"].to_numpy() / 60.0
-    change = -(response["pressure"] - response["pressure"].isel(time=0)).to_numpy() / 1e6
-    numbers = response["contact"].to_numpy()
+    pressure = pressure_along(response) / 1e6
+    change = pressure[0] - pressure
+    numbers = range(1, pressure.shape[1] + 1)
     figure, axes = _figure(1)
     labelled = len(numbers) <= _LABELLED
     for k, number in enumerate(numbers):
@@ -63,6 +67,24 @@ def pressure_figure(response: xr.Dataset) -> Figure:
     axes[0].set_ylabel("change of contact pressure (MPa),\ncompression negative")
     _finish(axes, legend=labelled, outside=True)
     return figure
+
+
+def pressure_along(response: xr.Dataset) -> Array:
+    """Mean contact pressure at each place along the joint, Pa, shape (times, places).
+
+    Along is the direction in which the contact elements spread most. Without their positions every
+    element is a place of its own.
+    """
+    pressure = response["pressure"].to_numpy()
+    if "contact_position" not in response:
+        return np.asarray(pressure)
+    position = response["contact_position"].to_numpy()
+    along = position[:, np.argmax(np.ptp(position, axis=0))]
+    _, place = np.unique(np.round(along, 6), return_inverse=True)
+    area = response["contact_area"].to_numpy()
+    share = np.zeros((place.size, int(place.max()) + 1))
+    share[np.arange(place.size), place] = area
+    return np.asarray(pressure @ (share / share.sum(axis=0)))
 
 
 def temperatures_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]) -> Figure:

@@ -1,0 +1,171 @@
+"""The chain on a coarse machine: placement, calibration, validation, and the files of a run."""
+
+import json
+import re
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from artefacts.errors import InputError
+from fesim.case import case_from_data
+from thermojoint import study
+from thermojoint.placement import APART, JointPair, rank_joint_pairs, sources_for, with_roles
+from thermojoint.reproduce import reproduce
+
+
+@pytest.fixture(scope="module")
+def case():
+    """The reference machine with elements of 100 mm, 35 minutes in steps of 10 s."""
+    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
+    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
+    data["march"] = {"step_s": 10.0, "duration_min": 35.0}
+    data["candidates"][1]["spacing_mm"] = 75.0
+    return case_from_data(data, "coarse study", Path())
+
+
+@pytest.fixture(scope="module")
+def results(case, tmp_path_factory):
+    """The folder that a whole run leaves."""
+    out = tmp_path_factory.mktemp("results")
+    reproduce(case, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def responses(results):
+    from artefacts.response import read_response
+
+    return {path.stem: read_response(path) for path in (results / "responses").glob("*.nc")}
+
+
+@pytest.fixture(scope="module")
+def model(results):
+    from calibrate.model_file import read_model
+
+    return read_model(results / "model.json")
+
+
+def test_a_run_leaves_every_file(results):
+    names = {f"responses/{name}.nc" for name in (*study.CALIBRATION, *study.VALIDATION)}
+    names |= {"model.json", "tables.json", "validation.json", "report.html"}
+    found = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
+    assert names <= found
+    pictures = {name.split("/")[1] for name in found if name.startswith("figures/")}
+    for number in range(6, 12):
+        assert any(name.startswith(f"figure-{number:02d}") for name in pictures)
+    assert {"temperature.png", "deformation.png", "pressure.png"} <= pictures
+
+
+def test_tables_json_has_every_parameter(results):
+    tables = json.loads((results / "tables.json").read_text())
+    thermal = {"K", "a", "alpha", "r", "r0", "A", "B", "gamma", "max_abs_error_K"}
+    assert thermal <= set(tables["table1"]["thermal"])
+    eq8 = {"C", "D", "E", "c", "d", "e", "max_abs_error_um"}
+    for axis in study.AXES:
+        assert eq8 <= set(tables["table1"]["deformation"][axis])
+        for source in tables["table3"][axis]["sources"]:
+            assert {"C", "D", "E", "F", "c", "d", "e", "f"} <= set(source)
+    for source in tables["table2"]["sources"]:
+        assert {"a", "alpha", "K", "q", "A", "B", "gamma"} <= set(source)
+        assert set(source["q"]) == {"2.0", "0.5"}
+    assert np.shape(tables["table2"]["distances_m"]) == (2, 2)
+    assert set(tables["table3"]["max_abs_error_um"]) == {"0.5", "2.0"}
+
+
+def test_eqs_8_and_18_follow_the_calibration_responses(results):
+    tables = json.loads((results / "tables.json").read_text())
+    for axis in study.AXES:
+        assert tables["table1"]["deformation"][axis]["max_abs_error_um"] < 0.1
+        for level in ("0.5", "2.0"):
+            assert tables["table3"]["max_abs_error_um"][level][axis] < 0.1
+
+
+def test_validation_json_judges_both_estimators_in_every_case(results):
+    rows = json.loads((results / "validation.json").read_text())["rows"]
+    found = {(row["case"], row["estimator"], row["axis"]) for row in rows}
+    cases = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
+    assert found == {(c, e, a) for c in cases for e in ("linear", "fchs") for a in study.AXES}
+    for row in rows:
+        assert 0.0 < row["rms_error_um"] <= row["max_abs_error_um"] < row["peak_total_um"]
+
+
+def test_the_report_is_one_page_that_loads_nothing(results):
+    page = (results / "report.html").read_text()
+    assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)", page)
+    assert "Table 1" in page
+    assert "gap residual" in page
+
+
+def test_the_estimator_sees_temperatures_only(model, responses):
+    reference, triangle = responses["step-1.0"], responses["triangle"]
+    blind = triangle.assign(displacement=0.0 * triangle["displacement"] + 1.0)
+    blind["displacement"].attrs = triangle["displacement"].attrs
+    seen = study.validate_model(model, reference, {"triangle": triangle}).estimates["triangle"]
+    unseen = study.validate_model(model, reference, {"triangle": blind}).estimates["triangle"]
+    assert np.array_equal(seen.total, unseen.total)
+
+
+def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, responses):
+    base = responses["step-1.0"]
+    roles = study.roles_of(base, model)
+    named = {name: with_roles(r, roles) for name, r in responses.items()}
+    again = study.calibrate_responses(
+        named["step-1.0"], {0.5: named["step-0.5"], 2.0: named["step-2.0"]}
+    )
+    assert again.placement is None
+    assert again.model.sensors == model.sensors
+    assert again.model.linear.thermal.r == pytest.approx(model.linear.thermal.r, rel=1e-6)
+    assert np.allclose(again.model.distances, model.distances)
+
+
+def test_responses_without_sensors_or_candidates_are_refused(responses):
+    bare = {n: r.isel(probe=slice(0, 3)).assign_attrs(case="") for n, r in responses.items()}
+    with pytest.raises(InputError, match="name the sensors a, b, T1 and T2"):
+        study.calibrate_responses(bare["step-1.0"], {2.0: bare["step-2.0"]})
+
+
+def test_roles_keep_the_values_of_their_probes(responses):
+    response = responses["step-2.0"]
+    name = str(response["probe"].to_numpy()[5])
+    named = with_roles(response, {"T1": name})
+    assert np.array_equal(
+        named["temperature"].sel(probe="T1"), response["temperature"].sel(probe=name)
+    )
+    assert set(response["probe"].to_numpy()) < set(named["probe"].to_numpy())
+
+
+def test_sources_lie_at_the_contact_elements_nearest_to_the_sensors(responses):
+    response = responses["step-2.0"]
+    names = [str(n) for n in response["probe"].to_numpy() if str(n).startswith("s6")]
+    pair = JointPair(names[0], names[-1], 0.0, 0.0)
+    sources, distances = sources_for(response, pair)
+    elements = response["contact_position"].to_numpy()
+    for i, name in enumerate((pair.T1, pair.T2)):
+        sensor = response["probe_position"].sel(probe=name).to_numpy()
+        reach = np.linalg.norm(elements - sensor, axis=1)
+        assert distances[i, i] == pytest.approx(reach.min())
+        assert np.array_equal(sources[i], elements[np.argmin(reach)])
+
+
+def test_joint_pairs_come_best_first_and_apart(responses):
+    base = responses["step-1.0"]
+    others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
+    names = [str(n) for n in base["probe"].to_numpy() if str(n).startswith("s65")]
+    pairs = list(rank_joint_pairs(base, others, list(study.AXES), names))
+    misfits = [pair.misfit for pair in pairs]
+    assert misfits == sorted(misfits)
+    assert 0.0 < misfits[0] < 1.0
+    for pair in pairs:
+        low, high = (base["probe_position"].sel(probe=n).to_numpy() for n in (pair.T1, pair.T2))
+        assert np.linalg.norm(low - high) >= APART
+        assert low[1] <= high[1]
+
+
+def test_the_noise_is_seeded_and_as_large_as_the_papers(responses):
+    first, again = (study.joint_noise(responses["triangle"]) for _ in range(2))
+    for role in ("T1", "T2"):
+        assert np.array_equal(first[role], again[role])
+        assert np.ptp(first[role]) == pytest.approx(0.12)
