@@ -16,11 +16,10 @@ import numpy as np
 from scipy.signal import fftconvolve, lfilter
 
 from artefacts.errors import InputError
-from calibrate import deformation
 from calibrate.fit_result import Fit
-from calibrate.least_squares import Separable, fit
-from calibrate.linear import rate_bounds
+from calibrate.least_squares import fit
 from calibrate.model import DeformationModel
+from calibrate.source_deformation import eq18_models, eq18_problem
 
 #: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
 UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
@@ -119,35 +118,8 @@ def fit_driven_deformation(
     if not np.allclose(intervals, intervals[0], rtol=1e-6):
         raise InputError("fictitious sources: sample the calibration responses evenly in time")
     after = intervals[0] * np.arange(1, t.size + 1)
-    bounds = rate_bounds(t)
-
-    def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        columns = np.empty((inputs, t.size, sources, 4))
-        slopes = np.zeros((inputs, t.size, sources, 4, 4 * sources))
-        for i in range(sources):
-            own = slice(4 * i, 4 * i + 4)
-            shape, by_rate = deformation.basis(after, theta[own])
-            for k in range(inputs):
-                columns[k, :, i] = driven_response(shape, strengths[i, k])
-                slopes[k, :, i, :, own] = driven_response(by_rate, strengths[i, k])
-        rows = inputs * t.size
-        return columns.reshape(rows, -1), slopes.reshape(rows, 4 * sources, -1)
-
-    problem = Separable(
-        basis=basis,
-        data=deviations.reshape(-1, 1),
-        names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "cdef"),
-        linear_names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "CDEF"),
-        lower=(bounds[0],) * (4 * sources),
-        upper=(bounds[1],) * (4 * sources),
-        unit="m",
+    problem = eq18_problem(
+        after, deviations, sources, lambda i, k, shape: driven_response(shape, strengths[i, k])
     )
     found = fit(problem, starts=starts, seed=seed)
-    models = tuple(
-        deformation.model_from(
-            [found.values[f"{name}{i}"] for name in "CDEF"],
-            [found.values[f"{name}{i}"] for name in "cdef"],
-        )
-        for i in range(1, sources + 1)
-    )
-    return models, found
+    return eq18_models(found, sources), found

@@ -7,6 +7,8 @@ with the strengths q_i of Table 2. All inputs are fitted at once, one axis at a 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from artefacts.errors import InputError
@@ -16,10 +18,25 @@ from calibrate.least_squares import Separable, fit
 from calibrate.linear import rate_bounds
 from calibrate.model import DeformationModel
 
+#: (source, input, what Eq. 18 does after a unit step (n, ...)) to what it does there.
+Respond = Callable[[int, int, np.ndarray], np.ndarray]
 
-def _deformation_problem(t: np.ndarray, data: np.ndarray, strengths: np.ndarray) -> Separable:
-    """Return the joint fit of Eq. 18 for every source to δ_NL, shape (inputs, n)."""
-    sources, inputs = strengths.shape
+
+def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond) -> Separable:
+    """Return the joint fit of Eq. 18 for every source to δ_NL.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s.
+    data : ndarray, shape (inputs, n)
+        δ_NL at each input, m.
+    sources : int
+        Number of sources.
+    respond : callable
+        How a source's step response is driven at an input.
+    """
+    inputs = len(data)
     bounds = rate_bounds(t)
 
     def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,8 +45,9 @@ def _deformation_problem(t: np.ndarray, data: np.ndarray, strengths: np.ndarray)
         for i in range(sources):
             own = slice(4 * i, 4 * i + 4)
             shape, by_rate = deformation.basis(t, theta[own])
-            columns[:, :, i] = strengths[i][:, None, None] * shape
-            slopes[:, :, i, :, own] = strengths[i][:, None, None, None] * by_rate
+            for k in range(inputs):
+                columns[k, :, i] = respond(i, k, shape)
+                slopes[k, :, i, :, own] = respond(i, k, by_rate)
         rows = inputs * t.size
         return columns.reshape(rows, -1), slopes.reshape(rows, 4 * sources, -1)
 
@@ -42,6 +60,22 @@ def _deformation_problem(t: np.ndarray, data: np.ndarray, strengths: np.ndarray)
         upper=(bounds[1],) * (4 * sources),
         unit="m",
     )
+
+
+def eq18_models(found: Fit, sources: int) -> tuple[DeformationModel, ...]:
+    """Return the model of every source from a fit of `eq18_problem`."""
+    value = found.values
+    return tuple(
+        deformation.model_from(
+            [value[f"{name}{i}"] for name in "CDEF"], [value[f"{name}{i}"] for name in "cdef"]
+        )
+        for i in range(1, sources + 1)
+    )
+
+
+def _step_problem(t: np.ndarray, data: np.ndarray, strengths: np.ndarray) -> Separable:
+    """Eq. 18 driven by steps of `strengths`, shape (sources, inputs)."""
+    return eq18_problem(t, data, len(strengths), lambda i, k, shape: strengths[i, k] * shape)
 
 
 def fit_source_deformation(
@@ -80,22 +114,16 @@ def fit_source_deformation(
             f"(inputs, samples) = {(inputs, t.size)}"
         )
     thin = steps.thinned(t.size)
-    coarse = _deformation_problem(t[thin], deviations[:, thin], strengths)
+    coarse = _step_problem(t[thin], deviations[:, thin], strengths)
     own = np.linalg.pinv(strengths.T, rcond=1e-6) @ deviations[:, thin]
     guess: list[float] = []
     for curve in own:
-        single = _deformation_problem(t[thin], curve[None, :], np.ones((1, 1)))
+        single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
         found = fit(single, starts=16, seed=seed, polished=1)
         guess += [found.values[name] for name in single.names]
-    problem = _deformation_problem(t, deviations, strengths)
+    problem = _step_problem(t, deviations, strengths)
     found = fit(problem, coarse=coarse, starts=starts, guesses=[guess], seed=seed)
-    models = []
-    for i in range(1, sources + 1):
-        coefficients = [found.values[f"{name}{i}"] for name in "CDEF"]
-        models.append(
-            deformation.model_from(coefficients, [found.values[f"{name}{i}"] for name in "cdef"])
-        )
-    return tuple(models), found
+    return eq18_models(found, sources), found
 
 
 def source_displacements(

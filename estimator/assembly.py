@@ -13,7 +13,7 @@ from estimator.pole_residue import direct_bank
 from estimator.recursion import Bank, simple_bank, stacked, summed
 
 #: Relative error of the rational approximations over the band of a run.
-TOLERANCE = 1e-7
+TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

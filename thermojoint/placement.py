@@ -11,8 +11,9 @@ choose the pair whose estimated linear displacement is best at all calibration i
 Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
 the nonlinear displacement at the calibration inputs with each pair, shrunk as if a deviation were
 known to `DEVIATION_UNCERTAINTY`. Order the pairs by what is left; sensors closer than `APART` would
-see one source twice. The first pair whose source model has a stable inverse is taken. Fictitious
-source i lies at the contact element nearest to T_i, on which r_ij follow.
+see one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come after
+all others. The first pair whose source model has a stable inverse is taken. Fictitious source i lies at
+the contact element nearest to T_i, on which r_ij follow.
 """
 
 from __future__ import annotations
@@ -241,19 +242,20 @@ def rank_joint_pairs(
     power = (target**2).sum(axis=0)
     wide = len(UNCERTAIN_TIMES)
     ridge = len(target) * DEVIATION_UNCERTAINTY**2 * np.eye(2 * wide)
-    order: list[tuple[float, int, int]] = []
+    order: list[tuple[bool, float, int, int]] = []
     for i, j in combinations(range(len(candidates)), 2):
         if np.linalg.norm(at[i] - at[j]) < APART:
             continue
+        faint = bool(min(signals[[i, j]]) < DEVIATION_UNCERTAINTY)
         own = np.r_[wide * i : wide * (i + 1), wide * j : wide * (j + 1)]
         inner = gram[np.ix_(own, own)]
         weights = np.linalg.solve(inner + ridge, drive[own])
         left = power - 2.0 * (weights * drive[own]).sum(0) + (weights * (inner @ weights)).sum(0)
-        order.append((float(np.sqrt((left / power).max())), i, j))
+        order.append((faint, float(np.sqrt((left / power).max())), i, j))
     order.sort()
     # Along the joint means along the direction in which the candidates spread most.
     along = at[:, int(np.argmax(np.ptp(at, axis=0)))]
-    for misfit, i, j in order:
+    for _, misfit, i, j in order:
         low, high = (i, j) if along[i] <= along[j] else (j, i)
         signal = float(min(signals[i], signals[j]))
         yield JointPair(candidates[low], candidates[high], signal, misfit)

@@ -28,6 +28,7 @@ from thermojoint.figures import (
 )
 from thermojoint.measured import roles_in
 from thermojoint.pictures import write_pictures
+from thermojoint.placement import with_roles
 from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
 from thermojoint.summary import compare_schemes, convergence, pressure_share
@@ -88,6 +89,13 @@ def reproduce(case: Case, out: Path) -> None:
 
         report("calibrating", 0, 1)
         calibrated, provenance = _calibrate(case, responses)
+        if calibrated.placement is not None:
+            responses = {
+                name: with_roles(response, calibrated.placement.roles)
+                for name, response in responses.items()
+            }
+            for name, response in responses.items():
+                write_response(response, out / "responses" / f"{name}.nc")
         write_model(calibrated.model, out / "model.json", provenance)
         tables = tables_json(calibrated.model, provenance)
         _write_json(out / "tables.json", tables)

@@ -11,20 +11,28 @@ import pydantic
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from artefacts.errors import InputError, ThermojointError
+from artefacts.errors import ConvergenceError, InputError, ThermojointError
 from calibrate import steps
 from calibrate.driven_deformation import fit_driven_deformation, uncertain_signals
 from calibrate.fictitious import FictitiousCalibration, calibrate_fictitious
 from calibrate.linear import JOINT_SENSORS, LinearCalibration, calibrate_linear, fit_deformation
-from calibrate.model import DeformationModel, FictitiousSource, Model
+from calibrate.model import (
+    DeformationModel,
+    FictitiousSource,
+    Model,
+    Regularisation,
+    RingModel,
+)
 from estimator import blocks
 from estimator.assembly import start
 from estimator.fchs import Estimate
+from estimator.inverse import unstable_zeros
 from estimator.validation import block_errors, readings, sensor_noise, validate
 from fesim.case import CandidatesSection, Case, StepInput, TriangleInput
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.placement import (
+    APART,
     DEVIATION_UNCERTAINTY,
     Placement,
     choose_heat_pair,
@@ -53,6 +61,8 @@ NOISE_SEED = 0
 #: The directions of Tables 1 and 3.
 AXES = ("x", "y")
 ROLES = ("a", "b", *JOINT_SENSORS)
+#: Largest factor on A that `stabilised` tries.
+MOST_RAISED = 64.0
 #: Joint pairs that the placement tries before it gives up.
 MOST_PAIRS = 40
 
@@ -272,6 +282,11 @@ def _place_and_calibrate(base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> 
             return _calibrate(own, named, placement.distances.tolist(), placement)
         except ThermojointError as error:
             refused = str(error)
+    if not refused:
+        raise InputError(
+            f"placement: no two candidates at the joint lie {APART:g} m apart; give more "
+            "[[candidates]] there"
+        )
     raise InputError(
         f"placement: none of the best {MOST_PAIRS} pairs at the joint gives a stable estimator "
         f"({refused}); give other [[candidates]]"
@@ -297,8 +312,44 @@ def _calibrate(
         },
         reference_power_W=float(base.attrs["reference_power_W"]),
     )
+    model = stabilised(model, base["time"].to_numpy())
     driven = _driven_models(model, base, rest, fictitious)
     return Calibrated(replace(model, sources=driven), linear, fictitious, placement)
+
+
+def stabilised(model: Model, times: np.ndarray) -> Model:
+    """Raise A of every source (Eq. 7) together until the matrix of the sources has an inverse.
+
+    The rule for A looks at each source alone. Beside each other, a source may be felt more at the
+    other's sensor than at its own; a larger A, and with it B, makes the own sensor count first.
+
+    Raises
+    ------
+    ConvergenceError
+        The inverse is unstable even with `MOST_RAISED` times the A of the rule.
+    """
+    rings = [
+        [RingModel(one.K, one.a, one.alpha, r, one.r0) for r in row]
+        for one, row in zip(model.sources, model.distances, strict=True)
+    ]
+    interval, length = float(np.diff(times).min()), float(times[-1] - times[0])
+    factor = 1.0
+    while factor <= MOST_RAISED:
+        raised = [_raised(one.regularisation, factor) for one in model.sources]
+        if unstable_zeros(rings, raised, interval, length, "inverse of the sources") == 0:
+            sources = zip(model.sources, raised, strict=True)
+            return replace(
+                model, sources=tuple(replace(one, regularisation=f) for one, f in sources)
+            )
+        factor *= 2.0
+    raise ConvergenceError(
+        f"inverse of the sources: unstable even with A raised {MOST_RAISED:g} times; place the "
+        "sensors nearer to their own sources"
+    )
+
+
+def _raised(f: Regularisation, factor: float) -> Regularisation:
+    return Regularisation(factor * f.A, factor * f.B, f.gamma)
 
 
 def _driven_models(

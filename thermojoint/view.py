@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
@@ -116,8 +117,7 @@ def run_to_end(
         nonlocal last
         last = step
 
-    progress: Callable[[int, int], None] = lambda done, total: report("marching", done, total)  # noqa: E731
-    finished = simulate(case, setup=setup, on_step=keep, progress=progress)
+    finished = simulate(case, setup=setup, on_step=keep, progress=partial(report, "marching"))
     return setup, finished.response, last
 
 
