@@ -11,9 +11,9 @@ choose the pair whose estimated linear displacement is best at all calibration i
 Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
 the nonlinear displacement at the calibration inputs with each pair, shrunk as if a deviation were
 known to `DEVIATION_UNCERTAINTY`. Order the pairs by what is left; sensors closer than `APART` would
-see one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come after
-all others. The first pair whose source model has a stable inverse is taken. Fictitious source i lies at
-the contact element nearest to T_i, on which r_ij follow.
+see one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last.
+The first pair whose source model has a stable inverse is taken. Fictitious source i lies at the
+contact element nearest to T_i, on which r_ij follow.
 """
 
 from __future__ import annotations
