@@ -11,7 +11,7 @@ The rule (`choose_regularisation`)
    transfer function is then A s2 / (s + gamma)3: neither a constant nor a ramp of heat is biased.
    f_R is positive until 2/gamma and negative after.
 3. gamma starts at 2/t_A, with t_A the time of the largest slope: f_R fills in the delay and is
-   taken back from then on. gamma is lowered step by step, down to 1/(2 t_A), until the two parts
+   taken back from then on. gamma is lowered step by step, to about 1/(2 t_A), until the two parts
    of the transfer function nowhere cancel by more than half and it has no zero in the right half
    plane, which would make the inverse unstable. The latter is checked by the argument principle:
    the phase of H + s F_R, followed up the imaginary axis, must end where the large arc takes it up.
