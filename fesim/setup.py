@@ -155,10 +155,9 @@ def build_structure(case: Case) -> Structure:
             half=section.half,
             probes=probes,
         )
-        sides = structure.joints
     else:
         structure = read_structure(section.file)
-        sides = structure.joints
+    sides = structure.joints
     joints = {}
     for name, joint in case.joints.items():
         if joint.side_a is not None and joint.side_b is not None:

@@ -12,6 +12,7 @@ import pytest
 from artefacts.errors import InputError
 from fesim.case import case_from_data
 from thermojoint import study
+from thermojoint.measured import roles_in
 from thermojoint.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
@@ -117,7 +118,7 @@ def test_the_estimator_sees_temperatures_only(model, responses):
 
 def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, responses):
     base = responses["step-1.0"]
-    roles = study.roles_of(base, model)
+    roles = roles_in(base, model)
     named = {name: with_roles(r, roles) for name, r in responses.items()}
     again = study.calibrate_responses(
         named["step-1.0"], {0.5: named["step-0.5"], 2.0: named["step-2.0"]}

@@ -31,6 +31,7 @@ from estimator.validation import block_errors, readings, sensor_noise, validate
 from fesim.case import CandidatesSection, Case, StepInput, TriangleInput
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
+from thermojoint.measured import roles_in
 from thermojoint.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
@@ -197,7 +198,7 @@ def validate_model(
     printed = replace(model, sources=tuple(replace(one, driven={}) for one in model.sources))
     found = Validated([], [], [], [], {})
     for name, response in responses.items():
-        roles = roles_of(response, model)
+        roles = roles_in(response, model)
         noisy = {f"{name}-noise": joint_noise(response)} if name == NOISY else {}
         for case, noise in ({name: None} | noisy).items():
             rows, estimate = validate(
@@ -237,32 +238,6 @@ def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
         response["time"].to_numpy(), NOISE_PEAK_TO_PEAK_K, NOISE_SEED, len(JOINT_SENSORS)
     )
     return {role: channels[:, k] for k, role in enumerate(JOINT_SENSORS)}
-
-
-def roles_of(response: xr.Dataset, model: Model) -> dict[str, str]:
-    """Role to the probe of `response` at the position that the model has for it.
-
-    Raises
-    ------
-    InputError
-        A role has neither a probe of its name nor one at its position.
-    """
-    names = [str(name) for name in response["probe"].to_numpy()]
-    roles = {}
-    for role, position in model.sensors.items():
-        if role in names:
-            roles[role] = role
-            continue
-        if "probe_position" in response:
-            off = np.abs(response["probe_position"].to_numpy() - position).max(axis=1)
-            if off.min() < 1e-6:
-                roles[role] = names[int(np.argmin(off))]
-                continue
-        raise InputError(
-            f"response: no probe is called {role!r} or lies at {position} m, where the model has "
-            f"its sensor {role}; simulate with that probe"
-        )
-    return roles
 
 
 def _place_and_calibrate(base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> Calibrated:
