@@ -21,7 +21,9 @@ SCHEMA_VERSION = 1
 #: name -> (dimensions, unit, long name); the first three are in every response.
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heat_input": (("time",), "1", "heat input relative to the reference step"),
-    "temperature": (("time", "probe"), "K", "temperature above ambient"),
+    "source_power": (("time", "source"), "W", "heat of each source of the whole structure"),
+    "ambient": (("time",), "K", "ambient temperature above its initial value"),
+    "temperature": (("time", "probe"), "K", "temperature above the initial ambient"),
     "displacement": (("time", "axis"), "m", "displacement of A relative to B"),
     "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
     "pressure": (("time", "contact"), "Pa", "mean normal contact pressure"),

@@ -101,24 +101,18 @@ class JointSection(_Section):
         return self
 
 
+class SpringSection(_Section):
+    """``[supports.springs.SURFACE]``: levelling mounts, spread evenly over a surface."""
+
+    stiffness_N_um: tuple[NotNegative, NotNegative, NotNegative]
+
+
 class SupportsSection(_Section):
-    """``[supports]``: surfaces held in all directions, and symmetry planes."""
+    """``[supports]``: surfaces held in all directions, symmetry planes, and springs."""
 
-    fixed: list[str]
+    fixed: list[str] = []
     symmetry: dict[str, Literal["x", "y", "z"]] = {}
-
-
-class SourceSection(_Section):
-    """``[source]``: where the heat of the reference step enters.
-
-    ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
-    whole machine, or of all of them together.
-    """
-
-    surface: str
-    reference_power_W: Positive = 295.0
-    count: Annotated[int, Field(ge=1)] = 2
-    reading: Literal["per source", "total"] = "per source"
+    springs: dict[str, SpringSection] = {}
 
 
 class StepInput(_Section):
@@ -149,6 +143,55 @@ class SampledInput(_Section):
 
     kind: Literal["sampled"]
     file: Path
+
+
+HeatInput = Annotated[
+    StepInput | RampInput | TriangleInput | SampledInput, Field(discriminator="kind")
+]
+
+
+class SourceSection(_Section):
+    """``[sources.NAME]``: heat that enters through a surface, or in the volume of a body.
+
+    ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
+    whole machine, or of all of them together. Without a ``heat_input`` of its own a source follows
+    the case's.
+    """
+
+    surface: str | None = None
+    body: str | None = None
+    reference_power_W: Positive = 295.0
+    count: Annotated[int, Field(ge=1)] = 1
+    reading: Literal["per source", "total"] = "per source"
+    heat_input: HeatInput | None = None
+
+    @model_validator(mode="after")
+    def _one_region(self) -> SourceSection:
+        if (self.surface is None) == (self.body is None):
+            raise ValueError("give either 'surface' or 'body'")
+        return self
+
+
+class AmbientSection(_Section):
+    """``[ambient]``: a CSV with ``time_s,ambient_degC``."""
+
+    file: Path
+
+
+class HeldTemperatureSection(_Section):
+    """``[held_temperatures.SURFACE]``: above the initial ambient temperature.
+
+    Either constant, or a CSV with ``time_s,rise_K``.
+    """
+
+    rise_K: Finite | None = None
+    file: Path | None = None
+
+    @model_validator(mode="after")
+    def _one_history(self) -> HeldTemperatureSection:
+        if (self.rise_K is None) == (self.file is None):
+            raise ValueError("give either 'rise_K' or 'file'")
+        return self
 
 
 class MarchSection(_Section):
@@ -205,15 +248,24 @@ class Case(_Section):
     joints: dict[str, JointSection]
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
-    source: SourceSection
-    heat_input: Annotated[
-        StepInput | RampInput | TriangleInput | SampledInput, Field(discriminator="kind")
-    ]
+    sources: dict[str, SourceSection] = {}
+    heat_input: HeatInput | None = None
+    ambient: AmbientSection | None = None
+    held_temperatures: dict[str, HeldTemperatureSection] = {}
     march: MarchSection = MarchSection()
     displacement: DisplacementSection = DisplacementSection()
     probes: dict[str, ProbeSection] = {}
     candidates: list[CandidatesSection] = []
     output: OutputSection = OutputSection()
+
+    @model_validator(mode="after")
+    def _something_heats(self) -> Case:
+        if not (self.sources or self.held_temperatures or self.ambient):
+            raise ValueError("nothing heats the structure: add [sources.NAME]")
+        for name, source in self.sources.items():
+            if source.heat_input is None and self.heat_input is None:
+                raise ValueError(f"source {name!r} has no heat input: add [heat_input]")
+        return self
 
 
 def read_case(path: Path) -> Case:
@@ -243,14 +295,22 @@ def parse_case(text: str, where: str, folder: Path) -> Case:
 
 def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
     """Validate a case given as nested dictionaries; see `read_case`."""
-    for section in ("structure", "heat_input"):
-        part = data.get(section)
-        if isinstance(part, dict) and isinstance(part.get("file"), str):
-            data = data | {section: part | {"file": str(folder / part["file"])}}
     try:
-        return Case.model_validate(data)
+        return Case.model_validate(_with_files_in(folder, data))
     except pydantic.ValidationError as error:
         raise _one_line(error, where) from error
+
+
+def _with_files_in(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the data with every ``file`` in it taken as relative to `folder`."""
+    return {
+        key: _with_files_in(folder, value)
+        if isinstance(value, dict)
+        else str(folder / value)
+        if key == "file" and isinstance(value, str)
+        else value
+        for key, value in data.items()
+    }
 
 
 def _one_line(error: pydantic.ValidationError, where: str) -> InputError:

@@ -23,6 +23,36 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class HeatBalance:
+    """Sums of the heat equation over all nodes: in = stored + convected, per step.
+
+    Heat enters by the inputs and through the held surfaces. There it is what their rows of the
+    equation lack: held = after . T - before . T_before - drive . u + flow . j.
+
+    Attributes
+    ----------
+    stored, convected : ndarray, shape (n,)
+        Column sums of M (J/K) and H (W/K).
+    entering : ndarray, shape (k,)
+        Column sums of P, W per unit of each input.
+    after, before : ndarray, shape (n,)
+        Column sums over the held rows of A0 and of M/dt, W/K.
+    drive : ndarray, shape (k,)
+        Column sums over the held rows of P.
+    flow : ndarray, shape (m,)
+        Row sums over the held columns of B.
+    """
+
+    stored: Array
+    convected: Array
+    entering: Array
+    after: Array
+    before: Array
+    drive: Array
+    flow: Array
+
+
+@dataclass(frozen=True)
 class ThermalCondensation:
     """One implicit Euler step of the heat equation, reduced to m joint heat flows.
 
@@ -31,29 +61,28 @@ class ThermalCondensation:
     factor : Factor
         A0 = M/dt + K + H, W/K.
     capacity_rate : scipy.sparse.csr_array, shape (n, n)
-        M/dt, W/K.
-    source : ndarray, shape (n,)
-        b, W per unit heat input.
+        M/dt, W/K; zero for the held unknowns.
+    inputs : ndarray, shape (n, k)
+        Right-hand side per unit of each input; for the held unknowns their temperature.
     jump : scipy.sparse.csr_array, shape (m, n)
         B.
     influence : ndarray, shape (n, m)
-        W = A0^-1 B^T, K/W.
+        W = A0^-1 B^T, K/W; zero for the held unknowns.
     joint_influence : ndarray, shape (m, m)
         S = B W, K/W.
-    heat_capacities, films : ndarray, shape (n,)
-        Row sums of M (J/K) and H (W/K), for the heat balance.
+    balance : HeatBalance
+        What closes the books of a step.
     step : float
         dt, s.
     """
 
     factor: Factor
     capacity_rate: csr_array
-    source: Array
+    inputs: Array
     jump: csr_array
     influence: Array
     joint_influence: Array
-    heat_capacities: Array
-    films: Array
+    balance: HeatBalance
     step: float
 
 
@@ -119,18 +148,33 @@ def condense_heat(
     heat: HeatOperators, joints: JointOperators, step: float, solver: str | None = None
 ) -> ThermalCondensation:
     """Factorise one implicit Euler step of length `step` (s) and condense it on the joints."""
-    capacity_rate = csr_array(heat.capacity / step)
-    factor = factorise(capacity_rate + heat.conduction + heat.convection, "heat equation", solver)
-    influence = checked_solve(factor, joints.jump.toarray().T, "heat condensation")
+    rate = csr_array(heat.capacity / step)
+    system = csr_array(rate + heat.conduction + heat.convection)
+    free = np.ones(rate.shape[0])
+    free[heat.held] = 0.0
+    keep = diags_array(free, format="csr")
+    inputs = free[:, None] * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
+    inputs[heat.held] = heat.held_inputs
+    alone = csr_array(keep @ system @ keep + diags_array(1.0 - free))
+    factor = factorise(alone, "heat equation", solver)
+    influence = checked_solve(factor, (joints.jump @ keep).toarray().T, "heat condensation")
+    held_sum = 1.0 - free
     return ThermalCondensation(
         factor=factor,
-        capacity_rate=capacity_rate,
-        source=heat.source,
+        capacity_rate=csr_array(keep @ rate),
+        inputs=inputs,
         jump=joints.jump,
         influence=influence,
         joint_influence=joints.jump @ influence,
-        heat_capacities=np.asarray(heat.capacity.sum(axis=0)).ravel(),
-        films=np.asarray(heat.convection.sum(axis=0)).ravel(),
+        balance=HeatBalance(
+            stored=np.asarray(heat.capacity.sum(axis=0)).ravel(),
+            convected=np.asarray(heat.convection.sum(axis=0)).ravel(),
+            entering=heat.inputs.sum(axis=0),
+            after=held_sum @ system,
+            before=held_sum @ rate,
+            drive=held_sum @ heat.inputs,
+            flow=joints.jump @ held_sum,
+        ),
         step=step,
     )
 

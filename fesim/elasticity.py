@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.sparse import coo_array, csr_array
 from skfem import BilinearForm, DiscreteField
 from skfem.assembly.form.form import FormExtraParams
 
-from fesim.heat import cell_field
+from fesim.heat import cell_field, film_form, surface_basis
 from fesim.materials import Material
 from fesim.spaces import Spaces
 from meshes.structure import Structure
@@ -55,6 +56,7 @@ def elastic_operators(
     materials: dict[str, Material],
     fixed: list[str],
     symmetry: dict[str, str],
+    springs: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> ElasticOperators:
     """Assemble the elastic operators.
 
@@ -70,6 +72,9 @@ def elastic_operators(
         Surfaces held in all directions.
     symmetry : dict
         Surface name to the direction ("x", "y" or "z") it is held in.
+    springs : mapping, optional
+        Surface name to the stiffness in x, y and z of the springs it stands on, N/m in all, spread
+        evenly over the surface.
     """
     basis = spaces.elastic
     lame = {name: m.lame for name, m in materials.items()}
@@ -91,11 +96,13 @@ def elastic_operators(
         for i in range(3)
     ]
     laplacian = mu[0][0] + mu[1][1] + mu[2][2]
-    blocks = {
-        (i, j): lam[i][j] + mu[j][i] + (laplacian if i == j else 0.0 * laplacian)
-        for i in range(3)
-        for j in range(3)
-    }
+    blocks = {(i, j): lam[i][j] + mu[j][i] for i in range(3) for j in range(3)}
+    for i in range(3):
+        blocks[i, i] = blocks[i, i] + laplacian
+    for name, stiffness in (springs or {}).items():
+        bed = csr_array(film_form.assemble(surface_basis(structure, basis, name)))
+        for i in range(3):
+            blocks[i, i] = blocks[i, i] + stiffness[i] / bed.sum() * bed
     size = spaces.displacement_size
     stiffness = _interleave(blocks, (size, size), columns=3)
     loads = {

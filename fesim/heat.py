@@ -1,13 +1,19 @@
-"""Heat operators: capacity, conduction, convection and sources. Temperatures are above ambient."""
+"""Heat operators: capacity, conduction, convection and what drives them.
+
+Temperatures are above the initial ambient. The drives stand side by side as columns of one matrix:
+the sources in the order given, the ambient, and the held surfaces in the order given.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 from skfem import BilinearForm, CellBasis, DiscreteField, FacetBasis, LinearForm
+from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
@@ -18,21 +24,45 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class HeatSource:
+    """A region that is heated evenly: one surface, or the volume of one body.
+
+    Attributes
+    ----------
+    power : float
+        Heat that enters the meshed part at input 1, W.
+    surface, body : str or None
+        One of them.
+    """
+
+    power: float
+    surface: str | None = None
+    body: str | None = None
+
+
+@dataclass(frozen=True)
 class HeatOperators:
-    """Semi-discrete heat equation M dT/dt + (K + H) T = b q(t), joints not included.
+    """Semi-discrete heat equation M dT/dt + (K + H) T = P u(t), joints not included.
 
     Attributes
     ----------
     capacity, conduction, convection : scipy.sparse.csr_array, shape (n, n)
         M (J/K, lumped), K and H (W/K).
-    source : ndarray, shape (n,)
-        b: nodal heat at heat input 1, W.
+    inputs : ndarray, shape (n, k)
+        P: nodal heat per unit of each input: of the sources (W), of the ambient above the initial
+        one (W/K); zero for the held surfaces.
+    held : ndarray of int, shape (h,)
+        Unknowns whose temperature is given; their rows of the equation do not hold.
+    held_inputs : ndarray, shape (h, k)
+        Their temperature per unit of each input.
     """
 
     capacity: csr_array
     conduction: csr_array
     convection: csr_array
-    source: Array
+    inputs: Array
+    held: NDArray[np.int64]
+    held_inputs: Array
 
 
 @BilinearForm
@@ -55,16 +85,21 @@ def film_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
 
 @LinearForm
 def flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
-    """A uniform heat flux into a surface."""
+    """Heat of density one, on a surface or in a volume."""
     return 1.0 * v
 
 
 def cell_field(structure: Structure, values: dict[str, float], basis: CellBasis) -> DiscreteField:
     """Field that is constant on each body, on the quadrature points of `basis`."""
-    by_cell = np.empty(structure.mesh.nelements)
+    return DiscreteField(np.broadcast_to(by_cell(structure, values)[:, None], basis.dx.shape))
+
+
+def by_cell(structure: Structure, values: dict[str, float]) -> Array:
+    """Value of each cell's body, shape (cells,)."""
+    found = np.empty(structure.mesh.nelements)
     for name, cells in structure.bodies.items():
-        by_cell[cells] = values[name]
-    return DiscreteField(np.broadcast_to(by_cell[:, None], basis.dx.shape))
+        found[cells] = values[name]
+    return found
 
 
 def heat_operators(
@@ -72,7 +107,8 @@ def heat_operators(
     basis: CellBasis,
     materials: dict[str, Material],
     films: dict[str, float],
-    sources: dict[str, float],
+    sources: Sequence[HeatSource],
+    held: Sequence[str] = (),
 ) -> HeatOperators:
     """Assemble the heat operators.
 
@@ -86,9 +122,10 @@ def heat_operators(
         Body name to its material.
     films : dict
         Surface name to its heat transfer coefficient, W/(m2 K).
-    sources : dict
-        Surface name to the heat that enters the meshed part through it at heat input 1, W; spread
-        evenly over the surface.
+    sources : sequence of HeatSource
+        What heats the structure.
+    held : sequence of str
+        Surfaces of given temperature; where two of them meet, the first one counts.
     """
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
@@ -98,15 +135,40 @@ def heat_operators(
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
     for name, coefficient in films.items():
-        on = _facet_basis(structure, basis, name)
+        on = surface_basis(structure, basis, name)
         convection = convection + coefficient * csr_array(film_form.assemble(on))
-    source = np.zeros(basis.N)
-    for name, power in sources.items():
-        load = flux_form.assemble(_facet_basis(structure, basis, name))
-        source += power * load / load.sum()
-    return HeatOperators(csr_array(capacity), csr_array(conduction), csr_array(convection), source)
+    inputs = np.zeros((basis.N, len(sources) + 1 + len(held)))
+    for column, source in enumerate(sources):
+        load = flux_form.assemble(_heated(structure, basis, source))
+        inputs[:, column] = source.power * load / load.sum()
+    inputs[:, len(sources)] = np.asarray(convection.sum(axis=1)).ravel()
+    nodes, surface = _held_unknowns(structure, basis, held)
+    pattern = np.zeros((nodes.size, inputs.shape[1]))
+    pattern[np.arange(nodes.size), len(sources) + 1 + surface] = 1.0
+    return HeatOperators(
+        csr_array(capacity), csr_array(conduction), csr_array(convection), inputs, nodes, pattern
+    )
 
 
-def _facet_basis(structure: Structure, basis: CellBasis, surface: str) -> FacetBasis:
+def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> AbstractBasis:
+    if source.surface is not None:
+        return surface_basis(structure, basis, source.surface)
+    cells = structure.body(source.body or "", "heat operators")
+    return CellBasis(structure.mesh, basis.elem, elements=cells, intorder=2 * basis.elem.maxdeg)
+
+
+def _held_unknowns(
+    structure: Structure, basis: CellBasis, held: Sequence[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Unknowns on the held surfaces, and which of the surfaces each one is on."""
+    on = [basis.get_dofs(structure.surface(name, "heat operators")).all() for name in held]
+    nodes = np.concatenate([np.empty(0, dtype=np.int64), *on])
+    surface = np.repeat(np.arange(len(on)), [len(part) for part in on])
+    unique, first = np.unique(nodes, return_index=True)
+    return unique, surface[first]
+
+
+def surface_basis(structure: Structure, basis: CellBasis, surface: str) -> FacetBasis:
+    """Return the basis of the same element on the facets of a named surface."""
     facets = structure.surface(surface, "heat operators")
     return FacetBasis(structure.mesh, basis.elem, facets=facets, intorder=2 * basis.elem.maxdeg)

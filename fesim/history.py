@@ -1,4 +1,4 @@
-"""Heat input histories: relative to the reference step, as functions of time."""
+"""Histories: heat inputs relative to the reference step, and temperatures, in time."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def sampled_history(times: Array, values: Array, where: str = "history") -> Hist
     return lambda time: np.interp(time, times, values)
 
 
-def read_history(path: Path) -> History:
-    """Read a sampled history from a CSV file with the columns ``time_s`` and ``heat_input``.
+def read_history(path: Path, column: str = "heat_input") -> History:
+    """Read a sampled history from a CSV file with the columns ``time_s`` and `column`.
 
     Raises
     ------
@@ -72,18 +72,18 @@ def read_history(path: Path) -> History:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: no such history file; give a CSV with time_s,heat_input")
+        raise InputError(f"{path}: no such history file; give a CSV with time_s,{column}")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             rows = [(reader.line_num, row) for row in reader if row and row[0][:1] != "#"]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV; give one with time_s,heat_input") from error
+        raise InputError(f"{path}: not a readable CSV; give one with time_s,{column}") from error
     header = [name.strip() for name in rows[0][1]] if rows else []
-    for column in ("time_s", "heat_input"):
-        if column not in header:
+    for wanted in ("time_s", column):
+        if wanted not in header:
             found = ", ".join(header) or "nothing"
-            raise InputError(f"{path}: column {column!r} is missing; found {found}")
+            raise InputError(f"{path}: column {wanted!r} is missing; found {found}")
     for line, row in rows[1:]:
         if len(row) != len(header):
             raise InputError(
@@ -91,9 +91,9 @@ def read_history(path: Path) -> History:
             )
     times, values = (
         np.array(
-            [_number(row[header.index(column)], f"{path}: line {line}") for line, row in rows[1:]]
+            [_number(row[header.index(wanted)], f"{path}: line {line}") for line, row in rows[1:]]
         )
-        for column in ("time_s", "heat_input")
+        for wanted in ("time_s", column)
     )
     return sampled_history(times, values, str(path))
 

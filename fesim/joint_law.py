@@ -193,8 +193,8 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     return Traction(np.stack([pressure - law.preload, *shear]), tangent, new_slip)
 
 
-def harmonic_conductivity(first: float, second: float) -> float:
-    """k_h = 2 k1 k2 / (k1 + k2) (with Eq. 11), W/(m K)."""
+def harmonic_conductivity(first: Array, second: Array) -> Array:
+    """k_h = 2 k1 k2 / (k1 + k2) (with Eq. 11), W/(m K), at every contact element."""
     return 2.0 * first * second / (first + second)
 
 
@@ -203,7 +203,7 @@ def power_law_conductance(
     exponent: float,
     slope: float,
     roughness: float,
-    conductivity: float,
+    conductivity: float | Array,
     hardness: float,
 ) -> Callable[[Array], Array]:
     """Eq. 11: h_c = C (m/sigma) k_h (p/H)^n, W/(m2 K), as a function of the pressure (Pa).
@@ -219,7 +219,7 @@ def power_law_conductance(
 
 
 def exact_conductance(
-    slope: float, roughness: float, conductivity: float, hardness: float
+    slope: float, roughness: float, conductivity: float | Array, hardness: float
 ) -> Callable[[Array], Array]:
     """Conductance of the surface model itself, to which Eq. 11 is a fit (CMY 1969).
 

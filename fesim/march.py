@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from artefacts.errors import ConvergenceError
 from fesim.condensation import ElasticCondensation, ThermalCondensation
 from fesim.gap import Equilibrium, GapProblem, solve_gap
-from fesim.history import History
 from fesim.joint_law import JointLaw, Traction, evaluate
 
 Array = NDArray[np.float64]
@@ -120,8 +119,8 @@ class Step:
     ----------
     state : State
         At the end of the step.
-    heat_input : float
-        Relative heat input during the step.
+    inputs : ndarray, shape (k,)
+        What drove the step: sources, W; ambient and held surfaces, K.
     conductance, heat_flow : ndarray, shape (m,)
         W/(m2 K), and W from side a to side b.
     displacement : ndarray, shape (k,)
@@ -137,7 +136,7 @@ class Step:
     """
 
     state: State
-    heat_input: float
+    inputs: Array
     conductance: Array
     heat_flow: Array
     displacement: Array
@@ -148,7 +147,9 @@ class Step:
     heat_balance: float
 
 
-Advance = Callable[[CondensedMachine, State, float], Step]
+#: Time at the end of a step (s) to the inputs (k,): sources, W; ambient and held surfaces, K.
+Inputs = Callable[[float], Array]
+Advance = Callable[[CondensedMachine, State, Array], Step]
 
 
 def initial_state(machine: CondensedMachine) -> State:
@@ -156,7 +157,7 @@ def initial_state(machine: CondensedMachine) -> State:
     count = machine.contacts
     return State(
         index=0,
-        temperature=np.zeros(machine.thermal.source.size),
+        temperature=np.zeros(machine.thermal.inputs.shape[0]),
         gap=np.zeros((3, count)),
         slip=np.zeros((2, count)),
         pressure=machine.preload.copy(),
@@ -165,7 +166,7 @@ def initial_state(machine: CondensedMachine) -> State:
 
 
 def march(
-    machine: CondensedMachine, history: History, advance: Advance, start: State | None = None
+    machine: CondensedMachine, inputs: Inputs, advance: Advance, start: State | None = None
 ) -> Iterator[Step]:
     """Yield one step after another, without end.
 
@@ -173,8 +174,8 @@ def march(
     ----------
     machine : CondensedMachine
         What marches.
-    history : callable
-        Time (s) to relative heat input; implicit Euler takes it at the end of each step.
+    inputs : callable
+        Time (s) to the inputs (k,); implicit Euler takes them at the end of each step.
     advance : callable
         `staggered` or `iterated`.
     start : State, optional
@@ -187,22 +188,22 @@ def march(
     """
     state = start if start is not None else initial_state(machine)
     while True:
-        time = np.array([(state.index + 1) * machine.thermal.step])
+        time = (state.index + 1) * machine.thermal.step
         try:
-            step = advance(machine, state, float(history(time)[0]))
+            step = advance(machine, state, inputs(time))
         except ConvergenceError as error:
-            raise ConvergenceError(f"step to t = {time[0]:g} s: {error}") from error
+            raise ConvergenceError(f"step to t = {time:g} s: {error}") from error
         state = step.state
         yield step
 
 
-def staggered(machine: CondensedMachine, state: State, heat_input: float) -> Step:
+def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
     conductance = machine.conductance(state.pressure)
-    return _step_with(machine, state, heat_input, conductance)
+    return _step_with(machine, state, inputs, conductance)
 
 
-def iterated(machine: CondensedMachine, state: State, heat_input: float) -> Step:
+def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which conductance and pressure agree at its end.
 
     Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
@@ -217,7 +218,7 @@ def iterated(machine: CondensedMachine, state: State, heat_input: float) -> Step
     weight, last_change = 1.0, np.inf
     iterations = cuts = 0
     for _ in range(MAX_SWEEPS):
-        step = _step_with(machine, state, heat_input, machine.conductance(pressure))
+        step = _step_with(machine, state, inputs, machine.conductance(pressure))
         iterations += step.iterations
         cuts += step.cuts
         change = float(np.abs((step.state.pressure - pressure) / machine.preload).max())
@@ -234,7 +235,7 @@ def iterated(machine: CondensedMachine, state: State, heat_input: float) -> Step
 
 
 def heat_step(
-    thermal: ThermalCondensation, temperature: Array, heat_input: float, joint: Array
+    thermal: ThermalCondensation, temperature: Array, inputs: Array, joint: Array
 ) -> tuple[Array, Array]:
     """Implicit Euler on the condensed heat equation.
 
@@ -244,8 +245,8 @@ def heat_step(
         The condensed step.
     temperature : ndarray, shape (n,)
         At the start, K.
-    heat_input : float
-        Relative heat input.
+    inputs : ndarray, shape (k,)
+        Sources, W; ambient and held surfaces, K.
     joint : ndarray, shape (m,)
         Conductance times area of each contact element, W/K.
 
@@ -256,7 +257,7 @@ def heat_step(
     heat_flow : ndarray, shape (m,)
         Across the joint from side a to side b, W.
     """
-    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + heat_input * thermal.source)
+    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
     system = joint[:, None] * thermal.joint_influence
     system[np.diag_indices_from(system)] += 1.0
     heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
@@ -264,23 +265,23 @@ def heat_step(
 
 
 def heat_balance(
-    thermal: ThermalCondensation, before: Array, after: Array, heat_input: float
+    thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
 ) -> float:
     """(in - stored - convected) over one step, relative to the largest of the three."""
-    entered = heat_input * float(thermal.source.sum()) * thermal.step
-    stored = float(thermal.heat_capacities @ (after - before))
-    convected = float(thermal.films @ after) * thermal.step
+    sums, step = thermal.balance, thermal.step
+    held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
+    entered = float(sums.entering @ inputs + held) * step
+    stored = float(sums.stored @ (after - before))
+    convected = float(sums.convected @ after) * step
     largest = max(abs(entered), abs(stored), abs(convected))
     return (entered - stored - convected) / largest if largest > 0.0 else 0.0
 
 
-def _step_with(
-    machine: CondensedMachine, state: State, heat_input: float, conductance: Array
-) -> Step:
+def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
     count = machine.contacts
     elastic = machine.elastic
     temperature, heat_flow = heat_step(
-        machine.thermal, state.temperature, heat_input, conductance * elastic.area[:count]
+        machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
     found, iterations, cuts = _settle(machine.gap_problem, state, thermal_gap)
@@ -295,7 +296,7 @@ def _step_with(
             pressure=pressure,
             thermal_gap=thermal_gap,
         ),
-        heat_input=heat_input,
+        inputs=inputs,
         conductance=conductance,
         heat_flow=heat_flow,
         displacement=elastic.probe_thermal @ temperature
@@ -304,7 +305,9 @@ def _step_with(
         residual=found.residual,
         iterations=iterations,
         cuts=cuts,
-        heat_balance=heat_balance(machine.thermal, state.temperature, temperature, heat_input),
+        heat_balance=heat_balance(
+            machine.thermal, state.temperature, temperature, inputs, heat_flow
+        ),
     )
 
 

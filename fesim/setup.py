@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -12,15 +13,19 @@ from artefacts.errors import InputError, unknown_name
 from fesim.case import (
     CandidatesSection,
     Case,
+    HeatInput,
+    HeldTemperatureSection,
     JointSection,
     MillingMachineSection,
     RampInput,
+    SampledInput,
+    SourceSection,
     StepInput,
     TriangleInput,
 )
 from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
 from fesim.elasticity import DIRECTIONS, elastic_operators
-from fesim.heat import heat_operators
+from fesim.heat import HeatSource, by_cell, heat_operators
 from fesim.history import History, ramp_history, read_history, step_history, triangle_history
 from fesim.joint_law import (
     BackBurdekinLaw,
@@ -89,8 +94,12 @@ def set_up(case: Case) -> Setup:
         structure.surface(name, "convection_W_m2K")
     for name in [*case.supports.fixed, *case.supports.symmetry]:
         structure.surface(name, "supports")
-    structure.surface(case.source.surface, "source.surface")
-    heat_history(case)  # a bad history is found now, not after the factorisation
+    for name in case.supports.springs:
+        structure.surface(name, "supports.springs")
+    for name in case.held_temperatures:
+        structure.surface(name, "held_temperatures")
+    sources = heat_sources(case, structure)
+    thermal_inputs(case)  # a bad history is found now, not after the factorisation
     joints = tuple(
         pair_joint(structure, name, section.along, section.across)
         for name, section in case.joints.items()
@@ -114,15 +123,20 @@ def set_up(case: Case) -> Setup:
         spaces.heat,
         materials,
         case.convection_W_m2K,
-        {case.source.surface: source_power(case) / structure.symmetry_factor},
+        sources,
+        list(case.held_temperatures),
     )
     elastic = elastic_operators(
-        structure, spaces, materials, case.supports.fixed, dict(case.supports.symmetry)
+        structure,
+        spaces,
+        materials,
+        case.supports.fixed,
+        dict(case.supports.symmetry),
+        spring_stiffnesses(case, structure),
     )
     step, solver = case.march.step_s, case.march.solver
-    condensed, field = condense_elasticity(
-        elastic, operators, reference_springs(laws), relative, solver
-    )
+    springs = reference_springs(structure, materials, joints)
+    condensed, field = condense_elasticity(elastic, operators, springs, relative, solver)
     machine = CondensedMachine(condense_heat(heat, operators, step, solver), condensed, laws)
     return Setup(
         structure=structure,
@@ -207,23 +221,70 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
     return {body: made[case.bodies[body]] for body in structure.bodies}
 
 
-def source_power(case: Case) -> float:
-    """Heat that enters the whole structure at heat input 1, W."""
-    source = case.source
+def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
+    """Return the sources of the meshed part, per W of the whole structure, in the case's order."""
+    sources = []
+    for name, section in case.sources.items():
+        if section.surface is not None:
+            structure.surface(section.surface, f"sources.{name}.surface")
+        else:
+            structure.body(section.body or "", f"sources.{name}.body")
+        sources.append(HeatSource(1.0 / structure.symmetry_factor, section.surface, section.body))
+    return sources
+
+
+def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
+    """Return the springs under each surface of the meshed part, N/m."""
+    part = 1e6 / structure.symmetry_factor
+    return {
+        name: (part * x, part * y, part * z)
+        for name, section in case.supports.springs.items()
+        for x, y, z in [section.stiffness_N_um]
+    }
+
+
+def source_power(source: SourceSection) -> float:
+    """Heat that a source gives the whole structure at heat input 1, W."""
     each = source.reference_power_W
     return each * source.count if source.reading == "per source" else each
 
 
-def heat_history(case: Case) -> History:
-    """The case's heat input as a function of time (s)."""
-    given = case.heat_input
+def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
+    """Return the inputs of the march in time: see `fesim.heat`."""
+    sources = [
+        (source_power(source), heat_history(source.heat_input or case.heat_input))
+        for source in case.sources.values()
+    ]
+    ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
+    held = [held_history(section) for section in case.held_temperatures.values()]
+
+    def inputs(time: float) -> NDArray[np.float64]:
+        at = np.array([time])
+        change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
+        parts = [*(power * history(at) for power, history in sources), change]
+        return np.concatenate([*parts, *(history(at) for history in held)])
+
+    return inputs
+
+
+def heat_history(given: HeatInput | None) -> History:
+    """Return a heat input as a function of time (s)."""
     if isinstance(given, StepInput):
         return step_history(given.level)
     if isinstance(given, RampInput):
         return ramp_history(given.level, 60.0 * given.duration_min)
     if isinstance(given, TriangleInput):
         return triangle_history(given.peak, 60.0 * given.duration_min)
-    return read_history(given.file)
+    if isinstance(given, SampledInput):
+        return read_history(given.file)
+    return step_history(0.0)
+
+
+def held_history(section: HeldTemperatureSection) -> History:
+    """Return a held temperature above the initial ambient, K, as a function of time (s)."""
+    if section.file is not None:
+        return read_history(section.file, "rise_K")
+    return step_history(section.rise_K or 0.0)
 
 
 def joint_law(
@@ -238,7 +299,10 @@ def joint_law(
     slope = section.asperity_slope
     conductivity = harmonic_conductivity(
         *(
-            materials[_body_of(structure, int(cells[0]))].conductivity
+            element_means(joint, conducted[cells])
+            for conducted in [
+                by_cell(structure, {name: m.conductivity for name, m in materials.items()})
+            ]
             for cells in (joint.cells_a, joint.cells_b)
         )
     )
@@ -266,17 +330,29 @@ def joint_law(
     return JointLaw(normal, friction, conductance, preload)
 
 
-def reference_springs(laws: list[tuple[JointLaw, int]]) -> NDArray[np.float64]:
-    """Reference springs (3 m,) as stiff as the joint is at its preload, Pa/m."""
-    stiffness = [
-        np.repeat(
-            [[-float(law.normal.slope(np.zeros(1))[0])], *([[law.friction.stiffness]] * 2)],
-            count,
-            axis=1,
+def reference_springs(
+    structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
+) -> NDArray[np.float64]:
+    """Reference springs (3 m,) as stiff as the bodies are behind a contact element, Pa/m.
+
+    They do not depend on the joint's law, so that one condensation serves every law.
+    """
+    modulus = by_cell(structure, {name: m.youngs_modulus for name, m in materials.items()})
+    each = [
+        0.5
+        * (
+            element_means(joint, modulus[joint.cells_a])
+            + element_means(joint, modulus[joint.cells_b])
         )
-        for law, count in laws
+        / np.sqrt(joint.area)
+        for joint in joints
     ]
-    return np.concatenate(stiffness, axis=1).ravel()
+    return np.tile(np.concatenate([np.empty(0), *each]), 3)
+
+
+def element_means(joint: PairedJoint, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means (m,) over each contact element of values (nq,) at its quadrature points."""
+    return np.bincount(joint.element, joint.weights * values) / joint.area
 
 
 def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
@@ -311,10 +387,6 @@ def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:
 def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
     x, y, z = (1e-3 * value for value in point)
     return x, y, z
-
-
-def _body_of(structure: Structure, cell: int) -> str:
-    return next(name for name, cells in structure.bodies.items() if cell in cells)
 
 
 def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:

@@ -26,7 +26,7 @@ from fesim.march import (
     march,
     staggered,
 )
-from fesim.setup import Setup, heat_history, set_up
+from fesim.setup import Setup, heat_history, set_up, source_power, thermal_inputs
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 
@@ -92,7 +92,7 @@ def simulate(
             "than two steps before the end; make march.duration_min longer"
         )
     state = first
-    marching = march(ready.machine, heat_history(case), COUPLINGS[case.march.coupling], first)
+    marching = march(ready.machine, thermal_inputs(case), COUPLINGS[case.march.coupling], first)
     # A step is many small dense products: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for done, step in enumerate(islice(marching, count), start=1):
@@ -112,7 +112,7 @@ def at_rest(machine: CondensedMachine) -> Step:
     state = initial_state(machine)
     return Step(
         state=state,
-        heat_input=0.0,
+        inputs=np.zeros(machine.thermal.inputs.shape[1]),
         conductance=machine.conductance(state.pressure),
         heat_flow=np.zeros(machine.contacts),
         displacement=np.zeros(machine.elastic.probe_thermal.shape[0]),
@@ -127,8 +127,12 @@ def at_rest(machine: CondensedMachine) -> Step:
 def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -> xr.Dataset:
     machine = setup.machine
     names = [joint.name for joint in setup.joints for _ in joint.area]
+    times = machine.thermal.step * np.array([step.state.index for step in steps])
+    inputs = np.array([step.inputs for step in steps])
     values = {
-        "heat_input": np.array([step.heat_input for step in steps]),
+        "heat_input": _heat_input(case, times, inputs[:, : len(case.sources)]),
+        "source_power": inputs[:, : len(case.sources)],
+        "ambient": inputs[:, len(case.sources)],
         "temperature": probes,
         "displacement": np.array([step.displacement for step in steps]),
         "probe_position": np.array([probe.position for probe in setup.probes.values()]),
@@ -146,7 +150,8 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "heat_balance": np.array([step.heat_balance for step in steps]),
     }
     coords: dict[str, np.ndarray | list[str]] = {
-        "time": machine.thermal.step * np.array([step.state.index for step in steps]),
+        "time": times,
+        "source": list(case.sources),
         "probe": list(setup.probes),
         "axis": list(DIRECTIONS),
         "space": list(DIRECTIONS),
@@ -155,14 +160,31 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
     }
     attrs: dict[str, str | float | int] = {
         "title": case.title,
-        "reference_power_W": case.source.reference_power_W,
+        "reference_power_W": _reference_power(case),
         "case": case.model_dump_json(),
         "versions": json.dumps(
             {name: version(name) for name in ("thermojoint", "scikit-fem", "numpy", "scipy")}
         ),
         "linear_solver": machine.thermal.factor.solver,
-        "thermal_unknowns": int(machine.thermal.source.size),
+        "thermal_unknowns": int(machine.thermal.inputs.shape[0]),
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }
     return make_response(values, coords, attrs)
+
+
+def _reference_power(case: Case) -> float:
+    """Return the heat of the reference step as the case states it, W; of all sources if several."""
+    if len(case.sources) == 1:
+        return next(iter(case.sources.values())).reference_power_W
+    return sum(source_power(source) for source in case.sources.values())
+
+
+def _heat_input(case: Case, times: np.ndarray, powers: np.ndarray) -> np.ndarray:
+    """Return the case's heat input; of sources with their own ones the mean weighted by power."""
+    own = [source for source in case.sources.values() if source.heat_input is not None]
+    if case.heat_input is not None and not own:
+        # Not from the powers: 590 W x 1.5 / 590 W is 1.5 but for rounding.
+        return np.where(times > 0.0, heat_history(case.heat_input)(times), 0.0)
+    total = sum(source_power(source) for source in case.sources.values())
+    return powers.sum(axis=1) / total if total else np.zeros(len(times))

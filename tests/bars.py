@@ -13,14 +13,14 @@ from fesim.condensation import (
     condense_heat,
 )
 from fesim.elasticity import ElasticOperators, elastic_operators
-from fesim.heat import HeatOperators, heat_operators
+from fesim.heat import HeatOperators, HeatSource, heat_operators
 from fesim.joint_law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
 from fesim.joint_operators import JointOperators, joint_operators
 from fesim.march import CondensedMachine
 from fesim.materials import Material
 from fesim.setup import reference_springs
 from fesim.spaces import Spaces, make_spaces, probe_rows
-from meshes.pairing import pair_joint
+from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
@@ -88,6 +88,7 @@ class HeatParts:
 
     structure: Structure
     spaces: Spaces
+    joints: list[PairedJoint]
     heat: HeatOperators
     operators: JointOperators
     thermal: ThermalCondensation
@@ -106,6 +107,7 @@ def conduct(
     materials=(IRON, IRON),
     films=None,
     sources=None,
+    held=(),
     grid=(3, 2),
     step=2.0,
     solver=None,
@@ -113,10 +115,12 @@ def conduct(
     """Condense the heat equation of two bars."""
     by_body = dict(zip(("left", "right"), materials, strict=True))
     spaces = make_spaces(structure.mesh)
-    operators = joint_operators([pair_joint(structure, "joint", *grid)], spaces)
-    heat = heat_operators(structure, spaces.heat, by_body, films or {}, sources or {})
+    joints = [pair_joint(structure, "joint", *grid)]
+    operators = joint_operators(joints, spaces)
+    given = [HeatSource(power, surface=name) for name, power in (sources or {}).items()]
+    heat = heat_operators(structure, spaces.heat, by_body, films or {}, given, held)
     return HeatParts(
-        structure, spaces, heat, operators, condense_heat(heat, operators, step, solver)
+        structure, spaces, joints, heat, operators, condense_heat(heat, operators, step, solver)
     )
 
 
@@ -151,9 +155,8 @@ def assemble(
     chosen = {name: structure.probes[name] for name in ("end", "left_face")}
     probes = on_every_direction(probe_rows(spaces.elastic, structure, chosen))
     laws = [(law, len(operators.area))]
-    condensed, field = condense_elasticity(
-        elastic, operators, springs * reference_springs(laws), probes, solver
-    )
+    reference = springs * reference_springs(structure, by_body, parts.joints)
+    condensed, field = condense_elasticity(elastic, operators, reference, probes, solver)
     machine = CondensedMachine(parts.thermal, condensed, laws)
     return Bars(parts, elastic, probes, machine, field)
 
@@ -162,3 +165,15 @@ def on_every_direction(rows):
     """Rows on the scalar space, turned into x, y and z of each on interleaved unknowns."""
     dense = rows.toarray()
     return csr_array(np.kron(dense, np.eye(3)))
+
+
+def level(thermal, value):
+    """Inputs of a march in which every source has the same level and the ambient is steady."""
+    inputs = np.full(thermal.inputs.shape[1], value)
+    inputs[-1] = 0.0
+    return inputs
+
+
+def driven(machine, history):
+    """Inputs in time: every source follows one history."""
+    return lambda time: level(machine.thermal, history(np.array([time]))[0])

@@ -51,7 +51,7 @@ def refusal(data, folder=Path()):
 
 def test_the_reference_case_is_valid():
     case = parse_case(REFERENCE, "reference.toml", Path())
-    assert case.source.reference_power_W == 295.0
+    assert case.sources["bearings"].reference_power_W == 295.0
     assert case.joints["knee"].preload_MPa == 4.41
     assert case.probes or case.candidates
 
@@ -80,7 +80,7 @@ def test_a_case_survives_being_stored_in_a_response():
         ),
         (("structure", "element_size"), "element_size_mm", "machine.toml.structure"),
         (("heat_input", "levels"), "level", "machine.toml.heat_input"),
-        (("source", "surfaces"), "surface", "machine.toml.source"),
+        (("sources", "bearings", "surfaces"), "surface", "machine.toml.sources.bearings"),
         (("probes", "a", "position"), "position_mm", "machine.toml.probes.a"),
         (("supports", "fix"), "fixed", "machine.toml.supports"),
         (("convection",), "convection_W_m2K", "machine.toml"),
@@ -97,7 +97,6 @@ def test_an_unknown_key_is_refused_with_its_place_and_the_nearest_known_one(plac
         ("title",),
         ("structure",),
         ("supports",),
-        ("source", "surface"),
         ("heat_input", "level"),
         ("materials", "cast_iron", "density_kg_m3"),
         ("probes", "T1", "position_mm"),
@@ -129,7 +128,7 @@ POSITIVE = [
         )
     ),
     ("structure", "element_size_mm"),
-    ("source", "reference_power_W"),
+    ("sources", "bearings", "reference_power_W"),
     ("march", "step_s"),
     ("march", "duration_min"),
 ]
@@ -148,8 +147,8 @@ IMPOSSIBLE = [
     (("joints", "knee", "along"), 0),
     (("joints", "knee", "along"), 2.5),
     (("joints", "knee", "normal_law"), "hertz"),
-    (("source", "count"), 0),
-    (("source", "reading"), "each"),
+    (("sources", "bearings", "count"), 0),
+    (("sources", "bearings", "reading"), "each"),
     (("march", "coupling"), "strong"),
     (("march", "solver"), "mumps"),
     (("supports", "symmetry"), {"symmetry": "w"}),
@@ -211,7 +210,7 @@ def test_a_march_shorter_than_its_step_is_refused():
     assert "shorter than one step" in refusal(changed(("march", "duration_min"), 0.01))
 
 
-@pytest.mark.parametrize("section", ["materials", "joints", "probes", "structure", "source"])
+@pytest.mark.parametrize("section", ["materials", "joints", "probes", "structure", "sources"])
 def test_a_number_in_place_of_a_section_is_refused(section):
     assert f"machine.toml: {section}" in refusal(changed((section,), 3))
 

@@ -193,7 +193,7 @@ def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coars
 
 def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    scene = structure_scene(box_milling_machine(element_size=0.1), "bearings", [])
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
     path = tmp_path / "structure.png"
     assert pictures.write_pictures({path: scene}) == {path: "matplotlib"}
     assert [file.name for file in tmp_path.iterdir()] == ["structure.png"]
@@ -201,7 +201,7 @@ def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_
 
 
 def test_a_fallback_picture_says_that_it_is_one():
-    scene = structure_scene(box_milling_machine(element_size=0.1), "bearings", [])
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
     assert "matplotlib" in pictures.matplotlib_picture(scene).get_supxlabel()
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from bars import AREA, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, surface_law, two_bars
+from bars import AREA, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, level, surface_law, two_bars
 from scipy.linalg import expm
 from skfem import FacetBasis, MeshHex, MeshTet
 
-from fesim.heat import flux_form, heat_operators
+from fesim.heat import HeatSource, flux_form, heat_operators
 from fesim.march import heat_balance, heat_step
 from fesim.spaces import make_spaces
 from meshes.structure import Structure
@@ -46,7 +46,7 @@ def block(kind):
 def test_linear_temperatures_are_exact_on_distorted_elements(kind):
     structure, inside = block(kind)
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"left": IRON, "right": IRON}, {}, {})
+    heat = heat_operators(structure, basis, {"left": IRON, "right": IRON}, {}, [])
     x, y, z = basis.doflocs
     forces = heat.conduction @ (3.0 + 2.0 * x - 5.0 * y + 0.5 * z)
     np.testing.assert_allclose(forces[inside], 0.0, atol=1e-12 * IRON.conductivity)
@@ -57,7 +57,7 @@ def test_two_conductivities_in_series_share_the_flux(kind):
     """A temperature with a kink at the interface, in balance with the flux through the ends."""
     structure, _ = block(kind)
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, {})
+    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, [])
     flux = 1000.0
     x = basis.doflocs[0]
     temperature = flux * (
@@ -79,15 +79,14 @@ def test_operators_hold_the_energy(kind):
     """Conduction makes no heat, the capacity is the body's, films and sources are what is said."""
     structure, _ = block(kind)
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(
-        structure, basis, {"left": IRON, "right": STEEL}, {"all": 6.0, "hot": 4.0}, {"cold": 90.0}
-    )
+    films, source = {"all": 6.0, "hot": 4.0}, HeatSource(90.0, surface="cold")
+    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, films, [source])
     np.testing.assert_allclose(heat.conduction.sum(axis=0), 0.0, atol=1e-12 * IRON.conductivity)
     stored = [m.density * m.heat_capacity for m in (IRON, STEEL)]
     assert heat.capacity.sum() == pytest.approx(0.5 * sum(stored), rel=1e-12)
     assert heat.convection.sum() == pytest.approx(6.0 * 6.0 + 4.0, rel=1e-12)
-    assert heat.source.sum() == pytest.approx(90.0, rel=1e-12)
-    assert (heat.source >= 0.0).all()
+    assert heat.inputs[:, 0].sum() == pytest.approx(90.0, rel=1e-12)
+    assert (heat.inputs[:, 0] >= 0.0).all()
     for matrix in (heat.capacity, heat.conduction, heat.convection):
         np.testing.assert_allclose((matrix - matrix.T).toarray(), 0.0, atol=1e-9)
 
@@ -116,8 +115,10 @@ def test_two_bars_in_series_through_a_joint(mesh, pressure):
     )
     conductance = surface_law().conductance(np.full(made.operators.area.size, pressure))
     thermal = made.thermal
-    start = np.zeros(thermal.source.size)
-    temperature, flow = heat_step(thermal, start, 1.0, conductance * made.operators.area)
+    start = np.zeros(thermal.inputs.shape[0])
+    temperature, flow = heat_step(
+        thermal, start, level(thermal, 1.0), conductance * made.operators.area
+    )
 
     bars = LEFT / IRON.conductivity + RIGHT / STEEL.conductivity
     joint = 1.0 / conductance[0] if pressure > 0.0 else np.inf
@@ -157,7 +158,9 @@ def test_an_uneven_joint_conducts_where_it_is_pressed():
         step=FOREVER,
     )
     conductance = np.array([2000.0, 0.0, 2000.0]) * made.operators.area
-    _, flow = heat_step(made.thermal, np.zeros(made.spaces.heat.N), 1.0, conductance)
+    _, flow = heat_step(
+        made.thermal, np.zeros(made.spaces.heat.N), level(made.thermal, 1.0), conductance
+    )
     assert flow[1] == 0.0
     assert flow.sum() == pytest.approx(10.0, rel=1e-3)  # less what the left film takes
     assert flow.min() >= 0.0
@@ -172,11 +175,12 @@ def transient(step, count):
     )
     joint = 18806.0 * made.operators.area
     temperature = np.zeros(made.spaces.heat.N)
+    inputs = level(made.thermal, 1.0)
     worst = 0.0
     for _ in range(count):
         before = temperature
-        temperature, _ = heat_step(made.thermal, before, 1.0, joint)
-        worst = max(worst, abs(heat_balance(made.thermal, before, temperature, 1.0)))
+        temperature, flow = heat_step(made.thermal, before, inputs, joint)
+        worst = max(worst, abs(heat_balance(made.thermal, before, temperature, inputs, flow)))
     return made, joint, temperature, worst
 
 
@@ -189,7 +193,7 @@ def test_implicit_euler_is_of_first_order_and_keeps_the_balance():
     matrix = (made.heat.conduction + made.heat.convection).toarray() + jump.T @ (
         joint[:, None] * jump
     )
-    steady = np.linalg.solve(matrix, made.heat.source)
+    steady = np.linalg.solve(matrix, made.heat.inputs[:, 0])
     decay = expm(-end * np.linalg.solve(made.heat.capacity.toarray(), matrix))
     exact = steady - decay @ steady
     error = {n: np.abs(result[2] - exact).max() for n, result in results.items()}
@@ -204,10 +208,55 @@ def test_nothing_gets_colder_when_heat_comes_in(mesh):
     """Steps far shorter than the time heat takes through an element: no undershoot."""
     made = conduct(MESHES[mesh], films={"right_end": 50.0}, sources={"left_end": 10.0}, step=0.5)
     temperature = np.zeros(made.spaces.heat.N)
+    joint = 18806.0 * made.operators.area
     for _ in range(20):
         before = temperature
-        temperature, _ = heat_step(made.thermal, before, 1.0, 18806.0 * made.operators.area)
+        temperature, _ = heat_step(made.thermal, before, level(made.thermal, 1.0), joint)
         assert (temperature - before).min() >= -1e-3 * temperature.max()
+
+
+def test_the_ambient_carries_a_body_along():
+    """A body that nothing heats ends at the temperature of the air around it."""
+    made = conduct(MESHES["matching"], films={"right_end": 50.0, "left_end": 6.0}, step=FOREVER)
+    joint = 18806.0 * made.operators.area
+    warm, flow = heat_step(made.thermal, np.zeros(made.spaces.heat.N), np.array([7.0]), joint)
+    np.testing.assert_allclose(warm, 7.0, rtol=1e-9)
+    np.testing.assert_allclose(flow, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_held_ends_drive_the_heat_of_two_bars_in_series(mesh):
+    made = conduct(
+        MESHES[mesh], materials=(IRON, STEEL), held=["left_end", "right_end"], step=FOREVER
+    )
+    inputs, before = np.array([0.0, 30.0, -10.0]), np.zeros(made.spaces.heat.N)
+    after, flow = heat_step(made.thermal, before, inputs, 18806.0 * made.operators.area)
+    resistance = LEFT / IRON.conductivity + 1.0 / 18806.0 + RIGHT / STEEL.conductivity
+    assert flow.sum() == pytest.approx(40.0 * AREA / resistance, rel=1e-9)
+    assert after.max() == pytest.approx(30.0, rel=1e-15)
+    assert after.min() == pytest.approx(-10.0, rel=1e-15)
+
+
+def test_heat_through_held_surfaces_is_in_the_balance():
+    made = conduct(MESHES["not matching"], films={"top": 80.0}, held=["left_end"], step=5.0)
+    joint = 18806.0 * made.operators.area
+    before, inputs = np.zeros(made.spaces.heat.N), np.array([2.0, 50.0])
+    for _ in range(10):
+        after, flow = heat_step(made.thermal, before, inputs, joint)
+        assert abs(heat_balance(made.thermal, before, after, inputs, flow)) < 1e-12
+        before = after
+
+
+def test_heat_in_a_volume_raises_the_whole_body_evenly_at_first():
+    source = HeatSource(12.0, body="left")
+    structure, basis = MESHES["matching"], make_spaces(MESHES["matching"].mesh).heat
+    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, [source])
+    assert heat.inputs[:, 0].sum() == pytest.approx(12.0, rel=1e-12)
+    rate = heat.inputs[:, 0] / heat.capacity.diagonal()
+    body = np.unique(structure.mesh.t[:, structure.bodies["left"]])
+    expected = 12.0 / (LEFT * AREA * IRON.density * IRON.heat_capacity)
+    np.testing.assert_allclose(rate[body], expected, rtol=1e-12)
+    assert np.count_nonzero(rate) == body.size
 
 
 @pytest.mark.parametrize("mesh", MESHES)
@@ -217,11 +266,11 @@ def test_one_condensed_step_is_the_uncondensed_one(mesh):
     rng = np.random.default_rng(2)
     before = rng.uniform(0.0, 10.0, made.spaces.heat.N)
     joint = 10.0 ** rng.uniform(1.0, 5.0, made.operators.area.size) * made.operators.area
-    after, flow = heat_step(made.thermal, before, 1.5, joint)
+    after, flow = heat_step(made.thermal, before, level(made.thermal, 1.5), joint)
     jump = made.operators.jump.toarray()
     rate = made.heat.capacity.toarray() / 2.0
     matrix = rate + (made.heat.conduction + made.heat.convection).toarray()
     matrix += jump.T @ (joint[:, None] * jump)
-    full = np.linalg.solve(matrix, rate @ before + 1.5 * made.heat.source)
+    full = np.linalg.solve(matrix, rate @ before + 1.5 * made.heat.inputs[:, 0])
     np.testing.assert_allclose(after, full, rtol=1e-10)
     np.testing.assert_allclose(flow, joint * (jump @ full), rtol=1e-7, atol=1e-9)

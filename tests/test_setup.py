@@ -50,7 +50,11 @@ NAMES = [
     (("bodies", "colum"), "cast_iron", "no body named 'colum'; did you mean 'column'?"),
     (("bodies", "table"), "castiron", "no material named 'castiron'; did you mean 'cast_iron'?"),
     (("bodies", "screw"), None, "body 'screw' has no material"),
-    (("source", "surface"), "bearing", "no surface named 'bearing'; did you mean 'bearings'?"),
+    (
+        ("sources", "bearings", "surface"),
+        "bearing",
+        "no surface named 'bearing'; did you mean 'bearings'?",
+    ),
     (
         ("supports", "fixed"),
         ["column_bas", "screw_foot"],
@@ -126,14 +130,18 @@ def test_a_machine_that_only_its_column_holds_marches(edit):
 def power_in(case):
     """Heat per second that enters the whole machine at heat input 1, from the operators."""
     setup = set_up(case)
-    return setup.machine.thermal.source.sum() * setup.structure.symmetry_factor
+    return (
+        setup.machine.thermal.inputs[:, 0].sum()
+        * source_power(case.sources["bearings"])
+        * setup.structure.symmetry_factor
+    )
 
 
 def test_reading_of_the_reference_power_is_the_cases(edit):
-    per_source = edit((("source", "reading"), "per source"))
-    total = edit((("source", "reading"), "total"))
-    assert source_power(per_source) == 590.0
-    assert source_power(total) == 295.0
+    per_source = edit((("sources", "bearings", "reading"), "per source"))
+    total = edit((("sources", "bearings", "reading"), "total"))
+    assert source_power(per_source.sources["bearings"]) == 590.0
+    assert source_power(total.sources["bearings"]) == 295.0
     assert power_in(per_source) == pytest.approx(590.0, rel=1e-12)
     assert power_in(total) == pytest.approx(295.0, rel=1e-12)
 
@@ -141,7 +149,9 @@ def test_reading_of_the_reference_power_is_the_cases(edit):
 def test_halving_the_power_halves_the_temperatures_at_first(edit):
     """In the first step the joint is at its preload whatever the power."""
     full, half = (
-        simulate(edit((("source", "reading"), reading))).response["temperature"].to_numpy()
+        simulate(edit((("sources", "bearings", "reading"), reading)))
+        .response["temperature"]
+        .to_numpy()
         for reading in ("per source", "total")
     )
     np.testing.assert_allclose(full[1], 2.0 * half[1], rtol=1e-9)
@@ -149,12 +159,12 @@ def test_halving_the_power_halves_the_temperatures_at_first(edit):
 
 
 def test_source_surface_is_the_cases(edit, coarse_setup):
-    elsewhere = set_up(edit((("source", "surface"), "screw_foot")))
+    elsewhere = set_up(edit((("sources", "bearings", "surface"), "screw_foot")))
     for setup, axis, plane in ((coarse_setup, 0, 0.55), (elsewhere, 1, 0.0)):
-        heat = setup.machine.thermal.source
+        heat = setup.machine.thermal.inputs[:, 0]
         off = np.abs(setup.spaces.heat.doflocs[axis] - plane) > 1e-6
         np.testing.assert_allclose(heat[off], 0.0, atol=1e-9)
-    assert elsewhere.machine.thermal.source.sum() == pytest.approx(295.0)
+    assert elsewhere.machine.thermal.inputs[:, 0].sum() == pytest.approx(0.5)
 
 
 def test_friction_coefficient_is_the_cases(edit, coarse_case, coarse_setup):
@@ -257,7 +267,7 @@ def test_contact_elements_are_counted_upwards(edit):
     ],
 )
 def test_minutes_of_the_heat_input_become_seconds(edit, heat_input, times, expected):
-    history = heat_history(edit((("heat_input",), heat_input)))
+    history = heat_history(edit((("heat_input",), heat_input)).heat_input)
     np.testing.assert_allclose(history(np.array(times)), expected)
 
 
@@ -285,3 +295,99 @@ def test_candidates_are_the_lattice_points_inside_the_body(edit):
     # The wall spans x = 550 to 600; x = 500 is in the cavity.
     assert set(found) == {f"s{x}_{y}_100" for x in (550, 600) for y in (300, 350, 400)}
     assert found["s550_300_100"].position == pytest.approx((0.55, 0.3, 0.1))
+
+
+# --- several sources, ambient, held surfaces, springs --------------------------------------------
+
+
+def test_sources_add_up_each_by_its_own_history(edit, tmp_path):
+    (tmp_path / "spindle.csv").write_text("time_s,heat_input\n0,0\n20,1\n")
+    both = edit(
+        (("sources", "drive"), {"body": "screw", "reference_power_W": 50.0}),
+        (
+            ("sources", "drive", "heat_input"),
+            {"kind": "sampled", "file": str(tmp_path / "spindle.csv")},
+        ),
+        (("march", "duration_min"), 0.5),
+    )
+    response = simulate(both).response
+    np.testing.assert_allclose(response["source_power"].sel(source="bearings")[1:], 590.0)
+    np.testing.assert_allclose(
+        response["source_power"].sel(source="drive")[[1, 5, 15]], [5, 25, 50]
+    )
+    assert float(np.abs(response["heat_balance"]).max()) < 1e-9
+    np.testing.assert_allclose(
+        response["heat_input"][1:], (590.0 + response["source_power"][1:, 1]) / 640.0
+    )
+
+
+def test_the_ambient_of_a_case_is_read_as_a_change(edit, tmp_path):
+    (tmp_path / "air.csv").write_text("time_s,ambient_degC\n0,20\n10,25\n")
+    case = edit(
+        (("ambient",), {"file": str(tmp_path / "air.csv")}), (("march", "duration_min"), 0.5)
+    )
+    response = simulate(case).response
+    np.testing.assert_allclose(response["ambient"][[0, 1, 5, 15]], [0.0, 1.0, 5.0, 5.0])
+    assert float(np.abs(response["heat_balance"]).max()) < 1e-9
+
+
+def test_a_held_surface_keeps_its_temperature(edit):
+    case = edit(
+        (("held_temperatures",), {"screw_foot": {"rise_K": 4.0}}),
+        (("probes", "foot"), {"position_mm": [1025.0, 0.0, 250.0], "body": "screw"}),
+        (("march", "duration_min"), 0.5),
+    )
+    response = simulate(case).response
+    np.testing.assert_allclose(response["temperature"].sel(probe="foot")[1:], 4.0, rtol=1e-12)
+    assert float(np.abs(response["heat_balance"]).max()) < 1e-9
+
+
+def test_stiff_springs_hold_like_a_support_and_soft_ones_give_way(edit):
+    found = []
+    for stiffness in (None, 1e9, 1.0):
+        springs = {"column_base": {"stiffness_N_um": [stiffness] * 3}}
+        supports = (
+            {"fixed": ["column_base", "screw_foot"]}
+            if stiffness is None
+            else {"fixed": ["screw_foot"], "springs": springs}
+        )
+        setup = set_up(edit((("supports",), supports | {"symmetry": {"symmetry": "z"}})))
+        found.append(setup.machine.elastic.compliance)
+    held, stiff, soft = found
+    np.testing.assert_allclose(stiff, held, rtol=1e-3, atol=1e-4 * np.abs(held).max())
+    assert np.linalg.eigvalsh(soft - held).min() > -1e-9 * np.abs(held).max()
+    assert np.abs(soft - held).max() > 100.0 * np.abs(stiff - held).max()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (
+            ("supports", "springs"),
+            {"feet": {"stiffness_N_um": [1, 1, 1]}},
+            "no surface named 'feet'",
+        ),
+        (("held_temperatures",), {"foot": {"rise_K": 1.0}}, "no surface named 'foot'"),
+        (("sources", "x"), {"body": "scre"}, "sources.x.body: no body named 'scre'"),
+        (("ambient",), {"file": "none.csv"}, "none.csv: no such history file"),
+    ],
+)
+def test_names_of_the_new_sections_must_exist(edit, place, value, message):
+    with pytest.raises(InputError) as caught:
+        set_up(edit((place, value)))
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (("sources", "bearings", "body"), "screw", "either 'surface' or 'body'"),
+        (("held_temperatures",), {"screw_foot": {}}, "either 'rise_K' or 'file'"),
+        (("sources",), {}, "nothing heats the structure"),
+        (("heat_input",), None, "source 'bearings' has no heat input"),
+    ],
+)
+def test_contradictions_are_refused(edit, place, value, message):
+    with pytest.raises(InputError) as caught:
+        edit((place, value))
+    assert message in str(caught.value)

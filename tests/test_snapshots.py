@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 import pytest
+from bars import driven
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +20,8 @@ from fesim.snapshots import first_step_at, joint_snapshot, snapshot_writer, stru
 
 @pytest.fixture(scope="module")
 def steps(coarse_setup):
-    return list(islice(march(coarse_setup.machine, step_history(2.0), staggered), 30))
+    machine = coarse_setup.machine
+    return list(islice(march(machine, driven(machine, step_history(2.0 * 590.0)), staggered), 30))
 
 
 def indexed(folder):

@@ -83,7 +83,7 @@ def test_what_is_only_recorded_may_differ(saved, coarse_data, tmp_path):
         {"structure": {"dimensions_mm": {"wall": 49.0}}},
         {"march": {"step_s": 1.0}},
         {"march": {"coupling": "iterated"}},
-        {"source": {"reference_power_W": 147.5}},
+        {"sources": {"bearings": {"surface": "bearings", "reference_power_W": 147.5}}},
         {"convection_W_m2K": {"exterior": 7.0}},
         {"supports": {"fixed": ["column_base"]}},
     ],
@@ -199,4 +199,4 @@ def test_a_state_too_near_the_end_is_refused(saved, coarse_data, coarse_setup, t
 def test_a_state_of_the_same_case_fits_a_machine_set_up_anew(saved, coarse_data, tmp_path):
     case = case_of(coarse_data, tmp_path, march={"duration_min": 1.1})
     state = load_state(saved[0], case)
-    assert state.temperature.size == set_up(case).machine.thermal.source.size
+    assert state.temperature.size == set_up(case).machine.thermal.inputs.shape[0]

@@ -202,16 +202,18 @@ def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
     versions = json.loads(str(response.attrs.get("versions", "{}")))
     mesh = case.structure
     size = f", elements of {mesh.element_size_mm:g} mm" if hasattr(mesh, "element_size_mm") else ""
-    source = case.source
     return [
         ("structure", f"{mesh.kind}{size}"),
         ("temperature unknowns", f"{response.attrs['thermal_unknowns']}"),
         ("displacement unknowns", f"{response.attrs['displacement_unknowns']}"),
         ("contact elements", str(response.sizes["contact"])),
         ("friction coefficient", str(response.attrs["friction"])),
-        (
-            "reference step",
-            f"{source.reference_power_W:g} W {source.reading}, {source.count} sources",
+        *(
+            (
+                f"reference step, {name}",
+                f"{source.reference_power_W:g} W {source.reading}, {source.count} of them",
+            )
+            for name, source in case.sources.items()
         ),
         (
             "march",

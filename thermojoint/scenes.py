@@ -109,7 +109,7 @@ def boundary_faces(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def structure_scene(
     structure: Structure,
-    source: str,
+    sources: Sequence[str],
     points: Sequence[Marker],
     mirror: Mirror | None = None,
 ) -> Scene:
@@ -119,19 +119,19 @@ def structure_scene(
     ----------
     structure : Structure
         The structure.
-    source : str
-        Surface where the heat enters.
+    sources : sequence of str
+        Surfaces where heat enters.
     points : sequence of Marker
         Points and sensors to name.
     mirror : Mirror, optional
         Symmetry plane of a half model: the first view looks onto it.
     """
-    named = {source: _SOURCE_COLOUR} | {
+    named = dict.fromkeys(sources, _SOURCE_COLOUR) | {
         side: _SIDE_COLOUR for sides in structure.joints.values() for side in sides
     }
     plain = _bodies(structure, named)
-    heated = _part(structure, structure.surface(source), _SOURCE_COLOUR)
-    named_points = (*points, Marker(_centre(heated), "Q", left=True))
+    heated = [_part(structure, structure.surface(name), _SOURCE_COLOUR) for name in sources]
+    named_points = (*points, *(Marker(_centre(part), "Q", left=True) for part in heated))
     marked = tuple(
         _part(structure, structure.surface(name), colour) for name, colour in named.items()
     )

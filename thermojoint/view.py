@@ -143,7 +143,7 @@ def whole_structure(
     points |= at if sensors is None else dict(sensors)
     return structure_scene(
         structure,
-        case.source.surface,
+        [source.surface for source in case.sources.values() if source.surface is not None],
         markers(points),
         mirror_of(structure, case.supports.symmetry),
     )
