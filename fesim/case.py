@@ -20,6 +20,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 
 
+#: More steps than this in one run, or contact elements in one joint, are a slip: the response, or
+#: the dense matrices of the joint, would not fit into any memory.
+MOST_STEPS = 10_000_000
+MOST_CONTACTS = 10_000
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
@@ -96,6 +102,10 @@ class JointSection(_Section):
     def _preload_below_hardness(self) -> JointSection:
         if self.preload_MPa >= 500.0 * self.hardness_GPa:
             raise ValueError("preload_MPa must be below half of the hardness")
+        if self.along * self.across > MOST_CONTACTS:
+            raise ValueError(
+                f"along x across is more than {MOST_CONTACTS} contact elements a patch"
+            )
         if (self.side_a is None) != (self.side_b is None):
             raise ValueError("give both side_a and side_b, or neither")
         return self
@@ -206,6 +216,8 @@ class MarchSection(_Section):
     def _whole_steps(self) -> MarchSection:
         if self.duration_min * 60.0 < self.step_s:
             raise ValueError("duration_min is shorter than one step of step_s")
+        if self.duration_min * 60.0 > MOST_STEPS * self.step_s:
+            raise ValueError(f"duration_min has more than {MOST_STEPS} steps of step_s")
         return self
 
 

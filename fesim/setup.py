@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
@@ -47,6 +48,10 @@ from meshes.structure import Probe, Structure
 
 #: C and n of Eq. 11 by law.
 CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}
+
+
+#: More possible sensors than this are a slip of a unit.
+MOST_CANDIDATES = 100_000
 
 
 @dataclass(frozen=True)
@@ -363,6 +368,10 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
     found: dict[str, Probe] = {}
     for section in case.candidates:
         cells = structure.body(section.body, "candidates.body")
+        if math.prod(_lattice_counts(section)) > MOST_CANDIDATES:
+            raise InputError(
+                f"candidates: more than {MOST_CANDIDATES} lattice points; raise spacing_mm"
+            )
         corners = structure.mesh.p[:, structure.mesh.t[:, cells]]
         low, high = corners.min(axis=1), corners.max(axis=1)
         for point in _lattice(section):
@@ -374,14 +383,20 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
 
 
 def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:
+    counts = _lattice_counts(section)
     axes = [
-        np.linspace(low, high, max(2, round((high - low) / section.spacing_mm) + 1))
-        if high > low
-        else np.array([low])
-        for low, high in zip(section.low_mm, section.high_mm, strict=True)
+        np.linspace(low, high, count) if count > 1 else np.array([low])
+        for low, high, count in zip(section.low_mm, section.high_mm, counts, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return [(float(x), float(y), float(z)) for x, y, z in grid]
+
+
+def _lattice_counts(section: CandidatesSection) -> list[int]:
+    return [
+        max(2, round(min((high - low) / section.spacing_mm, 1e9)) + 1) if high > low else 1
+        for low, high in zip(section.low_mm, section.high_mm, strict=True)
+    ]
 
 
 def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:

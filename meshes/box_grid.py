@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from skfem import MeshHex
 
 from artefacts.errors import InputError
+
+#: A grid of more cells than this is a slip of a unit, not a wish: it would need some 100 GB.
+LARGEST_GRID = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -48,8 +52,16 @@ def grid_lines(
         Largest piece, m.
     finer : iterable of (float, float, float)
         Low end, high end and size of ranges with smaller pieces, m.
+
+    Raises
+    ------
+    InputError
+        More pieces than `LARGEST_GRID`.
     """
     ranges = list(finer)
+    breaks = list(breaks)
+    if (max(breaks) - min(breaks)) / min([size, *(fine for _, _, fine in ranges)]) > LARGEST_GRID:
+        raise InputError(f"box mesh: elements of {size:g} m are too many to mesh; mend the unit")
     ends = [end for low, high, _ in ranges for end in (low, high)]
     stops = np.unique(np.round(np.asarray([*breaks, *ends], dtype=float), 9))
     pieces = []
@@ -89,7 +101,7 @@ def box_mesh(
     Raises
     ------
     InputError
-        `size` is not positive.
+        `size` is not positive, or so small that the grid has more cells than `LARGEST_GRID`.
     """
     for edge in (size, *(fine.size for fine in refinements)):
         if not edge > 0.0:
@@ -103,6 +115,11 @@ def box_mesh(
         )
         for i, extra in enumerate(breaks)
     ]
+    count = math.prod(line.size - 1 for line in lines)
+    if count > LARGEST_GRID:
+        raise InputError(
+            f"box mesh: a grid of {count:.1e} cells is too large; take larger elements"
+        )
     grid = MeshHex.init_tensor(*lines)
     centres = grid.p[:, grid.t].mean(axis=1)
     inside = np.any([box.holds(centres) for box in solids], axis=0)

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from artefacts.errors import InputError, ThermojointError
@@ -52,10 +53,14 @@ ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'c
 def main() -> None:
     """Run the command line; errors a user can mend are one line on standard error, exit code 2."""
     signal.signal(signal.SIGTERM, _stop)
+    # What overflows does not converge or is not finite, and is refused there, in one line.
+    np.seterr(over="ignore", invalid="ignore", divide="ignore")
     try:
         app()
     except ThermojointError as error:
         _fail(str(error))
+    except MemoryError as error:
+        _fail(f"not enough memory ({error}); take larger elements or a shorter run")
     except OSError as error:
         _fail(f"{error.filename or 'file'}: {error.strerror or error}; choose another place")
 

@@ -1,0 +1,398 @@
+"""Thousands of damaged inputs: each must end in a result or in one line that says what is wrong.
+
+Case files, meshes and histories are mutated at random (from a seed) and given to
+``thermojoint simulate``. An input passes if the command ends in time, with exit code 0 and a whole
+response, or with exit code 2, one line on standard error and no file left behind.
+
+Run: ``python benchmarks/fuzz.py --count 2000 --seed 1``. Failing inputs are kept in the folder that
+``--keep`` names; the exit code is 1 if there are any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import multiprocessing
+import os
+import re
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from skfem import MeshHex
+
+from artefacts.response import read_response
+from meshes.exchange import write_structure
+from meshes.milling_machine import box_milling_machine
+from meshes.structure import Probe, Structure
+from thermojoint.cli import main as thermojoint
+
+#: An input that takes longer than this is a hang, s; the unharmed ones take about one.
+LIMIT_S = 60.0
+#: Address space of one run: a case that asks for more must have been refused, bytes.
+MEMORY = 8 << 30
+
+MATERIAL = """
+[materials.iron]
+conductivity_W_mK = 47.0
+density_kg_m3 = 7200.0
+heat_capacity_J_kgK = 500.0
+youngs_modulus_GPa = 104.0
+poisson_ratio = 0.27
+expansion_1_K = 13.7e-6
+"""
+
+MACHINE = (
+    """title = "fuzz"
+[structure]
+kind = "box_milling_machine"
+element_size_mm = 150.0
+half = true
+dimensions_mm = { wall = 50.0 }
+"""
+    + MATERIAL
+    + """
+[bodies]
+column = "iron"
+table = "iron"
+screw = "iron"
+[joints.knee]
+preload_MPa = 4.41
+along = 3
+across = 1
+roughness_um = 1.25
+asperity_slope = 0.14
+hardness_GPa = 1.961
+normal_law = "surface"
+friction_coefficient = 0.6
+tangential_stiffness_ratio = 0.844
+conductance = { law = "cmy-1969" }
+[supports]
+fixed = ["column_base", "screw_foot"]
+symmetry = { symmetry = "z" }
+[convection_W_m2K]
+exterior = 6.0
+[sources.bearings]
+surface = "bearings"
+reference_power_W = 295.0
+count = 2
+reading = "per source"
+[heat_input]
+kind = "triangle"
+peak = 2.0
+duration_min = 0.2
+[march]
+step_s = 2.0
+duration_min = 0.2
+coupling = "staggered"
+[displacement]
+point = "A"
+relative_to = "B"
+[probes.T1]
+position_mm = [625.0, 450.0, 87.5]
+body = "column"
+[[candidates]]
+body = "column"
+low_mm = [500.0, 500.0, 0.0]
+high_mm = [600.0, 850.0, 200.0]
+spacing_mm = 50.0
+"""
+)
+
+BARS = (
+    """title = "fuzz of a mesh"
+[structure]
+kind = "mesh"
+file = "FILE"
+"""
+    + MATERIAL
+    + """
+[bodies]
+left = "iron"
+right = "iron"
+[joints.joint]
+along = 2
+across = 2
+normal_law = "back-burdekin"
+back_burdekin = { coefficient_um = 0.6, exponent = 0.5 }
+[supports]
+fixed = ["left_end"]
+springs = { right_end = { stiffness_N_um = [100.0, 10.0, 10.0] } }
+[convection_W_m2K]
+left_end = 20.0
+[sources.warm]
+body = "left"
+reference_power_W = 40.0
+heat_input = { kind = "sampled", file = "spindle.csv" }
+[ambient]
+file = "air.csv"
+[held_temperatures.right_end]
+rise_K = 3.0
+[march]
+step_s = 2.0
+duration_min = 0.2
+coupling = "iterated"
+[displacement]
+point = "end"
+relative_to = "start"
+[probes.middle]
+position_mm = [50.0, 20.0, 20.0]
+"""
+)
+
+#: What a number may become.
+NUMBERS = [
+    *("nan", "inf", "-inf", "0", "0.0", "-1", "-1.0", "1e300", "-1e300", "1e-300", "1e9", "1e-9"),
+    *("1", "2", "3.7", "1000", "true", '"x"', "[]", "{}", "1e400", "0x10", "99999999999999999999"),
+]
+
+Files = dict[str, bytes]
+Mutation = Callable[[bytes, np.random.Generator], bytes]
+
+
+def bars() -> Structure:
+    """Two bars end to end, a joint between them."""
+    lines = np.linspace(0.0, 0.04, 3)
+    halves = [
+        MeshHex.init_tensor(np.linspace(*span, 3), lines, lines)
+        for span in ((0.0, 0.1), (0.1, 0.2))
+    ]
+    points = np.hstack([half.p for half in halves])
+    mesh = MeshHex(points, np.hstack([halves[0].t, halves[1].t + halves[0].p.shape[1]]))
+    facets = mesh.boundary_facets()
+    x = mesh.p[0, mesh.facets[:, facets]].mean(axis=0)
+    left = mesh.f2t[0, facets] < halves[0].nelements
+    near = np.abs(x - 0.1) < 1e-9
+    cells = np.arange(mesh.nelements)
+    return Structure(
+        mesh=mesh,
+        bodies={"left": cells[: halves[0].nelements], "right": cells[halves[0].nelements :]},
+        surfaces={
+            "left_end": facets[x < 1e-9],
+            "right_end": facets[x > 0.2 - 1e-9],
+            "joint.a": facets[near & left],
+            "joint.b": facets[near & ~left],
+        },
+        joints={"joint": ("joint.a", "joint.b")},
+        probes={
+            "start": Probe((0.0, 0.02, 0.02), "left"),
+            "end": Probe((0.2, 0.02, 0.02), "right"),
+        },
+    )
+
+
+def unharmed(folder: Path) -> dict[str, Files]:
+    """Inputs that work: kind to the files it is made of; ``case.toml`` is run."""
+    histories = {
+        "spindle.csv": b"time_s,heat_input\n0,0\n5,1\n12,2.5\n",
+        "air.csv": b"time_s,ambient_degC\n0,20\n12,21.5\n",
+    }
+    found: dict[str, Files] = {"machine": {"case.toml": MACHINE.encode()}}
+    for suffix in ("vtu", "msh"):
+        mesh = folder / f"bars.{suffix}"
+        write_structure(bars(), mesh)
+        text = BARS.replace("FILE", mesh.name)
+        found[suffix] = {"case.toml": text.encode(), mesh.name: mesh.read_bytes()} | histories
+    machine = folder / "machine.msh"
+    write_structure(box_milling_machine(element_size=0.15), machine)
+    text = MACHINE.replace('kind = "box_milling_machine"', 'kind = "mesh"\nfile = "machine.msh"')
+    text = re.sub(r"element_size_mm.*\nhalf.*\ndimensions_mm.*\n", "symmetry_factor = 2\n", text)
+    found["machine mesh"] = {"case.toml": text.encode(), machine.name: machine.read_bytes()}
+    return found
+
+
+def flip(content: bytes, random: np.random.Generator) -> bytes:
+    """Some bits the other way."""
+    changed = bytearray(content)
+    for at in random.integers(0, len(changed), random.integers(1, 4)):
+        changed[at] ^= 1 << int(random.integers(0, 8))
+    return bytes(changed)
+
+
+def cut(content: bytes, random: np.random.Generator) -> bytes:
+    """The end is missing."""
+    return content[: int(random.integers(0, len(content)))]
+
+
+def hole(content: bytes, random: np.random.Generator) -> bytes:
+    """A span is missing."""
+    start = int(random.integers(0, len(content)))
+    return content[:start] + content[start + int(random.integers(1, 40)) :]
+
+
+def stammer(content: bytes, random: np.random.Generator) -> bytes:
+    """A span is there twice."""
+    start = int(random.integers(0, len(content)))
+    end = start + int(random.integers(1, 60))
+    return content[:end] + content[start:end] + content[end:]
+
+
+def lines_swapped(content: bytes, random: np.random.Generator) -> bytes:
+    """Two lines have changed places."""
+    lines = content.splitlines(keepends=True)
+    i, j = random.integers(0, len(lines), 2)
+    lines[i], lines[j] = lines[j], lines[i]
+    return b"".join(lines)
+
+
+def line_lost(content: bytes, random: np.random.Generator) -> bytes:
+    """A line is missing."""
+    lines = content.splitlines(keepends=True)
+    del lines[int(random.integers(0, len(lines)))]
+    return b"".join(lines)
+
+
+def other_number(content: bytes, random: np.random.Generator) -> bytes:
+    """A number has become something else, or is off by a power of ten."""
+    places = list(re.finditer(rb"(?<![\w.])-?\d+(\.\d+)?(e-?\d+)?(?![\w.])", content[:200_000]))
+    if not places:
+        return flip(content, random)
+    at = places[int(random.integers(0, len(places)))]
+    if random.random() < 0.5:
+        new = str(random.choice(NUMBERS)).encode()
+    else:
+        new = f"{float(at.group()) * 10.0 ** random.integers(-4, 5):g}".encode()
+    return content[: at.start()] + new + content[at.end() :]
+
+
+def other_word(content: bytes, random: np.random.Generator) -> bytes:
+    """A word stands where another one belongs, or is spelt wrong."""
+    places = list(re.finditer(rb"[A-Za-z_]{3,}", content[:200_000]))
+    if not places:
+        return flip(content, random)
+    i, j = random.integers(0, len(places), 2)
+    word = places[j].group() if random.random() < 0.5 else places[i].group()[::-1]
+    return content[: places[i].start()] + word + content[places[i].end() :]
+
+
+MUTATIONS: Mapping[str, Mutation] = {
+    "number": other_number,
+    "word": other_word,
+    "line lost": line_lost,
+    "lines swapped": lines_swapped,
+    "hole": hole,
+    "stammer": stammer,
+    "flip": flip,
+    "cut": cut,
+}
+
+
+def mutated(files: Files, random: np.random.Generator) -> tuple[str, Files]:
+    """Return the kind of damage, and the files with one to three damages in one of them."""
+    name = str(random.choice(list(files)))
+    kinds = random.choice(list(MUTATIONS), 1 + int(random.binomial(2, 0.2)))
+    content = files[name]
+    for kind in kinds:
+        content = MUTATIONS[kind](content, random) or b" "
+    return f"{name.split('.')[-1]}: {kinds[0]}", files | {name: content}
+
+
+def run(folder: Path) -> None:
+    """Simulate in this process, which ends with it."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    os.chdir(folder)
+    with open("stderr", "w") as errors, open("stdout", "w") as output:  # noqa: PTH123
+        os.dup2(errors.fileno(), 2)
+        os.dup2(output.fileno(), 1)
+        sys.argv = ["thermojoint", "simulate", "case.toml", "--out", "out.nc"]
+        thermojoint()
+
+
+def verdict(folder: Path, given: Files, code: int | None) -> str:
+    """Return "result", "refused", or what is wrong."""
+    if code is None:
+        return f"hang: no end after {LIMIT_S:g} s"
+    said = (folder / "stderr").read_text(errors="replace")
+    left = {path.name for path in folder.iterdir()} - {"stderr", "stdout", *given}
+    if code == 0:
+        with contextlib.suppress(Exception):
+            read_response(folder / "out.nc")
+            return "result" if left == {"out.nc"} else f"files left: {sorted(left)}"
+        return "exit code 0 without a response"
+    if code != 2:
+        last = said.strip().splitlines()[-1:] or [""]
+        return f"exit code {code}: {last[0][:150]}"
+    lines = [line for line in said.splitlines() if line.startswith("thermojoint: ")]
+    if len(lines) != 1 or "Traceback" in said or "Warning" in said:
+        return f"not one line: {said[:300]!r}"
+    return "refused" if not left else f"files left: {sorted(left)}"
+
+
+def main() -> int:
+    """Run the fuzz and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"))
+    asked = parser.parse_args()
+    context = multiprocessing.get_context("fork")
+    outcomes: Counter[tuple[str, str]] = Counter()
+    failures: list[str] = []
+    with tempfile.TemporaryDirectory() as name:
+        bases = unharmed(Path(name))
+        running: dict[int, tuple[multiprocessing.Process, float, Path, Files, str]] = {}
+
+        def collect(block: bool) -> None:
+            while True:
+                for number, (process, begun, folder, files, kind) in list(running.items()):
+                    late = time.monotonic() - begun > LIMIT_S
+                    if process.is_alive() and not late:
+                        continue
+                    code = None if process.is_alive() else process.exitcode
+                    process.kill()
+                    process.join()
+                    found = verdict(folder, files, code)
+                    known = found in ("result", "refused")
+                    outcomes[kind, found if known else "failed"] += 1
+                    if not known:
+                        failures.append(f"{number}: {kind}: {found}")
+                        shutil.copytree(folder, asked.keep / str(number), dirs_exist_ok=True)
+                    shutil.rmtree(folder)
+                    del running[number]
+                if len(running) < asked.workers and not (block and running):
+                    return
+                time.sleep(0.005)
+
+        # No live display: its thread and its locks would not survive the fork.
+        for number in range(asked.count):
+            if number % 200 == 0:
+                print(f"{number} of {asked.count}", file=sys.stderr, flush=True)
+            random = np.random.default_rng([asked.seed, number])
+            base = str(random.choice(list(bases)))
+            kind, files = mutated(bases[base], random)
+            folder = Path(name) / f"input-{number}"
+            folder.mkdir()
+            for file, content in files.items():
+                (folder / file).write_bytes(content)
+            process = context.Process(target=run, args=(folder,))
+            process.start()
+            running[number] = (process, time.monotonic(), folder, files, kind)
+            collect(block=False)
+        collect(block=True)
+
+    table = Table("damage", "result", "refused in one line", "failed", title=f"seed {asked.seed}")
+    for kind in sorted({kind for kind, _ in outcomes}):
+        counts = [str(outcomes[kind, what]) for what in ("result", "refused", "failed")]
+        table.add_row(kind, *counts)
+    sums = [
+        str(sum(n for (_, found), n in outcomes.items() if found == what))
+        for what in ("result", "refused", "failed")
+    ]
+    table.add_row("all", *sums)
+    Console(width=100).print(table)
+    for failure in failures:
+        print(failure)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
