@@ -23,7 +23,7 @@ Point = tuple[Finite, Finite, Finite]
 #: More steps than this in one run, or contact elements in one joint, are a slip: the response, or
 #: the dense matrices of the joint, would not fit into any memory.
 MOST_STEPS = 10_000_000
-MOST_CONTACTS = 10_000
+MOST_CONTACTS = 1_000
 
 
 class _Section(BaseModel):
