@@ -28,7 +28,7 @@ from fesim.case import read_case
 from fesim.setup import set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
-from thermojoint import arguments, console, measured, study
+from thermojoint import arguments, console, measured, study, verification_run
 from thermojoint.provenance import provenance_of
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes, convergence
@@ -37,6 +37,8 @@ from thermojoint.view import Show, draw
 
 #: Exit code of everything the user can mend.
 BAD_INPUT = 2
+#: Exit code of `verify` if a check is out of tolerance.
+OUT_OF_TOLERANCE = 1
 
 app = typer.Typer(
     help="Nonlinear thermoelastic machine tools: simulate the joints, calibrate the generalised "
@@ -337,6 +339,29 @@ def view(
     with console.progress_bars() as report:
         draw(source, show, out, report)
     _wrote(out)
+
+
+@app.command()
+def verify(
+    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Page to write (Markdown), as in the docs.")
+    ] = None,
+) -> None:
+    """Verify the simulator: known results against computed ones; exit code 1 if any is off.
+
+    Example: [bold]thermojoint verify[/bold]
+
+    Example: [bold]thermojoint verify --out verify.json[/bold]
+    """
+    arguments.check_writable(out, markdown)
+    with console.progress_bars() as report:
+        results = verification_run.run_all(report)
+    verification_run.show(console.out(), results)
+    verification_run.write(results, out, markdown)
+    _wrote(out, markdown)
+    if not all(result.passed for result in results):
+        raise typer.Exit(OUT_OF_TOLERANCE)
 
 
 def _wrote(*paths: Path | None) -> None:

@@ -1,0 +1,1 @@
+"""How fast the product is, every figure a ratio of two things measured in the same run."""

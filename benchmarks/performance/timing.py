@@ -1,0 +1,57 @@
+"""Medians of repeated runs, two things in turn, so that a machine that slows down slows both."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from statistics import median
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of ``bench.json``.
+
+    Attributes
+    ----------
+    name : str
+        What is compared.
+    ours, other : float
+        Medians, in `unit`.
+    ratio : float
+        How many times less ours is; median of the ratios run by run where both were repeated.
+    unit : str
+        Of ours and other.
+    note : str
+        What was measured, how often, and what was scaled.
+    """
+
+    name: str
+    ours: float
+    other: float
+    ratio: float
+    unit: str
+    note: str
+
+    def figures(self) -> dict[str, object]:
+        """Return the row as it stands in ``bench.json``."""
+        return asdict(self)
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Wall time of one call, s."""
+    begun = time.perf_counter()
+    call()
+    return time.perf_counter() - begun
+
+
+def paired(
+    ours: Callable[[], object], other: Callable[[], object], repeats: int
+) -> tuple[float, float, float]:
+    """Time two calls in turn; return both medians (s) and the median of other / ours."""
+    pairs = [(seconds(ours), seconds(other)) for _ in range(repeats)]
+    return (
+        median(one for one, _ in pairs),
+        median(two for _, two in pairs),
+        median(two / one for one, two in pairs),
+    )
