@@ -1,0 +1,142 @@
+"""The condensed march against one that assembles the joint and factorises in every step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from pypardiso import PyPardisoSolver
+from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
+
+from artefacts.errors import ConvergenceError
+from benchmarks.performance.timing import Row, seconds
+from fesim.case import Case, StepInput, parse_case
+from fesim.elasticity import elastic_operators
+from fesim.heat import heat_operators
+from fesim.joint_operators import joint_operators
+from fesim.linear_solver import factorise
+from fesim.march import CondensedMachine
+from fesim.setup import (
+    body_materials,
+    build_structure,
+    heat_sources,
+    joint_law,
+    thermal_inputs,
+)
+from fesim.simulate import simulate
+from fesim.spaces import make_spaces
+from meshes.pairing import pair_joint
+
+#: Steps of a full run, and how many the slow side is measured on.
+STEPS, MEASURED = 1050, 6
+REPEATS = 3
+
+
+def reference_case(level: float = 3.0) -> Case:
+    """The reference machine, with two sensors instead of its 238 candidates."""
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    case = parse_case(text, "reference.toml", Path())
+    probes = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
+    plain = case.model_dump() | {"candidates": [], "probes": probes}
+    return Case.model_validate(plain | {"heat_input": StepInput(kind="step", level=level)})
+
+
+class Refactoring:
+    """The same machine without condensation: every step assembles, factorises and solves it whole.
+
+    Newton's method in the displacements with the consistent tangent, which is not symmetric once
+    the joint slides; PARDISO's solver for such matrices. Heat: symmetric, the product's own seam.
+    """
+
+    def __init__(self, case: Case) -> None:
+        structure = build_structure(case)
+        materials = body_materials(case, structure)
+        spaces = make_spaces(structure.mesh)
+        joints = [
+            pair_joint(structure, name, section.along, section.across)
+            for name, section in case.joints.items()
+        ]
+        self.operators = joint_operators(joints, spaces)
+        self.heat = heat_operators(
+            structure, spaces.heat, materials, case.convection_W_m2K, heat_sources(case, structure)
+        )
+        self.elastic = elastic_operators(
+            structure, spaces, materials, case.supports.fixed, dict(case.supports.symmetry)
+        )
+        self.laws = [
+            (joint_law(case.joints[joint.name], structure, materials, joint), len(joint.area))
+            for joint in joints
+        ]
+        self.step, self.inputs = case.march.step_s, thermal_inputs(case)
+
+    def run(self, count: int) -> np.ndarray:
+        """March; return the pressures at the end, Pa."""
+        heat, jump, free = self.heat, self.operators.jump, self.elastic.free
+        gap = csr_array(self.operators.gap[:, free])
+        stiffness = csr_array(self.elastic.stiffness[free][:, free])
+        area, area3 = self.operators.area, np.tile(self.operators.area, 3)
+        # Only its laws are used: nothing of the condensation.
+        law = CondensedMachine(None, None, self.laws)  # type: ignore[arg-type]
+        contacts = area.size
+        rate = csr_array(heat.capacity / self.step)
+        temperature, pressure = np.zeros(heat.inputs.shape[0]), law.preload
+        u, slip = np.zeros(free.size), np.zeros((2, contacts))
+        solver = PyPardisoSolver(mtype=11)
+        for n in range(1, count + 1):
+            joint = jump.T @ diags_array(law.conductance(pressure) * area) @ jump
+            system = factorise(rate + heat.conduction + heat.convection + joint, "heat")
+            temperature = system.solve(
+                rate @ temperature + heat.inputs @ self.inputs(n * self.step)
+            )
+            load = (self.elastic.thermal_load @ temperature)[free]
+            for _ in range(40):
+                traction = law.traction((gap @ u).reshape(3, contacts), slip)
+                forces = stiffness @ u - load - gap.T @ (area3 * traction.value.ravel())
+                blocks = [
+                    [diags_array(area * traction.tangent[i, j]) for j in range(3)] for i in range(3)
+                ]
+                tangent = csr_matrix(stiffness - gap.T @ block_array(blocks) @ gap)
+                tangent.sort_indices()
+                move = solver.solve(tangent, -forces)
+                u = u + move
+                if np.abs(gap @ move).max() < 1e-12:
+                    break
+            else:
+                raise ConvergenceError("the refactoring march does not converge")
+            slip = law.traction((gap @ u).reshape(3, contacts), slip).slip
+            pressure = law.preload + traction.value[0]
+        solver.free_memory(everything=True)
+        return pressure
+
+
+def rows() -> Iterator[Row]:
+    """Yield march-vs-refactor."""
+    case = reference_case()
+    found: dict[str, np.ndarray] = {}
+
+    times = []
+    for _ in range(REPEATS):
+        mine = seconds(lambda: found.update(ours=simulate(case).response["pressure"].to_numpy()))
+        begun = time.perf_counter()
+        plain = Refactoring(case)
+        between = time.perf_counter()
+        found["other"] = plain.run(MEASURED)
+        marching = time.perf_counter() - between
+        times.append((mine, between - begun + marching * STEPS / MEASURED))
+    mine, theirs = (median(pair[side] for pair in times) for side in (0, 1))
+    ratio = median(theirs / mine for mine, theirs in times)
+    difference = np.abs(found["ours"][MEASURED] - found["other"]).max()
+    yield Row(
+        "march-vs-refactor",
+        mine,
+        theirs,
+        ratio,
+        "s",
+        f"{STEPS} coupled steps of the reference machine, set-up included, against assembling and "
+        f"factorising in every step with the same library, measured on {MEASURED} steps and "
+        f"scaled; pressures differ by {difference:.1e} Pa at the last of them",
+    )
