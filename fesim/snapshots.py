@@ -20,6 +20,7 @@ from artefacts.errors import InputError
 from artefacts.files import whole_file
 from fesim.march import Step
 from fesim.setup import Setup
+from meshes.volume_cells import corner_mesh
 
 INDEX = "snapshots.pvd"
 #: A requested time may lie after a step by this fraction of the step and still be that step.
@@ -87,7 +88,7 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     for number, cells in enumerate(structure.bodies.values()):
         body[cells] = number
     return to_meshio(
-        structure.mesh,
+        corner_mesh(structure.mesh),
         point_data={
             "temperature_K": step.state.temperature[spaces.heat.nodal_dofs[0]],
             "displacement_m": displacement.reshape(-1, 3)[spaces.elastic.nodal_dofs[0]],

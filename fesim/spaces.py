@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
-from skfem import CellBasis, ElementHex1, ElementHexS2, ElementTetP1, ElementTetP2, Mesh
+from skfem import (
+    CellBasis,
+    ElementHex1,
+    ElementHex2,
+    ElementHexS2,
+    ElementTetP1,
+    ElementTetP2,
+    Mesh,
+    MeshHex2,
+    MeshTet2,
+)
 from skfem.element import Element
 
 from artefacts.errors import InputError
@@ -49,11 +59,20 @@ class Spaces:
 
 
 def make_spaces(mesh: Mesh) -> Spaces:
-    """Return the spaces on a hexahedral or tetrahedral mesh."""
+    """Return the spaces on a hexahedral or tetrahedral mesh.
+
+    On curved cells the displacements have the functions of the geometry, so that a uniform strain
+    stays exact, and the quadrature follows the curvature.
+    """
+    curved = isinstance(mesh, MeshHex2 | MeshTet2)
+    low: Element
+    high: Element
     if mesh.t.shape[0] == 8:
-        low, high, heat_order, elastic_order = ElementHex1(), ElementHexS2(), 2, 5
+        low, high = ElementHex1(), ElementHex2() if curved else ElementHexS2()
+        heat_order, elastic_order = (4, 6) if curved else (2, 5)
     else:
-        low, high, heat_order, elastic_order = ElementTetP1(), ElementTetP2(), 2, 2
+        low, high = ElementTetP1(), ElementTetP2()
+        heat_order, elastic_order = (4, 4) if curved else (2, 2)
     heat = CellBasis(mesh, low, intorder=heat_order)
     elastic = CellBasis(mesh, high, intorder=elastic_order)
     return Spaces(heat, elastic, elastic.with_element(low))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Mesh
+from skfem import Mesh, MeshHex, MeshHex2, MeshTet, MeshTet2
 from skfem.io.meshio import from_meshio
 
 from artefacts.errors import InputError
 
 #: A structure larger than this (m) is taken for one in mm.
 LARGEST_EXTENT = 50.0
-#: A mid-edge node may lie off the middle of its edge by this fraction of the edge.
+#: A cell counts as straight if no mid node lies off the middle by more than this fraction of the
+#: cell's size.
 STRAIGHTNESS = 1e-6
 #: A cell with less volume than this fraction of its own bounding cube has none.
 FLATTEST_CELL = 1e-9
@@ -37,7 +39,10 @@ _VOLUMES: dict[str, tuple[str, int, tuple[tuple[int, ...], ...]]] = {
 
 
 def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
-    """Return the mesh of first order, and the number in it of each of the file's nodes.
+    """Return the mesh, and the number in it of each of the file's nodes that is a corner.
+
+    Cells of second order keep their curved geometry; if all of them are straight, the mesh is of
+    first order: it has the same shape and costs less.
 
     Parameters
     ----------
@@ -49,14 +54,14 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     Returns
     -------
     mesh : skfem.Mesh
-        Hexahedra or tetrahedra, and no node without a cell.
+        Hexahedra or tetrahedra, corners first, and no node without a cell.
     renumber : ndarray of int, shape (nodes of the file,)
         Number of each node in the mesh, -1 where it has none.
 
     Raises
     ------
     InputError
-        Cells are of several types, curved, folded, flat or repeated, or the mesh is too large.
+        Cells are of several types, folded, flat or repeated, or the mesh is too large.
     """
     blocks = [block for block in raw.cells if block.dim == 3]
     types = sorted({block.type for block in blocks})
@@ -70,16 +75,6 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     points = np.asarray(raw.points, dtype=float)
     if cells.min() < 0 or cells.max() >= len(points):
         raise InputError(f"{path}: a cell names a node that is not there; write the mesh again")
-    for node, ends in enumerate(between, start=corners):
-        middle = points[cells[:, ends]].mean(axis=1)
-        length = np.linalg.norm(points[cells[:, ends[0]]] - points[cells[:, ends[1]]], axis=1)
-        off = np.linalg.norm(points[cells[:, node]] - middle, axis=1)
-        bent = np.flatnonzero(~(off <= STRAIGHTNESS * length))
-        if bent.size:
-            raise InputError(
-                f"{path}: cell {bent[0]} is curved or its mid nodes are not in the middle; mesh "
-                "with cells of first order"
-            )
     used = np.unique(cells[:, :corners])
     renumber = np.full(len(points), -1)
     renumber[used] = np.arange(used.size)
@@ -89,8 +84,74 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
             f"{path}: the mesh is {extent:g} m long, perhaps in mm; scale its coordinates to m"
         )
     mesh = from_meshio(meshio.Mesh(points[used], [(straight, renumber[cells[:, :corners]])]))
+    # Only now: the tables of edges and faces of a damaged mesh would mean nothing.
     _check_cells(mesh, path)
+    if between and _is_curved(points, cells, corners, between):
+        mesh = _curved(mesh, points, cells, renumber[cells[:, :corners]], between)
+        _check_cells(mesh, path)
     return mesh, renumber
+
+
+def _is_curved(
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    corners: int,
+    between: tuple[tuple[int, ...], ...],
+) -> bool:
+    size = np.ptp(points[cells[:, :corners]], axis=1).max(axis=1)
+    off = [
+        np.linalg.norm(points[cells[:, node]] - points[cells[:, ends]].mean(axis=1), axis=1)
+        for node, ends in enumerate(between, start=corners)
+    ]
+    return not bool((np.array(off) <= STRAIGHTNESS * size).all())
+
+
+def _curved(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    corner: NDArray[np.int64],
+    between: tuple[tuple[int, ...], ...],
+) -> Mesh:
+    """Return the mesh of second order whose mid nodes are where the file has them."""
+    curved = (MeshTet2 if corner.shape[1] == 4 else MeshHex2).from_mesh(mesh)
+    places = curved.doflocs.copy()
+    at = [points[cells[:, node]] for node in range(corner.shape[1], cells.shape[1])]
+    if cells.shape[1] == 20:
+        at += _serendipity_middles(points, cells)
+        between = (*between, *_HEX_FACES, tuple(range(8)))
+    groups = {2: (mesh.edges, curved.dofs.edge_dofs), 4: (mesh.facets, curved.dofs.facet_dofs)}
+    for ends, position in zip(between, at, strict=True):
+        if len(ends) == 8:
+            places[:, curved.dofs.interior_dofs[0]] = position.T
+        else:
+            table, numbers = groups[len(ends)]
+            places[:, numbers[0, _rows_in(table.T, corner[:, ends])]] = position.T
+    return replace(curved, doflocs=places)
+
+
+def _serendipity_middles(
+    points: NDArray[np.float64], cells: NDArray[np.int64]
+) -> list[NDArray[np.float64]]:
+    """Centres of the six faces and of the body of 20-node hexahedra, by their own map."""
+    corner, edge = points[cells[:, :8]], points[cells[:, 8:]]
+    faces = [
+        0.5
+        * edge[:, [i for i, ends in enumerate(_HEX_EDGES) if set(ends) <= set(face)]].sum(axis=1)
+        - 0.25 * corner[:, face].sum(axis=1)
+        for face in _HEX_FACES
+    ]
+    return [*faces, 0.25 * (edge.sum(axis=1) - corner.sum(axis=1))]
+
+
+def _rows_in(table: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Index in `table` of each of `rows`, numbers in any order; -1 where it is not there."""
+    both = np.vstack([np.sort(table, axis=1), np.sort(rows, axis=1)])
+    _, key = np.unique(both, axis=0, return_inverse=True)
+    key = key.ravel()
+    place = np.full(key.max() + 1, -1)
+    place[key[: len(table)]] = np.arange(len(table))
+    return place[key[len(table) :]]
 
 
 def _check_cells(mesh: Mesh, path: Path) -> None:
@@ -114,6 +175,12 @@ def _check_cells(mesh: Mesh, path: Path) -> None:
         )
 
 
+def corner_mesh(mesh: Mesh) -> Mesh:
+    """Return the same cells with straight edges and without mid nodes."""
+    first_order = MeshTet if mesh.t.shape[0] == 4 else MeshHex
+    return first_order(mesh.p[:, : mesh.nvertices], mesh.t)
+
+
 def boundary_facets(mesh: Mesh, corners: NDArray[np.int64], where: str) -> NDArray[np.int64]:
     """Facets of the mesh with the given corners, shape (n, 3 or 4), in any order.
 
@@ -122,12 +189,7 @@ def boundary_facets(mesh: Mesh, corners: NDArray[np.int64], where: str) -> NDArr
     InputError
         A facet belongs to no cell or to two.
     """
-    rows = np.vstack([np.sort(mesh.facets.T, axis=1), np.sort(corners, axis=1)])
-    _, key = np.unique(rows, axis=0, return_inverse=True)
-    key = key.ravel()
-    facet_of = np.full(key.max() + 1, -1)
-    facet_of[key[: mesh.nfacets]] = np.arange(mesh.nfacets)
-    facets = np.unique(facet_of[key[mesh.nfacets :]])
+    facets = np.unique(_rows_in(mesh.facets.T, corners))
     if facets.size and facets[0] < 0:
         raise InputError(f"{where} has facets that are no facets of the volume cells; mesh again")
     if not np.isin(facets, mesh.boundary_facets()).all():

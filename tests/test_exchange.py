@@ -182,13 +182,6 @@ def test_serendipity_cells_are_read_too(tmp_path):
     assert np.allclose(sorted_corners(back.mesh), sorted_corners(BARS.mesh))
 
 
-@pytest.mark.parametrize("node", [8, 19, 20, 25, 26])
-def test_curved_cells_are_refused(tmp_path, node):
-    grid = labelled(to_meshio(MeshHex2.from_mesh(BARS.mesh), encode_cell_data=False))
-    grid.points[grid.cells[0].data[4, node]] += 1e-4
-    refused(write_grid(grid, tmp_path / "fine.vtu"), "is curved")
-
-
 def test_cells_of_several_types_are_refused(tmp_path):
     grid = to_meshio(BARS.mesh, encode_cell_data=False)
     grid.cells.append(meshio.CellBlock("tetra", grid.cells[0].data[:1, [0, 1, 3, 4]]))

@@ -14,6 +14,7 @@ from fesim.march import Step
 from fesim.setup import Setup
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
+from meshes.volume_cells import corner_mesh
 
 Array = NDArray[np.float64]
 
@@ -238,7 +239,7 @@ def _bodies(structure: Structure, named: Mapping[str, str]) -> dict[str, Surface
 
 def _skin(structure: Structure, values: Array | None = None) -> Surface:
     """Whole boundary with values at the mesh's nodes; its points are all of them."""
-    mesh = structure.mesh
+    mesh = corner_mesh(structure.mesh)
     faces = boundary_faces(mesh, mesh.boundary_facets())
     return Surface(np.ascontiguousarray(mesh.p.T), faces, values=values)
 
