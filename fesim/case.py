@@ -41,10 +41,11 @@ class MillingMachineSection(_Section):
 
 
 class MeshSection(_Section):
-    """``[structure]`` with ``kind = "mesh"``: a file that meshio reads, coordinates in m."""
+    """``[structure]`` with ``kind = "mesh"``: a file that meshio reads."""
 
     kind: Literal["mesh"]
     file: Path
+    unit: Literal["m", "cm", "mm", "in"] = "m"
     symmetry_factor: Annotated[int, Field(ge=1)] = 1
 
 

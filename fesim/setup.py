@@ -50,6 +50,9 @@ from meshes.structure import Probe, Structure
 CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}
 
 
+#: Length of one unit of a mesh file's coordinates, m.
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000
 
@@ -175,7 +178,7 @@ def build_structure(case: Case) -> Structure:
             probes=probes,
         )
     else:
-        structure = read_structure(section.file)
+        structure = read_structure(section.file, UNITS[section.unit])
     sides = structure.joints
     joints = {}
     for name, joint in case.joints.items():

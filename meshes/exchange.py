@@ -1,13 +1,14 @@
-"""Structures in files, through meshio: VTU and Gmsh MSH, coordinates in m.
+"""Structures in files, through meshio: written as VTU or Gmsh MSH, read from more formats.
 
 How the names are kept:
 
-- VTU: cell arrays of 0 and 1, ``body:NAME`` for volume cells, ``surface:NAME`` for facet cells
-  and ``probe:NAME`` or ``probe:NAME@BODY`` for vertex cells;
+- VTU, VTK: cell arrays of 0 and 1, ``body:NAME`` for volume cells, ``surface:NAME`` for facet
+  cells and ``probe:NAME`` or ``probe:NAME@BODY`` for vertex cells;
+- Abaqus INP, MED: element sets and groups, of volume cells for bodies, of shell cells for surfaces;
 - MSH: named physical groups, of volumes for bodies, of surfaces for surfaces, and of one point,
   called ``probe:NAME`` or ``probe:NAME@BODY``, for each probe; a facet of several surfaces is
   repeated;
-- both: a joint is the pair of surfaces ``JOINT.a`` and ``JOINT.b``.
+- all: a joint is the pair of surfaces ``JOINT.a`` and ``JOINT.b``.
 
 How many copies make the whole structure stands in the case, not in these files.
 """
@@ -16,9 +17,13 @@ from __future__ import annotations
 
 import re
 import struct
+import warnings
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
+from xml.etree.ElementTree import ParseError
 
 import meshio
 import numpy as np
@@ -33,12 +38,20 @@ from meshes.structure import Probe, Structure
 from meshes.volume_cells import boundary_facets, volume_mesh
 
 SUFFIXES = (".vtu", ".msh")
+_READERS = {
+    ".vtu": meshio.vtu.read,
+    ".msh": meshio.gmsh.read,
+    ".vtk": meshio.vtk.read,
+    ".inp": meshio.abaqus.read,
+    ".med": meshio.med.read,
+}
 Masks = list[NDArray[np.bool_]]
 
 _MSH_END = (
     rb"(^|\n)\$End(Comments|MeshFormat|PhysicalNames|(Partitioned)?Entities|Nodes|(Ghost)?Elements"
     rb"|Periodic|Parametrizations|NodeData|Element(Node)?Data|InterpolationScheme)$"
 )
+_ENDS = {".vtu": b"</VTKFile>$", ".msh": _MSH_END}
 _DIMENSIONS = {"body": 3, "surface": 2, "probe": 0}
 _FACET_CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 #: What meshio's readers raise on a damaged file.
@@ -53,30 +66,36 @@ _DAMAGE = (
     AssertionError,
     struct.error,
     zlib.error,
+    ParseError,
+    OSError,
+    MemoryError,
+    OverflowError,
 )
 
 
-def read_structure(path: Path) -> Structure:
+def read_structure(path: Path, unit: float = 1.0) -> Structure:
     """Read a structure.
 
-    Cells of second order are read by their corners if they are straight. Nodes of no volume cell
-    are left out.
+    Cells of second order keep their shape; straight ones are read by their corners. Nodes of no
+    volume cell are left out.
 
     Parameters
     ----------
     path : Path
-        A ``.vtu`` file, or a ``.msh`` file of version 4.1 or 2.2; coordinates in m.
+        A file with one of the suffixes of `_READERS`; MSH of version 4.1 or 2.2.
+    unit : float
+        Length of one unit of its coordinates, m.
 
     Raises
     ------
     InputError
         The file is missing, empty, truncated or of another kind; its cells are of several types,
-        curved, folded or without a body; a surface is not on the boundary; a probe is no single
-        point; it is larger than
-        `meshes.volume_cells.LARGEST_EXTENT`.
+        folded or without a body; a surface is not on the boundary; a probe is no single point; it
+        is larger than `meshes.volume_cells.LARGEST_EXTENT`.
     """
     path = Path(path)
     raw = _read(path)
+    raw.points = unit * np.asarray(raw.points, dtype=float)
     mesh, renumber = volume_mesh(raw, path)
     surfaces = {
         name: boundary_facets(mesh, _corners(raw, masks, renumber, mesh, where), where)
@@ -113,7 +132,7 @@ def write_structure(structure: Structure, path: Path) -> None:
         The suffix is unknown, or a name would not be read back as it is.
     """
     path = Path(path)
-    _check_suffix(path)
+    _check_suffix(path, SUFFIXES)
     surfaces = _surfaces_with_joint_sides(structure)
     probes = {
         f"probe:{name}" + (f"@{probe.body}" if probe.body else ""): probe.position
@@ -143,28 +162,26 @@ def write_structure(structure: Structure, path: Path) -> None:
         meshio.gmsh.write(part, grid, fmt_version="2.2", binary=True)
 
 
-def _check_suffix(path: Path) -> None:
-    if path.suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: unknown suffix {path.suffix!r}; give one of {', '.join(SUFFIXES)}"
-        )
+def _check_suffix(path: Path, known: Collection[str]) -> None:
+    if path.suffix not in known:
+        raise InputError(f"{path}: unknown suffix {path.suffix!r}; give one of {', '.join(known)}")
 
 
 def _read(path: Path) -> meshio.Mesh:
-    _check_suffix(path)
+    _check_suffix(path, _READERS)
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file; check its name")
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - 256))
         end = file.read().rstrip()
     # meshio takes some truncated files for whole ones.
-    complete = b"</VTKFile>$" if path.suffix == ".vtu" else _MSH_END
-    if not re.search(complete, end):
+    if not end or not re.search(_ENDS.get(path.suffix, b""), end):
         raise InputError(f"{path}: empty or truncated mesh file; write it again")
-    # Not meshio.read: it prints, and ends the process, when a reader fails.
-    reader = meshio.vtu.read if path.suffix == ".vtu" else meshio.gmsh.read
     try:
-        return reader(str(path))
+        # Not meshio.read: it prints, and ends the process, when a reader fails. What the readers
+        # warn of is checked below, or in `volume_mesh`.
+        with redirect_stderr(StringIO()), warnings.catch_warnings(action="ignore"):
+            return _READERS[path.suffix](str(path))
     except _DAMAGE as error:
         raise InputError(
             f"{path}: meshio cannot read it ({' '.join(str(error).split()) or 'damaged'}); "
@@ -179,7 +196,10 @@ def _blocks(raw: meshio.Mesh, dimension: int) -> list[int]:
 def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
     """Names of a kind, each with a mask over every block of cells of its dimension."""
     blocks = _blocks(raw, _DIMENSIONS[kind])
-    if path.suffix == ".vtu":
+    if path.suffix in (".inp", ".med"):
+        found = {name: [masks[k] for k in blocks] for name, masks in _sets(raw).items()}
+        return {name: masks for name, masks in found.items() if any(m.any() for m in masks)}
+    if path.suffix != ".msh":
         arrays = {
             name.removeprefix(f"{kind}:"): [np.ravel(values[k]) for k in blocks]
             for name, values in raw.cell_data.items()
@@ -197,6 +217,25 @@ def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
             if name.startswith("probe:")
         }
     return {name: _group(raw, name, tag, blocks) for name, tag in groups.items()}
+
+
+def _sets(raw: meshio.Mesh) -> dict[str, Masks]:
+    """Element sets of Abaqus, or groups of MED, as masks over every block of cells."""
+    masks: dict[str, Masks] = {}
+
+    def add(name: str, block: int, chosen: NDArray[np.bool_]) -> None:
+        empty = [np.zeros(len(cells), dtype=bool) for cells in raw.cells]
+        masks.setdefault(name, empty)[block] |= chosen
+
+    for name, parts in raw.cell_sets.items():
+        for block, members in enumerate(parts):
+            if members is not None and len(members):
+                add(name, block, np.isin(np.arange(len(raw.cells[block])), members))
+    for tag, names in getattr(raw, "cell_tags", {}).items():
+        for block, tags in enumerate(raw.cell_data.get("cell_tags", [])):
+            for name in names:
+                add(name, block, np.asarray(tags) == tag)
+    return masks
 
 
 def _group(raw: meshio.Mesh, name: str, tag: int, blocks: list[int]) -> Masks:
@@ -217,7 +256,11 @@ def _bodies(raw: meshio.Mesh, path: Path) -> dict[str, NDArray[np.int64]]:
         for name, masks in _names(raw, "body", path).items()
     }
     if not bodies:
-        name = "a cell array 'body:NAME'" if path.suffix == ".vtu" else 'Physical Volume("NAME")'
+        name = {
+            ".msh": 'Physical Volume("NAME")',
+            ".inp": "*ELEMENT, ELSET=NAME",
+            ".med": "a group of volumes",
+        }.get(path.suffix, "a cell array 'body:NAME'")
         raise InputError(f"{path}: no body has a name; name every body by {name}")
     return bodies
 

@@ -70,6 +70,84 @@ def test_a_machine_from_a_file_behaves_like_the_one_that_was_written(
     assert np.array_equal(ours["pressure"], built["pressure"])
 
 
+def with_sets(structure, suffix, folder):
+    """The structure as another program writes it: element sets (INP) or groups (MED)."""
+    volumes = to_meshio(structure.mesh, encode_cell_data=False)
+    facets = structure.mesh.facets
+    cells = [("hexahedron", volumes.cells[0].data[cells]) for cells in structure.bodies.values()]
+    cells += [("quad", facets[:, chosen].T) for chosen in structure.surfaces.values()]
+    names = [*structure.bodies, *structure.surfaces]
+    path = folder / f"other{suffix}"
+    if suffix == ".inp":
+        sets = {
+            name: [
+                np.arange(len(nodes)) if i == k else np.array([], int)
+                for i, (_, nodes) in enumerate(cells)
+            ]
+            for k, name in enumerate(names)
+        }
+        meshio.abaqus.write(path, meshio.Mesh(volumes.points, cells, cell_sets=sets))
+        return path
+    tags = [np.full(len(nodes), -1 - k) for k, (_, nodes) in enumerate(cells)]
+    bodies = len(structure.bodies)
+    halves = [slice(bodies), slice(bodies, None)]
+    merged = [(cells[h.start or 0][0], np.vstack([n for _, n in cells[h]])) for h in halves]
+    families = [np.concatenate(tags[h]) for h in halves]
+    grid = meshio.Mesh(volumes.points, merged, cell_data={"cell_tags": families})
+    grid.cell_tags = {-1 - k: [name] for k, name in enumerate(names)}
+    grid.point_tags = {}
+    meshio.med.write(path, grid)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".med"])
+def test_element_sets_and_groups_of_other_programs_are_names(tmp_path, suffix, capfd):
+    back = read_structure(with_sets(BARS, suffix, tmp_path))
+    assert back.joints == BARS.joints
+    centre = {}
+    for one in (BARS, back):
+        mesh = one.mesh
+        centre[id(one)] = {
+            **{n: mesh.p[:, mesh.t[:, c]].mean(axis=(1, 2)) for n, c in one.bodies.items()},
+            **{n: mesh.p[:, mesh.facets[:, f]].mean(axis=(1, 2)) for n, f in one.surfaces.items()},
+        }
+        assert sum(len(cells) for cells in one.bodies.values()) == BARS.mesh.nelements
+    assert centre[id(BARS)].keys() == centre[id(back)].keys()
+    for name, place in centre[id(BARS)].items():
+        np.testing.assert_allclose(centre[id(back)][name], place, atol=1e-9)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_vtk_file_with_cell_arrays_is_read(tmp_path):
+    write_structure(BARS, tmp_path / "bars.vtu")
+    grid = meshio.vtu.read(str(tmp_path / "bars.vtu"))
+    grid.cell_data = {
+        name: [part.astype(np.int32) for part in parts] for name, parts in grid.cell_data.items()
+    }
+    meshio.vtk.write(str(tmp_path / "bars.vtk"), grid)
+    back = read_structure(tmp_path / "bars.vtk")
+    assert same_groups(back.bodies, BARS.bodies)
+    assert same_groups(back.surfaces, BARS.surfaces)
+    assert back.probes == BARS.probes
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254)])
+def test_the_unit_of_a_mesh_does_not_change_the_machine(
+    tmp_path, coarse_data, coarse_response, coarse_setup, unit, metres
+):
+    """Invariance under the unit that the mesh is written in."""
+    write_structure(coarse_setup.structure, tmp_path / "machine.vtu")
+    grid = meshio.vtu.read(str(tmp_path / "machine.vtu"))
+    grid.points = grid.points / metres
+    meshio.vtu.write(str(tmp_path / "machine.vtu"), grid)
+    section = {"kind": "mesh", "file": "machine.vtu", "unit": unit, "symmetry_factor": 2}
+    case = case_from_data(coarse_data | {"structure": section}, "case", tmp_path)
+    ours = simulate(case).response
+    for name in ("displacement", "pressure", "temperature"):
+        size = float(np.abs(coarse_response[name]).max())
+        np.testing.assert_allclose(ours[name], coarse_response[name], atol=1e-8 * size)
+
+
 @suffixes
 def test_a_joint_with_other_side_names_is_read_by_its_own_name(tmp_path, suffix):
     renamed = {
@@ -194,7 +272,7 @@ def test_cells_of_several_types_are_refused(tmp_path):
 def test_a_mesh_in_millimetres_is_refused(tmp_path):
     grid = labelled(to_meshio(BARS.mesh, encode_cell_data=False))
     grid.points = 1e3 * grid.points
-    refused(write_grid(grid, tmp_path / "mm.vtu"), "250 m long, perhaps in mm")
+    refused(write_grid(grid, tmp_path / "mm.vtu"), "250 m long; if it is in mm")
 
 
 @pytest.mark.parametrize("kind", ["folded", "flat", "twice"])
