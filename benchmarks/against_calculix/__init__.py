@@ -1,0 +1,1 @@
+"""The same cases by CalculiX: decks, runs, results, comparison (docs/against-calculix.md)."""

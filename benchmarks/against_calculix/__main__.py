@@ -1,0 +1,112 @@
+"""Compare the march with CalculiX.
+
+    python -m benchmarks.against_calculix                 # about 6 minutes
+    python -m benchmarks.against_calculix --fine          # with the machine at 50 mm
+
+Without CalculiX (Debian: calculix-ccx) it says so and ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from artefacts.files import whole_file
+from benchmarks.against_calculix.run import PROGRAM, available
+from benchmarks.against_calculix.studies import (
+    Comparison,
+    calculix_step,
+    coarse_machine,
+    our_march,
+    two_bars,
+    two_rods,
+)
+
+STEPS = 1050
+
+
+def main() -> None:
+    """Run the studies, print the table and write it as JSON."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.against_calculix")
+    parser.add_argument("--out", type=Path, default=Path("against_calculix.json"))
+    parser.add_argument("--fine", action="store_true", help="the machine at 50 mm too")
+    parser.add_argument("--keep", type=Path, help="folder for decks and logs; default: none kept")
+    given = parser.parse_args()
+    console = Console(width=130)
+    if not available():
+        console.print(f"against_calculix: skipped, no {PROGRAM} on the PATH (Debian: calculix-ccx)")
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = given.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = list(_shown(console, folder, fine=given.fine))
+        step, measured = calculix_step(folder)
+    ours = {coupling: our_march(STEPS, coupling) for coupling in ("staggered", "iterated")}
+    console.print(_table(rows))
+    console.print(_figures(rows))
+    console.print(
+        f"The machine at 100 mm: CalculiX {step:.2f} s a coupled step over {measured} steps, "
+        f"scaled to {STEPS}: {STEPS * step:.0f} s"
+    )
+    for coupling, seconds in ours.items():
+        console.print(
+            f"{STEPS} steps with set-up, {coupling}: {seconds:.2f} s, ratio "
+            f"{STEPS * step / seconds:.0f}"
+        )
+    result = {
+        "rows": [asdict(row) for row in rows],
+        "march-vs-calculix": {
+            "ours_seconds": ours,
+            "ccx_seconds_per_step": step,
+            "ccx_steps_measured": measured,
+            "steps": STEPS,
+        },
+    }
+    with whole_file(given.out) as part:
+        part.write_text(json.dumps(result, indent=1), encoding="utf-8")
+
+
+def _shown(console: Console, folder: Path, *, fine: bool) -> Iterator[Comparison]:
+    for row in chain(two_bars(folder), two_rods(folder), coarse_machine(folder, fine=fine)):
+        console.print(f"{row.study}: {row.variant}: done in {row.ccx_seconds:.1f} s by CalculiX")
+        yield row
+
+
+def _table(rows: list[Comparison]) -> Table:
+    table = Table("study", "variant", "ΔT", "Δu", "Δ probe", "Δp", "Δ force", "ours, s", "ccx, s")
+    for row in rows:
+        found = row.agreement
+        errors = (
+            [found.temperature, found.displacement, found.probe, found.pressure, found.normal_force]
+            if found
+            else []
+        )
+        shown = [f"{abs(error):.1e}" for error in errors] or ["-"] * 5
+        table.add_row(
+            row.study, row.variant, *shown, f"{row.ours_seconds:.2f}", f"{row.ccx_seconds:.1f}"
+        )
+    return table
+
+
+def _figures(rows: list[Comparison]) -> Table:
+    """Figures of the machine that do not depend on the mesh, ours and CalculiX's."""
+    chosen = [row for row in rows if row.study.startswith("machine")]
+    table = Table("study", "variant", "side", *chosen[0].ours)
+    for row in chosen:
+        for side, figures in (("ours", row.ours), ("ccx", row.ccx)):
+            if figures:
+                shown = (f"{figures[name]:.2f}" for name in chosen[0].ours)
+                table.add_row(row.study, row.variant, side, *shown)
+    return table
+
+
+if __name__ == "__main__":
+    main()

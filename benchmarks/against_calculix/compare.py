@@ -1,0 +1,267 @@
+"""Runs one problem on both sides and compares temperatures, displacements and pressures."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import CellBasis
+from threadpoolctl import threadpool_limits
+
+from artefacts.errors import InputError
+from benchmarks.against_calculix.deck import Choices, write_deck
+from benchmarks.against_calculix.laws import exponential, with_law
+from benchmarks.against_calculix.problem import Problem, problem_of
+from benchmarks.against_calculix.run import Run, run_deck
+from fesim.case import Case
+from fesim.condensation import condense_heat
+from fesim.heat import capacity_form, cell_field, heat_operators
+from fesim.joint_law import BackBurdekinLaw, JointLaw
+from fesim.joint_operators import joint_operators
+from fesim.march import CondensedMachine, Step, march
+from fesim.setup import Setup, heat_sources, set_up, thermal_inputs
+from fesim.simulate import COUPLINGS
+from fesim.spaces import interpolation, probe_rows
+from meshes.pairing import PairedJoint, pair_joint
+
+Array = NDArray[np.float64]
+
+#: Parts of a contact element in each direction over which a pressure is averaged.
+PARTS = 4
+
+
+@dataclass(frozen=True)
+class Ours:
+    """Our side of a comparison.
+
+    Attributes
+    ----------
+    setup : Setup
+        The condensed case.
+    step : Step
+        The last one.
+    displacement : ndarray, shape (nodes, 3)
+        At the end, m, nodes as in the space of displacements.
+    seconds : float
+        Wall time of set-up and march.
+    march_seconds : float
+        Wall time of the march alone.
+    """
+
+    setup: Setup
+    step: Step
+    displacement: Array
+    seconds: float
+    march_seconds: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Largest differences at the end of a run, and the values that they are relative to.
+
+    Attributes
+    ----------
+    temperature, displacement, pressure : float
+        Largest difference over the largest value: of nodal temperatures, nodal displacement
+        vectors and mean pressures of the contact elements.
+    probe : float
+        Difference of the case's recorded displacement over its size.
+    temperature_scale, displacement_scale, pressure_scale, probe_scale : float
+        Those values, K, m, Pa and m.
+    normal_force : float
+        Difference of the joint's normal force over CalculiX's.
+    force_check : float
+        The same of CalculiX's printed force and the one from its displacements by our law.
+    """
+
+    temperature: float
+    displacement: float
+    pressure: float
+    probe: float
+    temperature_scale: float
+    displacement_scale: float
+    pressure_scale: float
+    probe_scale: float
+    normal_force: float
+    force_check: float
+
+
+def comparable(law: JointLaw) -> JointLaw:
+    """Return the law that both sides can have: `law` itself if it is linear, else exponential."""
+    normal = law.normal
+    linear = isinstance(normal, BackBurdekinLaw) and normal.exponent == 1.0
+    return law if linear else exponential(law)
+
+
+def run_ours(case: Case, law: JointLaw, *, consistent: bool = False) -> Ours:
+    """March a case on one thread with `law` at its joint.
+
+    Parameters
+    ----------
+    case : Case
+        What to march.
+    law : JointLaw
+        Instead of the case's.
+    consistent : bool
+        Take the consistent heat capacity, which CalculiX has, instead of the lumped one.
+    """
+    count = round(60.0 * case.march.duration_min / case.march.step_s)
+    with threadpool_limits(limits=1):
+        start = time.perf_counter()
+        setup = set_up(case)
+        machine = with_law(setup.machine, law)
+        if consistent:
+            machine = with_consistent_capacity(case, setup, machine)
+        ready = time.perf_counter()
+        steps = march(machine, thermal_inputs(case), COUPLINGS[case.march.coupling])
+        step = next(islice(steps, count - 1, count))
+        end = time.perf_counter()
+        displacement = setup.field.solve(step.state.temperature, step.remainder).reshape(-1, 3)
+    return Ours(setup, step, displacement, end - start, end - ready)
+
+
+def with_consistent_capacity(
+    case: Case, setup: Setup, machine: CondensedMachine
+) -> CondensedMachine:
+    """Return the machine with the consistent heat capacity."""
+    structure, basis = setup.structure, setup.spaces.heat
+    materials = problem_of(case).materials
+    stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
+    heat = heat_operators(
+        structure,
+        basis,
+        materials,
+        case.convection_W_m2K,
+        heat_sources(case, structure),
+        list(case.held_temperatures),
+    )
+    capacity = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
+    thermal = condense_heat(
+        replace(heat, capacity=capacity),
+        joint_operators(setup.joints, setup.spaces),
+        case.march.step_s,
+        case.march.solver,
+    )
+    return replace(machine, thermal=thermal)
+
+
+def run_theirs(problem: Problem, choices: Choices, folder: Path, name: str, timeout: float) -> Run:
+    """Run a problem by CalculiX."""
+    return run_deck(write_deck(problem, choices).text, folder, name, timeout)
+
+
+def agreement(case: Case, problem: Problem, ours: Ours, run: Run, basis: CellBasis) -> Agreement:
+    """Compare the ends of two runs at the mesh's nodes and over the contact elements."""
+    joint, setup = problem.joint, ours.setup
+    heat, elastic = setup.spaces.heat.nodal_dofs[0], setup.spaces.elastic.nodal_dofs[0]
+    theirs = basis.nodal_dofs[0]
+    temperature = ours.step.state.temperature[heat], run.temperature[theirs]
+    displacement = ours.displacement[elastic], run.displacement[theirs]
+    pressure = ours.step.state.pressure, mean_pressures(problem, basis, run.displacement)
+    recorded = recorded_displacement(case, problem, basis, run.displacement)
+    probe = ours.step.displacement[None], recorded[None]
+    force = [float(p @ joint.area) for p in pressure]
+    parts = [
+        _difference(first, second) for first, second in (temperature, displacement, pressure, probe)
+    ]
+    (t, t_scale), (u, u_scale), (p, p_scale), (r, r_scale) = parts
+    return Agreement(
+        temperature=t,
+        displacement=u,
+        pressure=p,
+        probe=r,
+        temperature_scale=t_scale,
+        displacement_scale=u_scale,
+        pressure_scale=p_scale,
+        probe_scale=r_scale,
+        normal_force=force[0] / run.normal_force - 1.0,
+        force_check=force[1] / run.normal_force - 1.0,
+    )
+
+
+def recorded_displacement(
+    case: Case, problem: Problem, basis: CellBasis, displacement: Array
+) -> Array:
+    """Return the displacement (3,) that the case records, m, of nodal ones (nodes, 3)."""
+    probes = problem.structure.probes
+    names = [name for name in (case.displacement.point, case.displacement.relative_to) if name]
+    rows = probe_rows(basis, problem.structure, {name: probes[name] for name in names})
+    moved = rows @ displacement
+    return moved[0] - moved[1] if len(names) == 2 else moved[0]
+
+
+def values(case: Case, problem: Problem, basis: CellBasis, run: Run) -> dict[str, float]:
+    """Return figures that do not depend on the mesh: see `our_values`."""
+    recorded = recorded_displacement(case, problem, basis, run.displacement)
+    probes = {name: problem.structure.probes[name] for name in case.probes}
+    temperatures = probe_rows(basis, problem.structure, probes) @ run.temperature
+    pressure = mean_pressures(problem, basis, run.displacement)
+    return _figures(list(probes), temperatures, recorded, pressure)
+
+
+def our_values(setup: Setup, step: Step) -> dict[str, float]:
+    """Return temperatures at the probes (K), the recorded displacement and extreme pressures."""
+    temperatures = setup.probe_rows @ step.state.temperature
+    return _figures(list(setup.probes), temperatures, step.displacement, step.state.pressure)
+
+
+def _figures(
+    probes: list[str], temperatures: Array, displacement: Array, pressure: Array
+) -> dict[str, float]:
+    figures = {f"T {name}, K": float(t) for name, t in zip(probes, temperatures, strict=True)}
+    figures |= {f"δ{axis}, µm": 1e6 * float(displacement[i]) for i, axis in enumerate("xy")}
+    return figures | {
+        "lowest p, MPa": 1e-6 * float(pressure.min()),
+        "highest p, MPa": 1e-6 * float(pressure.max()),
+    }
+
+
+def mean_pressures(problem: Problem, basis: CellBasis, displacement: Array) -> Array:
+    """Mean pressures (m,) over the contact elements of a law that holds at every point.
+
+    The pressure may grow manifold within a contact element, so the means are taken over `PARTS` x
+    `PARTS` parts of each.
+
+    Parameters
+    ----------
+    problem : Problem
+        Joint and law.
+    basis : skfem.CellBasis
+        Scalar space of the displacement.
+    displacement : ndarray, shape (nodes, 3)
+        Displacement, m.
+
+    Raises
+    ------
+    InputError
+        A patch of the joint is no rectangle.
+    """
+    along, across = problem.grid
+    fine = pair_joint(problem.structure, problem.joint.name, PARTS * along, PARTS * across)
+    if fine.area.size != PARTS**2 * problem.joint.area.size:
+        raise InputError("against_calculix: a patch of the joint is no rectangle")
+    pressure = problem.law.normal.pressure(point_openings(fine, basis, displacement))
+    force = np.bincount(fine.element, fine.weights * pressure)
+    # Contact elements are counted along the joint, then across, then patch by patch.
+    parts = force.reshape(-1, across, PARTS, along, PARTS).sum(axis=(2, 4))
+    return parts.ravel() / problem.joint.area
+
+
+def point_openings(joint: PairedJoint, basis: CellBasis, displacement: Array) -> Array:
+    """Opening at every quadrature point of the joint, m."""
+    moved = [
+        interpolation(basis, points, cells) @ displacement @ joint.normal
+        for points, cells in ((joint.points_a, joint.cells_a), (joint.points_b, joint.cells_b))
+    ]
+    return moved[1] - moved[0]
+
+
+def _difference(first: Array, second: Array) -> tuple[float, float]:
+    """Largest difference over the largest value of the second, and that value."""
+    size = np.abs if first.ndim == 1 else lambda rows: np.linalg.norm(rows, axis=1)
+    scale = float(np.max(size(second)))
+    return float(np.max(size(first - second))) / scale, scale

@@ -1,0 +1,124 @@
+"""What a case asks of a solver, in SI, without any choice of how to solve it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.errors import InputError
+from fesim.case import Case
+from fesim.joint_law import JointLaw
+from fesim.materials import Material
+from fesim.setup import (
+    body_materials,
+    build_structure,
+    heat_sources,
+    joint_law,
+    thermal_inputs,
+)
+from meshes.pairing import PairedJoint, outward_areas, pair_joint
+from meshes.structure import Structure
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One structure with one joint under constant loads.
+
+    Attributes
+    ----------
+    structure : Structure
+        Mesh and names.
+    materials : dict of str to Material
+        Of every body.
+    joint : PairedJoint
+        The joint.
+    grid : (int, int)
+        Its contact elements along and across each patch.
+    law : JointLaw
+        Its law.
+    films : dict of str to float
+        Surface to heat transfer coefficient, W/(m2 K); ambient is at 0.
+    fluxes : dict of str to float
+        Surface to the heat flux that enters there from time 0 on, W/m2.
+    held : dict of str to float
+        Surface to its temperature from time 0 on, K.
+    fixed : list of str
+        Surfaces held in all directions.
+    symmetry : dict of str to str
+        Surface to the direction it is held in.
+    step : float
+        Time step, s.
+    steps : int
+        Number of time steps.
+    """
+
+    structure: Structure
+    materials: dict[str, Material]
+    joint: PairedJoint
+    grid: tuple[int, int]
+    law: JointLaw
+    films: dict[str, float]
+    fluxes: dict[str, float]
+    held: dict[str, float]
+    fixed: list[str]
+    symmetry: dict[str, str]
+    step: float
+    steps: int
+
+
+def problem_of(case: Case) -> Problem:
+    """Return the problem of a case.
+
+    Raises
+    ------
+    InputError
+        The case has more than one joint, springs, a body source, an ambient history or a load that
+        changes in time: the decks do not have these.
+    """
+    if len(case.joints) != 1:
+        raise InputError("against_calculix: the case has several joints; decks are made for one")
+    if case.supports.springs:
+        raise InputError("against_calculix: the case has springs; remove supports.springs")
+    if case.ambient is not None:
+        raise InputError("against_calculix: the case has an ambient history; remove [ambient]")
+    structure = build_structure(case)
+    materials = body_materials(case, structure)
+    ((name, section),) = case.joints.items()
+    joint = pair_joint(structure, name, section.along, section.across)
+    steps = round(60.0 * case.march.duration_min / case.march.step_s)
+    loads = _constant_loads(case, steps)
+    fluxes: dict[str, float] = {}
+    shares = heat_sources(case, structure)
+    for share, power in zip(shares, loads[: len(shares)], strict=True):
+        if share.surface is None:
+            raise InputError("against_calculix: a source heats a body; give it a surface")
+        fluxes[share.surface] = share.power * power / area_of(structure, share.surface)
+    return Problem(
+        structure=structure,
+        materials=materials,
+        joint=joint,
+        grid=(section.along, section.across),
+        law=joint_law(section, structure, materials, joint),
+        films=dict(case.convection_W_m2K),
+        fluxes=fluxes,
+        held=dict(zip(case.held_temperatures, loads[len(shares) + 1 :], strict=True)),
+        fixed=list(case.supports.fixed),
+        symmetry=dict(case.supports.symmetry),
+        step=case.march.step_s,
+        steps=steps,
+    )
+
+
+def area_of(structure: Structure, surface: str) -> float:
+    """Area of a named surface, m2."""
+    vectors = outward_areas(structure.mesh, structure.surface(surface))
+    return float(np.linalg.norm(vectors, axis=1).sum())
+
+
+def _constant_loads(case: Case, steps: int) -> list[float]:
+    inputs = thermal_inputs(case)
+    first, *rest = (inputs(case.march.step_s * index) for index in range(1, steps + 1))
+    if any((each != first).any() for each in rest):
+        raise InputError('against_calculix: a load changes in time; give kind = "step"')
+    return [float(value) for value in first]

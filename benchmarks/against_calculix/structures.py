@@ -1,0 +1,139 @@
+"""The cases that are compared: two bars, two rods in transient, a coarse milling machine."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fesim.case import Case, case_from_data
+from meshes.box_grid import Box, box_mesh, put_side_by_side
+from meshes.exchange import write_structure
+from meshes.structure import Probe, Structure
+
+IRON = {
+    "conductivity_W_mK": 47.0,
+    "density_kg_m3": 7200.0,
+    "heat_capacity_J_kgK": 500.0,
+    "youngs_modulus_GPa": 104.0,
+    "poisson_ratio": 0.27,
+    "expansion_1_K": 13.7e-6,
+}
+STEEL = {
+    "conductivity_W_mK": 16.0,
+    "density_kg_m3": 7800.0,
+    "heat_capacity_J_kgK": 460.0,
+    "youngs_modulus_GPa": 200.0,
+    "poisson_ratio": 0.31,
+    "expansion_1_K": 11.0e-6,
+}
+WIDTH, DEPTH = 0.06, 0.04
+LEFT, RIGHT = 0.10, 0.15
+
+
+def bar_structure(size: float) -> Structure:
+    """Two bars end to end along x, elements of `size` (m) along them; they share no node."""
+    left = Box((0.0, 0.0, 0.0), (LEFT, WIDTH, DEPTH))
+    right = Box((LEFT, 0.0, 0.0), (LEFT + RIGHT, WIDTH, DEPTH))
+
+    def grid(box: Box) -> list[float]:
+        start, end = box.low[0], box.high[0]
+        return np.linspace(start, end, 1 + round((end - start) / size)).tolist()
+
+    mesh, (left_cells, right_cells) = put_side_by_side(
+        [box_mesh([box], [], (grid(box), (), ()), WIDTH / 2) for box in (left, right)]
+    )
+    facets = mesh.boundary_facets()
+    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    of_left = np.isin(mesh.f2t[0, facets], left_cells)
+    at_joint = np.abs(x - LEFT) < 1e-9
+    chosen = {
+        "left_end": x < 1e-9,
+        "right_end": x > LEFT + RIGHT - 1e-9,
+        "joint.a": at_joint & of_left,
+        "joint.b": at_joint & ~of_left,
+        "bottom": y < 1e-9,
+        "top": y > WIDTH - 1e-9,
+        "back": z < 1e-9,
+        "front": z > DEPTH - 1e-9,
+    }
+    middle = (WIDTH / 2, DEPTH / 2)
+    return Structure(
+        mesh=mesh,
+        bodies={"left": left_cells, "right": right_cells},
+        surfaces={name: facets[mask] for name, mask in chosen.items()},
+        joints={"joint": ("joint.a", "joint.b")},
+        probes={
+            "left_face": Probe((LEFT, *middle), "left"),
+            "right_face": Probe((LEFT, *middle), "right"),
+        },
+    )
+
+
+def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
+    """Two bars between held temperatures, on rollers at both ends: the joint closes as they warm.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the mesh is written.
+    size : float
+        Element edge along the bars, m.
+    changes : dict
+        Dotted keys with "__" for the dot, e.g. ``march__step_s=10.0``.
+    """
+    file = folder / "bars.vtu"
+    write_structure(bar_structure(size), file)
+    data: dict[str, Any] = {
+        "title": "Two bars",
+        "structure": {"kind": "mesh", "file": str(file)},
+        "materials": {"iron": dict(IRON), "steel": dict(STEEL)},
+        "bodies": {"left": "iron", "right": "steel"},
+        "joints": {"joint": {"along": 3, "across": 2}},
+        "supports": {
+            "symmetry": {
+                **{"left_end": "x", "right_end": "x"},
+                **{"bottom": "y", "top": "y", "back": "z", "front": "z"},
+            },
+        },
+        "held_temperatures": {"left_end": {"rise_K": 5.0}, "right_end": {"rise_K": 0.0}},
+        "march": {"step_s": 2.0, "duration_min": 2.0, "coupling": "iterated"},
+        "displacement": {"point": "left_face", "relative_to": "right_face"},
+        "probes": {
+            "left_face": {"position_mm": _mm(LEFT, WIDTH / 2, DEPTH / 2), "body": "left"},
+            "right_face": {"position_mm": _mm(LEFT, WIDTH / 2, DEPTH / 2), "body": "right"},
+        },
+    }
+    return case_from_data(with_changes(data, changes), "two bars", folder)
+
+
+def machine(size: float = 100.0, **changes: Any) -> Case:
+    """The reference machine with elements of `size` (mm), heat input 3, 30 steps of 2 s."""
+    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
+    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": size}
+    data["candidates"] = []
+    data["probes"] = {
+        "source": {"position_mm": [575.0, 700.0, 100.0], "body": "column"},
+        "joint_top": {"position_mm": [650.0, 750.0, 87.5], "body": "column"},
+    }
+    data["heat_input"] = {"kind": "step", "level": 3.0}
+    data["march"] = {"step_s": 2.0, "duration_min": 1.0, "coupling": "iterated"}
+    return case_from_data(with_changes(data, changes), "coarse machine", Path())
+
+
+def with_changes(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Set keys given as "section__key" in nested dictionaries, and return these."""
+    for key, value in changes.items():
+        *path, last = key.split("__")
+        section = data
+        for part in path:
+            section = section.setdefault(part, {})
+        section[last] = value
+    return data
+
+
+def _mm(*metres: float) -> list[float]:
+    return [1e3 * value for value in metres]

@@ -1,0 +1,232 @@
+"""What is compared, and what is varied to find the cause of each difference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from artefacts.errors import ConvergenceError
+from benchmarks.against_calculix.compare import (
+    Agreement,
+    agreement,
+    comparable,
+    our_values,
+    run_ours,
+    run_theirs,
+    values,
+)
+from benchmarks.against_calculix.deck import Choices
+from benchmarks.against_calculix.elements import element_of, node_basis
+from benchmarks.against_calculix.problem import problem_of
+from benchmarks.against_calculix.run import Run
+from benchmarks.against_calculix.structures import bars, machine
+from fesim.case import Case
+
+#: Linear normal law and linear conductance: CalculiX has both without a table's error.
+LINEAR = {
+    "joints__joint__normal_law": "back-burdekin",
+    "joints__joint__back_burdekin": {"coefficient_um": 0.1, "exponent": 1.0},
+    "joints__joint__conductance": {"law": "constants", "constant": 1.45, "exponent": 1.0},
+}
+#: So tight that CalculiX's iterations do not show in a difference.
+TIGHT = 1e-5
+#: Steps so long that the transient is over at the end.
+STEADY = {"march__step_s": 1e8, "march__duration_min": 40e8 / 60.0}
+#: 30 steps of a minute, for the coarse machine: the heat has passed through its elements.
+LONG = {"march__step_s": 60.0, "march__duration_min": 30.0}
+#: Of a run, s.
+TIMEOUT = 1800.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One row.
+
+    Attributes
+    ----------
+    study, variant : str
+        What was run.
+    agreement : Agreement or None
+        How far both sides differ at the end; None where CalculiX did not run or finish.
+    ours, ccx : dict of str to float
+        Figures at the end: see `our_values`; empty where a side did not run.
+    ours_seconds, march_seconds : float
+        Wall time of our side, and of its march alone.
+    ccx_seconds : float
+        Wall time of CalculiX.
+    steps, iterations : int
+        CalculiX's increments and iterations, those that set the preload included.
+    note : str
+        Why it did not finish.
+    """
+
+    study: str
+    variant: str
+    agreement: Agreement | None
+    ours: dict[str, float]
+    ccx: dict[str, float]
+    ours_seconds: float
+    march_seconds: float
+    ccx_seconds: float
+    steps: int
+    iterations: int
+    note: str = ""
+
+
+def compared(
+    case: Case,
+    choices: Choices,
+    folder: Path,
+    labels: tuple[str, str],
+    *,
+    consistent: bool = False,
+    run: Run | None = None,
+) -> tuple[Comparison, Run]:
+    """Run one case on both sides.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    choices : Choices
+        How CalculiX solves it.
+    folder : Path
+        Where CalculiX's files go.
+    labels : (str, str)
+        Study and variant.
+    consistent : bool
+        See `run_ours`.
+    run : Run, optional
+        CalculiX's run, if only our side changes.
+    """
+    problem = problem_of(case)
+    problem = replace(problem, law=comparable(problem.law))
+    name = "_".join(labels).replace(" ", "_").replace(",", "").replace(".", "_")
+    theirs = run if run is not None else run_theirs(problem, choices, folder, name, TIMEOUT)
+    ours = run_ours(case, problem.law, consistent=consistent)
+    basis = node_basis(problem.structure, element_of(problem.structure, choices.element))
+    row = Comparison(
+        *labels,
+        agreement(case, problem, ours, theirs, basis),
+        our_values(ours.setup, ours.step),
+        values(case, problem, basis, theirs),
+        ours.seconds,
+        ours.march_seconds,
+        theirs.seconds,
+        theirs.increments,
+        theirs.iterations,
+    )
+    return row, theirs
+
+
+def ours_alone(case: Case, labels: tuple[str, str]) -> Comparison:
+    """Run one case on our side only."""
+    ours = run_ours(case, comparable(problem_of(case).law))
+    figures = our_values(ours.setup, ours.step)
+    return Comparison(*labels, None, figures, {}, ours.seconds, ours.march_seconds, 0.0, 0, 0)
+
+
+def two_bars(folder: Path) -> Iterator[Comparison]:
+    """Steady heat flow through two bars that are held between walls."""
+    choices = Choices(steady=True, tolerance=TIGHT)
+    for variant, changes in (("linear law, h ~ p", LINEAR), ("exponential law, Eq. 11", {})):
+        case = bars(folder, 0.05, **STEADY, **changes)
+        yield compared(case, choices, folder, ("two bars", variant))[0]
+    case = bars(folder, 0.05, **STEADY, **LINEAR)
+    table = replace(choices, table_points=10)
+    labels = ("two bars", "the linear law as a table")
+    try:
+        yield compared(case, table, folder, labels)[0]
+    except ConvergenceError as error:
+        yield Comparison(*labels, None, {}, {}, 0.0, 0.0, 0.0, 0, 0, str(error))
+
+
+def two_rods(folder: Path) -> Iterator[Comparison]:
+    """The bars in time, 60 steps of 2 s, on finer and finer meshes."""
+    choices = Choices(tolerance=TIGHT)
+    for size in (0.02, 0.01, 0.005):
+        case = bars(folder, size)
+        mesh = f"{1e3 * size:g} mm"
+        row, run = compared(case, choices, folder, ("two rods", f"elements {mesh}"))
+        yield row
+        labels = ("two rods", f"elements {mesh}, consistent capacity")
+        yield compared(case, choices, folder, labels, consistent=True, run=run)[0]
+    labels = ("two rods", "elements 10 mm, steps 1 s")
+    yield compared(bars(folder, 0.01, march__step_s=1.0), choices, folder, labels)[0]
+
+
+def coarse_machine(folder: Path, *, fine: bool) -> Iterator[Comparison]:
+    """The reference machine at heat input 3.
+
+    Parameters
+    ----------
+    folder : Path
+        Where CalculiX's files go.
+    fine : bool
+        With the 50 mm mesh too, which takes CalculiX minutes.
+    """
+    choices = Choices(tolerance=TIGHT)
+    study = "machine, 30 x 2 s"
+    yield compared(machine(), choices, folder, (study, "100 mm"))[0]
+    for size in (50.0, 25.0):
+        yield ours_alone(machine(size), (study, f"{size:g} mm, ours alone"))
+    if fine:
+        yield compared(machine(50.0), choices, folder, (study, "50 mm"))[0]
+    study = "machine, 30 x 60 s"
+    row, run = compared(machine(**LONG), choices, folder, (study, "100 mm"))
+    yield row
+    labels = (study, "100 mm, consistent capacity")
+    yield compared(machine(**LONG), choices, folder, labels, consistent=True, run=run)[0]
+    case = machine(**LONG, joints__knee__along=18, joints__knee__across=6)
+    yield compared(case, choices, folder, (study, "100 mm, 18 x 6 contact elements"), run=run)[0]
+    case = machine(**LONG, joints__knee__friction_coefficient=0.0)
+    yield compared(case, choices, folder, (study, "100 mm, no friction"))[0]
+    for size in (50.0, 25.0):
+        yield ours_alone(machine(size, **LONG), (study, f"{size:g} mm, ours alone"))
+    if fine:
+        yield compared(machine(50.0, **LONG), choices, folder, (study, "50 mm"))[0]
+
+
+def march_against_calculix(
+    folder: Path, steps: int = 1050, coupling: str = "staggered"
+) -> tuple[float, float, int]:
+    """Time the coarse machine, 2 s a step, on both sides in this run.
+
+    Parameters
+    ----------
+    folder : Path
+        Where CalculiX's files go.
+    steps : int
+        Steps of our march.
+    coupling : str
+        Of our march: the default of a case, or "iterated".
+
+    Returns
+    -------
+    ours_seconds : float
+        Set-up and `steps` steps.
+    ccx_seconds_per_step : float
+        A coupled step of CalculiX.
+    steps : int
+        Steps of CalculiX that were measured.
+    """
+    seconds, measured = calculix_step(folder)
+    return our_march(steps, coupling), seconds, measured
+
+
+def calculix_step(folder: Path) -> tuple[float, int]:
+    """Seconds per coupled step of CalculiX over 30 steps with its own tolerances, and their number.
+
+    Its set-up and the step that sets the preload are counted in them.
+    """
+    problem = problem_of(machine())
+    problem = replace(problem, law=comparable(problem.law))
+    run = run_theirs(problem, Choices(), folder, "timed", TIMEOUT)
+    return run.seconds / problem.steps, problem.steps
+
+
+def our_march(steps: int, coupling: str) -> float:
+    """Seconds for set-up and `steps` steps of the same machine."""
+    case = machine(march__duration_min=2.0 * steps / 60.0, march__coupling=coupling)
+    return run_ours(case, comparable(problem_of(case).law)).seconds
