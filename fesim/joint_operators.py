@@ -44,10 +44,10 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
     by_direction: list[csr_array] = []
     means = [_means(joint, spaces.elastic) for joint in joints]
     for k in range(3):
-        rows = []
-        for joint, mean in zip(joints, means, strict=True):
-            direction = np.vstack([joint.normal, joint.tangents])[k]
-            rows.append(_along(mean, direction))
+        rows = [
+            _along(mean, joint.normal if k == 0 else joint.tangents[:, k - 1])
+            for joint, mean in zip(joints, means, strict=True)
+        ]
         by_direction.append(vstack(rows, format="csr"))
     return JointOperators(csr_array(jump), csr_array(vstack(by_direction, format="csr")), area)
 
@@ -62,9 +62,9 @@ def _means(joint: PairedJoint, basis: CellBasis) -> csr_array:
 
 
 def _along(scalar_rows: csr_array, direction: NDArray[np.float64]) -> csr_array:
-    """Rows on interleaved displacement unknowns that give the component along `direction`."""
+    """Rows on interleaved displacement unknowns: the component along each row's `direction`."""
     rows = scalar_rows.tocoo()
     columns = np.concatenate([3 * rows.col.astype(np.int64) + i for i in range(3)])
-    values = np.concatenate([rows.data * component for component in direction])
+    values = np.concatenate([rows.data * component for component in direction[rows.row].T])
     shape = (rows.shape[0], 3 * rows.shape[1])
     return csr_array((values, (np.tile(rows.row, 3), columns)), shape=shape)

@@ -1,12 +1,14 @@
 """Pairs the two sides of a joint, whose meshes need not match, into contact elements.
 
-Each joint patch (a connected part of side a) is covered by a rectangular grid of contact elements.
-Facets of side a, facets of side b and grid cells are clipped against each other, so that integrals
-over a contact element are exact on both sides.
+Side a is divided where it has edges. A plane part is covered by a rectangular grid of contact
+elements; a curved part (a cylindrical seat) is bisected into contact elements that follow it. Each
+contact element has a plane of its own, in which facets of side a, facets of side b and, on a grid,
+the cell are clipped against each other, so that integrals over it are exact on both sides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,8 +23,12 @@ from artefacts.errors import InputError
 from meshes.polygons import Polygon, anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
 
-#: A side may leave its mean plane by this fraction of the joint's size.
+#: A part that leaves its mean plane by more than this fraction of its size is curved.
 FLATNESS = 1e-3
+#: Neighbouring facets whose normals differ by more than this belong to different parts, rad.
+EDGE = np.deg2rad(20.0)
+#: Facets take part in a contact element if their normals are this near to its own, rad.
+FACING = np.deg2rad(60.0)
 #: Overlaps smaller than this fraction of a facet are rounding, not contact.
 SLIVER = 1e-9
 
@@ -35,8 +41,9 @@ class PairedJoint:
     ----------
     name : str
         The joint's name in the structure.
-    normal, tangents : ndarray, shapes (3,) and (2, 3)
-        Unit normal from side a to side b, and the directions along and across the joint.
+    normal, tangents : ndarray, shapes (m, 3) and (m, 2, 3)
+        Of each contact element: unit normal from side a to side b, and the directions along and
+        across the joint.
     points_a, points_b : ndarray, shape (3, nq)
         The points on each side, m.
     cells_a, cells_b : ndarray of int, shape (nq,)
@@ -44,7 +51,7 @@ class PairedJoint:
     weights : ndarray, shape (nq,)
         Area weights, m2.
     element : ndarray of int, shape (nq,)
-        Contact element of each point, counted along the joint, patch by patch.
+        Contact element of each point, counted along the joint, part by part.
     area, centre : ndarray, shapes (m,) and (m, 3)
         Area (m2) and centroid (m) of each contact element.
     pieces : tuple of ndarray, each of shape (corners, 3)
@@ -71,7 +78,7 @@ class PairedJoint:
 
 @dataclass(frozen=True)
 class _Plane:
-    """A joint's mean plane: origin on side a, frame rows (along, across, normal)."""
+    """A mean plane: origin on side a, frame rows (along, across, normal)."""
 
     origin: NDArray[np.float64]
     frame: NDArray[np.float64]
@@ -80,14 +87,37 @@ class _Plane:
         """Coordinates of `points`, shape (..., 3), in the plane's frame, shape (..., 3)."""
         return (points - self.origin) @ self.frame.T
 
-    def lift(self, flat: NDArray[np.float64], height: float) -> NDArray[np.float64]:
-        """Points (3, n) in space of plane coordinates (n, 2) at a height over the plane."""
-        local = np.column_stack([flat, np.full(len(flat), height)])
-        return (self.origin + local @ self.frame).T
+
+@dataclass(frozen=True)
+class _Side:
+    """One side of a joint: corners (n, 3 or 4, 3), centres and unit outward normals (n, 3)."""
+
+    facets: NDArray[np.int64]
+    corners: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    area: NDArray[np.float64]
+
+    def lift(self, plane: _Plane, flat: Polygon, facet: int) -> NDArray[np.float64]:
+        """Points (n, 3) of a facet over plane coordinates (n, 2)."""
+        start = plane.origin + flat @ plane.frame[:2]
+        # Along the plane's normal, up to the facet's own plane.
+        slope = self.normal[facet] @ plane.frame[2]
+        height = (self.centre[facet] - start) @ self.normal[facet] / slope
+        return start + height[:, None] * plane.frame[2]
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A contact element before pairing: its plane, its facets, and its window on a grid."""
+
+    plane: _Plane
+    facets: NDArray[np.int64]
+    window: Polygon | None
 
 
 def pair_joint(structure: Structure, name: str, along: int, across: int) -> PairedJoint:
-    """Divide joint `name` into `along` x `across` contact elements per patch.
+    """Divide joint `name` into `along` x `across` contact elements per part.
 
     Parameters
     ----------
@@ -96,65 +126,85 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     name : str
         The joint.
     along, across : int
-        Contact elements along the longer and the shorter side of each patch.
+        Contact elements along the longer and the shorter side of each plane part; a curved part
+        gets as many in all.
 
     Raises
     ------
     InputError
-        A side is not plane, or the sides do not face each other.
+        The sides do not face each other.
     """
     mesh = structure.mesh
-    side_a, side_b = (structure.surfaces[side] for side in structure.joints[name])
-    corners_a, corners_b = facet_corners(mesh, side_a), facet_corners(mesh, side_b)
-    plane = _mean_plane(mesh, side_a, corners_a)
-    height_a = _height(plane, corners_a, name, "a")
-    height_b = _height(plane, corners_b, name, "b")
-    flat_a = [anticlockwise(polygon) for polygon in plane.flat(corners_a)[..., :2]]
-    flat_b = [anticlockwise(polygon) for polygon in plane.flat(corners_b)[..., :2]]
-    boxes_b = _bounds(flat_b)
-
-    points, weights, owners = [], [], []
+    side_a, side_b = (_side(mesh, structure.surfaces[side]) for side in structure.joints[name])
+    planes, points_a, points_b, weights, owners = [], [], [], [], []
     pieces, piece_cells = [], []
-    for patch, window, cell in _contact_cells(mesh, side_a, flat_a, along, across):
-        for i in patch:
-            on_cell = clip(flat_a[i], window)
-            if len(on_cell) < 3:
-                continue
-            for j in _touching(_bounds([on_cell])[0], boxes_b):
-                overlap = clip(on_cell, flat_b[j])
-                if len(overlap) < 3 or signed_area(overlap) < SLIVER * signed_area(flat_a[i]):
-                    continue
-                x, w = quadrature(overlap)
-                points.append(x)
-                weights.append(w)
-                owners.append(np.tile([i, j], (len(w), 1)))
-                pieces.append(plane.lift(overlap, height_a).T)
-                piece_cells.append(cell)
-    if not points:
+    for number, cell in enumerate(_contact_cells(mesh, side_a, along, across)):
+        planes.append(cell.plane)
+        for i, j, overlap in _overlaps(cell, side_a, side_b):
+            flat, weight = quadrature(overlap)
+            points_a.append(side_a.lift(cell.plane, flat, i))
+            points_b.append(side_b.lift(cell.plane, flat, j))
+            # Areas are those of side a, not of its shadow on the plane.
+            weights.append(weight / abs(side_a.normal[i] @ cell.plane.frame[2]))
+            owners.append(np.tile([i, j], (len(weight), 1)))
+            pieces.append(side_a.lift(cell.plane, overlap, i))
+            piece_cells.append(number)
+    if not pieces:
         raise InputError(f"joint {name!r}: its sides do not face each other; check the surfaces")
-    flat, weight = np.concatenate(points), np.concatenate(weights)
-    owner = np.concatenate(owners)
-    # Grid cells outside an irregular patch hold nothing; number the others without gaps.
-    _, piece_element = np.unique(piece_cells, return_inverse=True)
+    on_a, on_b = np.concatenate(points_a).T, np.concatenate(points_b).T
+    weight, owner = np.concatenate(weights), np.concatenate(owners)
+    # Grid cells outside an irregular part hold nothing; number the others without gaps.
+    held, piece_element = np.unique(piece_cells, return_inverse=True)
     element = np.repeat(piece_element, [len(w) for w in weights])
     area = np.bincount(element, weight).astype(float)
-    on_a = plane.lift(flat, height_a)
-    centre = np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1)
+    frames = np.array([planes[k].frame for k in held])
     return PairedJoint(
         name=name,
-        normal=plane.frame[2],
-        tangents=plane.frame[:2],
-        points_a=on_a,
-        points_b=plane.lift(flat, height_b),
-        cells_a=mesh.f2t[0, side_a[owner[:, 0]]],
-        cells_b=mesh.f2t[0, side_b[owner[:, 1]]],
+        normal=frames[:, 2],
+        tangents=frames[:, :2],
+        points_a=np.ascontiguousarray(on_a),
+        points_b=np.ascontiguousarray(on_b),
+        cells_a=mesh.f2t[0, side_a.facets[owner[:, 0]]],
+        cells_b=mesh.f2t[0, side_b.facets[owner[:, 1]]],
         weights=weight,
         element=element,
         area=area,
-        centre=centre,
+        centre=np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1),
         pieces=tuple(pieces),
         piece_element=piece_element,
     )
+
+
+def _side(mesh: Mesh, facets: NDArray[np.int64]) -> _Side:
+    corners = facet_corners(mesh, facets)
+    vectors = outward_areas(mesh, facets)
+    area = np.linalg.norm(vectors, axis=1)
+    return _Side(facets, corners, corners.mean(axis=1), vectors / area[:, None], area)
+
+
+def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, int, Polygon]]:
+    """Yield (facet of side a, facet of side b, what they share) in a contact element's plane."""
+    normal = cell.plane.frame[2]
+    flat_a = cell.plane.flat(side_a.corners[cell.facets])[..., :2]
+    box = np.array([flat_a.min(axis=(0, 1)), flat_a.max(axis=(0, 1))])
+    size = float(np.ptp(side_a.corners[cell.facets].reshape(-1, 3), axis=0).max())
+    if cell.window is not None:
+        box = np.array([cell.window.min(axis=0), cell.window.max(axis=0)])
+    near = np.abs((side_b.centre - cell.plane.origin) @ normal) <= size
+    facing = np.flatnonzero(near & (side_b.normal @ normal < -np.cos(FACING)))
+    flat_b = cell.plane.flat(side_b.corners[facing])[..., :2]
+    inside = _touching(box, _bounds(flat_b))
+    facing, polygons = facing[inside], [anticlockwise(flat_b[j]) for j in inside]
+    boxes = _bounds(flat_b[inside])
+    for i in _touching(box, _bounds(flat_a)):
+        facet = anticlockwise(flat_a[i])
+        on_cell = facet if cell.window is None else clip(facet, cell.window)
+        if len(on_cell) < 3:
+            continue
+        for j in _touching(_bounds(on_cell[None])[0], boxes):
+            overlap = clip(on_cell, polygons[j])
+            if len(overlap) >= 3 and signed_area(overlap) >= SLIVER * signed_area(facet):
+                yield int(cell.facets[i]), int(facing[j]), overlap
 
 
 def facet_corners(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -183,16 +233,15 @@ def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:
     return vectors * np.sign(outward)[:, None]
 
 
-def _mean_plane(mesh: Mesh, side_a: NDArray[np.int64], corners: NDArray[np.float64]) -> _Plane:
-    normal = outward_areas(mesh, side_a).sum(axis=0)
+def _mean_plane(side: _Side, part: NDArray[np.int64]) -> _Plane:
+    normal = (side.area[part, None] * side.normal[part]).sum(axis=0)
     normal /= np.linalg.norm(normal)
-    points = corners.reshape(-1, 3)
+    points = side.corners[part].reshape(-1, 3)
     origin = points.mean(axis=0)
-    patch = corners[_largest_patch(mesh, side_a)].reshape(-1, 3) - origin
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     basis = np.stack([first, np.cross(normal, first)])
-    along = _long_direction(patch @ basis.T) @ basis
+    along = _long_direction((points - origin) @ basis.T) @ basis
     along *= np.sign(along[np.argmax(np.abs(along))])
     # Rounding would tilt the grid against an axis-parallel joint.
     along[np.abs(along) < 1e-9] = 0.0
@@ -216,50 +265,52 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return along[best] if length[best] >= width[best] else across[best]
 
 
-def _height(plane: _Plane, corners: NDArray[np.float64], name: str, side: str) -> float:
-    local = plane.flat(corners)
-    heights = local[..., 2]
-    if np.ptp(heights) > FLATNESS * np.ptp(local[..., :2]):
-        raise InputError(
-            f"joint {name!r}: side {side} leaves its mean plane by {np.ptp(heights):.2e} m; "
-            "split the joint into plane ones"
-        )
-    return float(heights.mean())
-
-
-def _patches(mesh: Mesh, side: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Connected parts of a side (facets sharing a node), as indices into `side`."""
-    nodes = mesh.facets[:, side]
+def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:
+    """Connected parts of a side without an edge inside, as indices into it."""
+    nodes = mesh.facets[:, side.facets]
     count = nodes.shape[1]
     facet = np.tile(np.arange(count), nodes.shape[0])
     touches = coo_array((np.ones(facet.size), (facet, nodes.ravel()))).tocsr()
-    _, label = connected_components(touches @ touches.T, directed=False)
+    pairs = (touches @ touches.T).tocoo()
+    smooth = np.einsum("pi,pi->p", side.normal[pairs.row], side.normal[pairs.col]) > np.cos(EDGE)
+    links = coo_array((smooth[smooth], (pairs.row[smooth], pairs.col[smooth])), (count, count))
+    _, label = connected_components(links, directed=False)
     return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
 
 
-def _largest_patch(mesh: Mesh, side: NDArray[np.int64]) -> NDArray[np.int64]:
-    return max(_patches(mesh, side), key=len)
-
-
-def _contact_cells(
-    mesh: Mesh, side: NDArray[np.int64], flat: list[Polygon], along: int, across: int
-) -> list[tuple[NDArray[np.int64], Polygon, int]]:
-    """List (facets of the patch, grid cell as a polygon, number) for every contact element."""
-    cells: list[tuple[NDArray[np.int64], Polygon, int]] = []
-    for patch in _patches(mesh, side):
-        box = _bounds([flat[i] for i in patch])
-        low, high = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
-        rows = pairwise(np.linspace(low[1], high[1], across + 1))
-        for bottom, top in rows:
+def _contact_cells(mesh: Mesh, side: _Side, along: int, across: int) -> Iterator[_Cell]:
+    """Yield the contact elements of side a in their order."""
+    for part in _parts(mesh, side):
+        plane = _mean_plane(side, part)
+        local = plane.flat(side.corners[part])
+        if np.ptp(local[..., 2]) > FLATNESS * np.ptp(local[..., :2]):
+            for facets in _bisected(side, part, along * across):
+                yield _Cell(_mean_plane(side, facets), facets, None)
+            continue
+        low, high = local[..., :2].min(axis=(0, 1)), local[..., :2].max(axis=(0, 1))
+        for bottom, top in pairwise(np.linspace(low[1], high[1], across + 1)):
             for left, right in pairwise(np.linspace(low[0], high[0], along + 1)):
                 window = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-                cells.append((patch, window, len(cells)))
-    return cells
+                yield _Cell(plane, part, window)
 
 
-def _bounds(polygons: list[Polygon]) -> NDArray[np.float64]:
-    """Bounding boxes, shape (n, 2 corners, 2)."""
-    return np.array([[polygon.min(axis=0), polygon.max(axis=0)] for polygon in polygons])
+def _bisected(side: _Side, part: NDArray[np.int64], count: int) -> Iterator[NDArray[np.int64]]:
+    """Divide facets into `count` groups of about equal area, each as compact as can be."""
+    if count == 1 or len(part) == 1:
+        yield part
+        return
+    centred = side.centre[part] - side.centre[part].mean(axis=0)
+    order = part[np.argsort(centred @ np.linalg.svd(centred)[2][0], kind="stable")]
+    reached = np.cumsum(side.area[order]) / side.area[order].sum()
+    first = count // 2
+    cut = int(np.clip(np.searchsorted(reached, first / count - 1e-9) + 1, 1, len(part) - 1))
+    yield from _bisected(side, order[:cut], first)
+    yield from _bisected(side, order[cut:], count - first)
+
+
+def _bounds(polygons: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bounding boxes (n, 2 corners, 2) of polygons (n, corners, 2)."""
+    return np.stack([polygons.min(axis=1), polygons.max(axis=1)], axis=1)
 
 
 def _touching(box: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.int64]:

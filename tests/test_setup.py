@@ -85,7 +85,7 @@ NAMES = [
     (
         ("joints", "knee"),
         {"side_a": "column_base", "side_b": "knee.b"},
-        "side b leaves its mean plane",
+        "its sides do not face each other",
     ),
     (("probes", "a", "body"), "spindle", "probe 'a': no body named 'spindle'"),
     (("probes", "a", "position_mm"), [300.0, 600.0, 175.0], "lies in no cell of body 'column'"),
@@ -255,7 +255,7 @@ def test_contact_elements_are_counted_upwards(edit):
     heights = joint.centre[:, 1]
     assert (np.diff(heights) > 0.0).all()
     assert heights[[0, -1]] == pytest.approx([0.35 + 0.4 / 18, 0.75 - 0.4 / 18])
-    np.testing.assert_allclose(joint.normal, [1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(joint.normal, [[1.0, 0.0, 0.0]] * len(joint.area), atol=1e-12)
 
 
 @pytest.mark.parametrize(

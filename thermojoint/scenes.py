@@ -207,8 +207,8 @@ def pressure_scene(setup: Setup, pressure: Array, mirror: Mirror | None = None) 
 def _contact_map(joint: PairedJoint, values: Array) -> Surface:
     """Rectangles with the centroid and the second moments of the contact elements."""
     sides = []
-    for tangent in joint.tangents:
-        along = tangent @ joint.points_a
+    for tangent in joint.tangents.transpose(1, 0, 2):
+        along = np.einsum("qi,iq->q", tangent[joint.element], joint.points_a)
         mean = np.bincount(joint.element, joint.weights * along) / joint.area
         spread = joint.weights * (along - mean[joint.element]) ** 2
         # A rectangle of length l has the second moment l2/12 about its centre.
@@ -218,7 +218,10 @@ def _contact_map(joint: PairedJoint, values: Array) -> Surface:
         joint.centre
         + lift
         + 0.5
-        * (i * sides[0][:, None] * joint.tangents[0] + j * sides[1][:, None] * joint.tangents[1])
+        * (
+            i * sides[0][:, None] * joint.tangents[:, 0]
+            + j * sides[1][:, None] * joint.tangents[:, 1]
+        )
         for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     points = np.stack(corners, axis=1).reshape(-1, 3)

@@ -253,8 +253,9 @@ def mean_pressures(problem: Problem, basis: CellBasis, displacement: Array) -> A
 
 def point_openings(joint: PairedJoint, basis: CellBasis, displacement: Array) -> Array:
     """Opening at every quadrature point of the joint, m."""
+    normal = joint.normal[joint.element]
     moved = [
-        interpolation(basis, points, cells) @ displacement @ joint.normal
+        np.einsum("qi,qi->q", interpolation(basis, points, cells) @ displacement, normal)
         for points, cells in ((joint.points_a, joint.cells_a), (joint.points_b, joint.cells_b))
     ]
     return moved[1] - moved[0]

@@ -231,7 +231,7 @@ def _shifted_nodes(problem: Problem, basis: CellBasis, shift: float) -> Array:
     if part_a & part_b:
         raise InputError("against_calculix: the sides of the joint are parts of one body")
     moved = np.isin(label, list(part_b))
-    return basis.doflocs - shift * problem.joint.normal[:, None] * moved
+    return basis.doflocs - shift * problem.joint.normal[0][:, None] * moved
 
 
 def _supports(problem: Problem, basis: CellBasis) -> list[str]:
