@@ -1,43 +1,23 @@
-"""From a case to a machine ready to march; the only place where units of the case become SI."""
+"""From a case to a machine ready to march."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from artefacts.errors import InputError, unknown_name
-from fesim.case import (
-    CandidatesSection,
-    Case,
-    HeatInput,
-    HeldTemperatureSection,
-    JointSection,
-    MillingMachineSection,
-    RampInput,
-    SampledInput,
-    SourceSection,
-    StepInput,
-    TriangleInput,
-)
+from fesim.case import CandidatesSection, Case, MillingMachineSection
+from fesim.case_law import element_means, joint_laws
 from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
 from fesim.elasticity import DIRECTIONS, elastic_operators
-from fesim.heat import HeatSource, by_cell, heat_operators
-from fesim.history import History, ramp_history, read_history, step_history, triangle_history
-from fesim.joint_law import (
-    BackBurdekinLaw,
-    Friction,
-    JointLaw,
-    SurfaceNormalLaw,
-    exact_conductance,
-    harmonic_conductivity,
-    power_law_conductance,
-)
+from fesim.heat import by_cell, heat_operators
 from fesim.joint_operators import joint_operators
+from fesim.loads import heat_sources, spring_stiffnesses, thermal_inputs
 from fesim.march import CondensedMachine
 from fesim.materials import Material
 from fesim.spaces import Spaces, make_spaces, probe_rows
@@ -45,10 +25,6 @@ from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
-
-#: C and n of Eq. 11 by law.
-CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}
-
 
 #: Length of one unit of a mesh file's coordinates, m.
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
@@ -121,10 +97,7 @@ def set_up(case: Case) -> Setup:
         raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
     rows = probe_rows(spaces.heat, structure, temperature_probes)
 
-    laws = [
-        (joint_law(case.joints[joint.name], structure, materials, joint), len(joint.area))
-        for joint in joints
-    ]
+    laws = joint_laws(case, structure, materials, joints)
     operators = joint_operators(joints, spaces)
     heat = heat_operators(
         structure,
@@ -155,6 +128,17 @@ def set_up(case: Case) -> Setup:
         probes=temperature_probes,
         probe_rows=rows,
     )
+
+
+def with_laws(setup: Setup, case: Case) -> Setup:
+    """Return the set-up of a case that differs only in its loads and joint laws.
+
+    Nothing is condensed again: neither enters the condensation.
+    """
+    materials = body_materials(case, setup.structure)
+    laws = joint_laws(case, setup.structure, materials, setup.joints)
+    machine = CondensedMachine(setup.machine.thermal, setup.machine.elastic, laws)
+    return replace(setup, machine=machine)
 
 
 def build_structure(case: Case) -> Structure:
@@ -229,115 +213,6 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
     return {body: made[case.bodies[body]] for body in structure.bodies}
 
 
-def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
-    """Return the sources of the meshed part, per W of the whole structure, in the case's order."""
-    sources = []
-    for name, section in case.sources.items():
-        if section.surface is not None:
-            structure.surface(section.surface, f"sources.{name}.surface")
-        else:
-            structure.body(section.body or "", f"sources.{name}.body")
-        sources.append(HeatSource(1.0 / structure.symmetry_factor, section.surface, section.body))
-    return sources
-
-
-def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
-    """Return the springs under each surface of the meshed part, N/m."""
-    part = 1e6 / structure.symmetry_factor
-    return {
-        name: (part * x, part * y, part * z)
-        for name, section in case.supports.springs.items()
-        for x, y, z in [section.stiffness_N_um]
-    }
-
-
-def source_power(source: SourceSection) -> float:
-    """Heat that a source gives the whole structure at heat input 1, W."""
-    each = source.reference_power_W
-    return each * source.count if source.reading == "per source" else each
-
-
-def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
-    """Return the inputs of the march in time: see `fesim.heat`."""
-    sources = [
-        (source_power(source), heat_history(source.heat_input or case.heat_input))
-        for source in case.sources.values()
-    ]
-    ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
-    held = [held_history(section) for section in case.held_temperatures.values()]
-
-    def inputs(time: float) -> NDArray[np.float64]:
-        at = np.array([time])
-        change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
-        parts = [*(power * history(at) for power, history in sources), change]
-        return np.concatenate([*parts, *(history(at) for history in held)])
-
-    return inputs
-
-
-def heat_history(given: HeatInput | None) -> History:
-    """Return a heat input as a function of time (s)."""
-    if isinstance(given, StepInput):
-        return step_history(given.level)
-    if isinstance(given, RampInput):
-        return ramp_history(given.level, 60.0 * given.duration_min)
-    if isinstance(given, TriangleInput):
-        return triangle_history(given.peak, 60.0 * given.duration_min)
-    if isinstance(given, SampledInput):
-        return read_history(given.file)
-    return step_history(0.0)
-
-
-def held_history(section: HeldTemperatureSection) -> History:
-    """Return a held temperature above the initial ambient, K, as a function of time (s)."""
-    if section.file is not None:
-        return read_history(section.file, "rise_K")
-    return step_history(section.rise_K or 0.0)
-
-
-def joint_law(
-    section: JointSection,
-    structure: Structure,
-    materials: dict[str, Material],
-    joint: PairedJoint,
-) -> JointLaw:
-    """Law of one joint; its harmonic conductivity comes from the bodies on the two sides."""
-    hardness, roughness = 1e9 * section.hardness_GPa, 1e-6 * section.roughness_um
-    preload = 1e6 * section.preload_MPa
-    slope = section.asperity_slope
-    conductivity = harmonic_conductivity(
-        *(
-            element_means(joint, conducted[cells])
-            for conducted in [
-                by_cell(structure, {name: m.conductivity for name, m in materials.items()})
-            ]
-            for cells in (joint.cells_a, joint.cells_b)
-        )
-    )
-    normal: SurfaceNormalLaw | BackBurdekinLaw
-    if section.normal_law == "surface":
-        normal = SurfaceNormalLaw(hardness, roughness, preload)
-    else:
-        exponent = section.back_burdekin.exponent
-        coefficient = 1e-6 * section.back_burdekin.coefficient_um / 1e6**exponent
-        normal = BackBurdekinLaw(coefficient, exponent, preload)
-    stiffness = -float(normal.slope(np.zeros(1))[0])
-    chosen = section.conductance
-    if chosen.law == "cmy-exact":
-        conductance = exact_conductance(slope, roughness, conductivity, hardness)
-    else:
-        constant, exponent = CONDUCTANCE_CONSTANTS.get(
-            chosen.law, (chosen.constant or 0.0, chosen.exponent or 0.0)
-        )
-        conductance = power_law_conductance(
-            constant, exponent, slope, roughness, conductivity, hardness
-        )
-    friction = Friction(
-        section.friction_coefficient, section.tangential_stiffness_ratio * stiffness
-    )
-    return JointLaw(normal, friction, conductance, preload)
-
-
 def reference_springs(
     structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
 ) -> NDArray[np.float64]:
@@ -356,11 +231,6 @@ def reference_springs(
         for joint in joints
     ]
     return np.tile(np.concatenate([np.empty(0), *each]), 3)
-
-
-def element_means(joint: PairedJoint, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means (m,) over each contact element of values (nq,) at its quadrature points."""
-    return np.bincount(joint.element, joint.weights * values) / joint.area
 
 
 def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:

@@ -16,6 +16,7 @@ from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.case import Case
 from fesim.elasticity import DIRECTIONS
+from fesim.loads import heat_history, source_power, thermal_inputs
 from fesim.march import (
     Advance,
     CondensedMachine,
@@ -26,7 +27,7 @@ from fesim.march import (
     march,
     staggered,
 )
-from fesim.setup import Setup, heat_history, set_up, source_power, thermal_inputs
+from fesim.setup import Setup, set_up
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 

@@ -8,16 +8,10 @@ import pytest
 
 from artefacts.errors import InputError
 from fesim.case import case_from_data
+from fesim.case_law import joint_law
 from fesim.joint_law import BackBurdekinLaw, SurfaceNormalLaw
-from fesim.setup import (
-    body_materials,
-    build_structure,
-    candidate_probes,
-    heat_history,
-    joint_law,
-    set_up,
-    source_power,
-)
+from fesim.loads import heat_history, source_power
+from fesim.setup import body_materials, build_structure, candidate_probes, set_up
 from fesim.simulate import simulate
 from meshes.pairing import pair_joint
 

@@ -22,8 +22,9 @@ from fesim.condensation import condense_heat
 from fesim.heat import capacity_form, cell_field, heat_operators
 from fesim.joint_law import BackBurdekinLaw, JointLaw
 from fesim.joint_operators import joint_operators
+from fesim.loads import heat_sources, thermal_inputs
 from fesim.march import CondensedMachine, Step, march
-from fesim.setup import Setup, heat_sources, set_up, thermal_inputs
+from fesim.setup import Setup, set_up
 from fesim.simulate import COUPLINGS
 from fesim.spaces import interpolation, probe_rows
 from meshes.pairing import PairedJoint, pair_joint

@@ -8,15 +8,11 @@ import numpy as np
 
 from artefacts.errors import InputError
 from fesim.case import Case
+from fesim.case_law import joint_law
 from fesim.joint_law import JointLaw
+from fesim.loads import heat_sources, thermal_inputs
 from fesim.materials import Material
-from fesim.setup import (
-    body_materials,
-    build_structure,
-    heat_sources,
-    joint_law,
-    thermal_inputs,
-)
+from fesim.setup import body_materials, build_structure
 from meshes.pairing import PairedJoint, outward_areas, pair_joint
 from meshes.structure import Structure
 

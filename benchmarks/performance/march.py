@@ -15,18 +15,14 @@ from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 from artefacts.errors import ConvergenceError
 from benchmarks.performance.timing import Row, seconds
 from fesim.case import Case, StepInput, parse_case
+from fesim.case_law import joint_law
 from fesim.elasticity import elastic_operators
 from fesim.heat import heat_operators
 from fesim.joint_operators import joint_operators
 from fesim.linear_solver import factorise
+from fesim.loads import heat_sources, thermal_inputs
 from fesim.march import CondensedMachine
-from fesim.setup import (
-    body_materials,
-    build_structure,
-    heat_sources,
-    joint_law,
-    thermal_inputs,
-)
+from fesim.setup import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.spaces import make_spaces
 from meshes.pairing import pair_joint

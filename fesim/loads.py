@@ -1,0 +1,88 @@
+"""What a case loads its structure with, in SI: sources, ambient, held temperatures, springs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.case import (
+    Case,
+    HeatInput,
+    HeldTemperatureSection,
+    RampInput,
+    SampledInput,
+    SourceSection,
+    StepInput,
+    TriangleInput,
+)
+from fesim.heat import HeatSource
+from fesim.history import History, ramp_history, read_history, step_history, triangle_history
+from meshes.structure import Structure
+
+
+def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
+    """Return the sources of the meshed part, per W of the whole structure, in the case's order."""
+    sources = []
+    for name, section in case.sources.items():
+        if section.surface is not None:
+            structure.surface(section.surface, f"sources.{name}.surface")
+        else:
+            structure.body(section.body or "", f"sources.{name}.body")
+        sources.append(HeatSource(1.0 / structure.symmetry_factor, section.surface, section.body))
+    return sources
+
+
+def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
+    """Return the springs under each surface of the meshed part, N/m."""
+    part = 1e6 / structure.symmetry_factor
+    return {
+        name: (part * x, part * y, part * z)
+        for name, section in case.supports.springs.items()
+        for x, y, z in [section.stiffness_N_um]
+    }
+
+
+def source_power(source: SourceSection) -> float:
+    """Heat that a source gives the whole structure at heat input 1, W."""
+    each = source.reference_power_W
+    return each * source.count if source.reading == "per source" else each
+
+
+def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
+    """Return the inputs of the march in time: see `fesim.heat`."""
+    sources = [
+        (source_power(source), heat_history(source.heat_input or case.heat_input))
+        for source in case.sources.values()
+    ]
+    ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
+    held = [held_history(section) for section in case.held_temperatures.values()]
+
+    def inputs(time: float) -> NDArray[np.float64]:
+        at = np.array([time])
+        change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
+        parts = [*(power * history(at) for power, history in sources), change]
+        return np.concatenate([*parts, *(history(at) for history in held)])
+
+    return inputs
+
+
+def heat_history(given: HeatInput | None) -> History:
+    """Return a heat input as a function of time (s)."""
+    if isinstance(given, StepInput):
+        return step_history(given.level)
+    if isinstance(given, RampInput):
+        return ramp_history(given.level, 60.0 * given.duration_min)
+    if isinstance(given, TriangleInput):
+        return triangle_history(given.peak, 60.0 * given.duration_min)
+    if isinstance(given, SampledInput):
+        return read_history(given.file)
+    return step_history(0.0)
+
+
+def held_history(section: HeldTemperatureSection) -> History:
+    """Return a held temperature above the initial ambient, K, as a function of time (s)."""
+    if section.file is not None:
+        return read_history(section.file, "rise_K")
+    return step_history(section.rise_K or 0.0)
