@@ -74,15 +74,7 @@ def set_up(case: Case) -> Setup:
     """
     structure = build_structure(case)
     materials = body_materials(case, structure)
-    for name in case.convection_W_m2K:
-        structure.surface(name, "convection_W_m2K")
-    for name in [*case.supports.fixed, *case.supports.symmetry]:
-        structure.surface(name, "supports")
-    for name in case.supports.springs:
-        structure.surface(name, "supports.springs")
-    for name in case.held_temperatures:
-        structure.surface(name, "held_temperatures")
-    sources = heat_sources(case, structure)
+    check_names(case, structure)
     thermal_inputs(case)  # a bad history is found now, not after the factorisation
     joints = tuple(
         pair_joint(structure, name, section.along, section.across)
@@ -104,7 +96,7 @@ def set_up(case: Case) -> Setup:
         spaces.heat,
         materials,
         case.convection_W_m2K,
-        sources,
+        heat_sources(case, structure),
         list(case.held_temperatures),
     )
     elastic = elastic_operators(
@@ -128,6 +120,20 @@ def set_up(case: Case) -> Setup:
         probes=temperature_probes,
         probe_rows=rows,
     )
+
+
+def check_names(case: Case, structure: Structure) -> None:
+    """Raise InputError if a support, load or material of the case names what is not there."""
+    body_materials(case, structure)
+    for name in case.convection_W_m2K:
+        structure.surface(name, "convection_W_m2K")
+    for name in [*case.supports.fixed, *case.supports.symmetry]:
+        structure.surface(name, "supports")
+    for name in case.supports.springs:
+        structure.surface(name, "supports.springs")
+    for name in case.held_temperatures:
+        structure.surface(name, "held_temperatures")
+    heat_sources(case, structure)
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:

@@ -7,6 +7,7 @@ import json
 import math
 import signal
 from collections.abc import Iterator
+from enum import StrEnum
 from importlib.metadata import version
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -25,15 +26,25 @@ from estimator.fchs import initial_state, stream
 from estimator.state_file import load_state, save_state
 from fesim import state_file
 from fesim.case import read_case
-from fesim.setup import set_up
+from fesim.setup import UNITS, build_structure, check_names, set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
-from thermojoint import arguments, console, measured, study, verification_run
+from meshes.exchange import read_structure
+from meshes.inspection import inspect as look_over
+from thermojoint import (
+    arguments,
+    console,
+    inspection_report,
+    measured,
+    study,
+    verification_run,
+)
+from thermojoint.pictures import write_pictures
 from thermojoint.provenance import provenance_of
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes, convergence
 from thermojoint.tables import printed_tables, tables_json
-from thermojoint.view import Show, draw
+from thermojoint.view import Show, bare_structure, draw
 
 #: Exit code of everything the user can mend.
 BAD_INPUT = 2
@@ -48,6 +59,16 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
+
+
+class Unit(StrEnum):
+    """Units of a mesh file."""
+
+    m = "m"
+    cm = "cm"
+    mm = "mm"
+    inch = "in"
+
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
 
@@ -362,6 +383,42 @@ def verify(
     _wrote(out, markdown)
     if not all(result.passed for result in results):
         raise typer.Exit(OUT_OF_TOLERANCE)
+
+
+@app.command()
+def inspect(
+    source: Annotated[Path, typer.Argument(help="Mesh file, or case file (TOML).")],
+    unit: Annotated[
+        Unit, typer.Option(help="Unit of a mesh file's coordinates; a case says its own.")
+    ] = Unit.m,
+    out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
+    as_json: Annotated[Path | None, typer.Option("--json", help="JSON to write.")] = None,
+    skeleton: Annotated[
+        Path | None, typer.Option("--case", help="Case file to start from, to write (TOML).")
+    ] = None,
+) -> None:
+    """Look a mesh over before simulating it: names, volumes, quality, joints, what looks wrong.
+
+    Example: [bold]thermojoint inspect part.msh[/bold]
+
+    Example: [bold]thermojoint inspect part.msh --unit mm --out part.png --case part.toml[/bold]
+    """
+    arguments.check_writable(out, as_json, skeleton)
+    if source.suffix == ".toml":
+        case = read_case(source)
+        structure, where = build_structure(case), str(source)
+        check_names(case, structure)
+    else:
+        structure, where = read_structure(source, UNITS[unit.value]), str(source)
+    found = look_over(structure)
+    inspection_report.show(console.out(), where, found)
+    if as_json:
+        write_text(as_json, inspection_report.as_json(found))
+    if skeleton:
+        write_text(skeleton, inspection_report.case_skeleton(where, unit.value, found))
+    if out:
+        write_pictures({out: bare_structure(structure)})
+    _wrote(as_json, skeleton, out)
 
 
 def _wrote(*paths: Path | None) -> None:

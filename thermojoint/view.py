@@ -149,6 +149,13 @@ def whole_structure(
     )
 
 
+def bare_structure(structure: Structure) -> Scene:
+    """Structure with its joints and its own points."""
+    return structure_scene(
+        structure, [], markers({name: probe.position for name, probe in structure.probes.items()})
+    )
+
+
 def field_scenes(case: Case, setup: Setup, step: Step) -> dict[Show, Scene]:
     """Temperature, deformed shape and contact pressure at one step."""
     mirror = mirror_of(setup.structure, case.supports.symmetry)

@@ -1,0 +1,338 @@
+"""What is in a structure, and what looks wrong with it, before anything is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from artefacts.errors import InputError
+from meshes.pairing import facet_corners, outward_areas, pair_joint
+from meshes.quality import cell_quality, cell_volumes
+from meshes.structure import Structure
+
+Array = NDArray[np.float64]
+
+#: Cells below this quality give poor stresses; the worst are named.
+POOR = 0.1
+#: A machine is between these sizes, m; a mesh outside of them has perhaps another unit.
+USUAL_SIZE = (0.02, 20.0)
+#: Facing facets lie this near to each other, relative to the structure's size.
+TOUCHING = 1e-4
+#: Contact elements of the pairing that measures a joint.
+ALONG, ACROSS = 9, 3
+
+
+@dataclass(frozen=True)
+class BodyFacts:
+    """A body: cells, volume (m3), extent along x, y, z (m), and how many loose pieces it has."""
+
+    cells: int
+    volume: float
+    extent: tuple[float, float, float]
+    pieces: int
+
+
+@dataclass(frozen=True)
+class SurfaceFacts:
+    """A surface: facets, area (m2), mean outward normal (shorter than 1 if not plane), bodies."""
+
+    facets: int
+    area: float
+    normal: tuple[float, float, float]
+    bodies: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """A joint.
+
+    Attributes
+    ----------
+    area_a, area_b, overlap : float
+        Of the sides and of what they share, m2.
+    gap : tuple of float
+        Smallest and largest distance from side a to side b along the normal, m; negative where
+        they overlap.
+    misalignment : float
+        Largest angle between facing facets, degrees.
+    parts : int
+        Different normals among the contact elements.
+    matching : bool
+        The facets of the two sides are the same.
+    """
+
+    area_a: float
+    area_b: float
+    overlap: float
+    gap: tuple[float, float]
+    misalignment: float
+    parts: int
+    matching: bool
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Everything `inspect` finds.
+
+    Attributes
+    ----------
+    kind : str
+        Type of the cells.
+    nodes, cells : int
+        How many.
+    extent : tuple of float
+        Along x, y and z, m.
+    bodies, surfaces, joints : dict
+        By name.
+    probes : dict of str to (tuple of float, str or None)
+        Position, m, and the body that a probe names.
+    quality : dict of str to float
+        Quality of the cells: ``worst``, ``1 %`` and ``median``.
+    worst_cell : tuple of float
+        Where the worst cell is, m.
+    unnamed_area : float
+        Boundary without any name, m2: nothing convects there.
+    warnings : tuple of str
+        What looks wrong, each in one line.
+    """
+
+    kind: str
+    nodes: int
+    cells: int
+    extent: tuple[float, float, float]
+    bodies: dict[str, BodyFacts]
+    surfaces: dict[str, SurfaceFacts]
+    joints: dict[str, JointFacts]
+    probes: dict[str, tuple[tuple[float, float, float], str | None]]
+    quality: dict[str, float]
+    worst_cell: tuple[float, float, float]
+    unnamed_area: float
+    warnings: tuple[str, ...]
+
+
+def inspect(structure: Structure) -> Inspection:
+    """Look a structure over."""
+    mesh = structure.mesh
+    quality = cell_quality(mesh)
+    worst = int(np.argmin(quality))
+    named = np.unique(np.concatenate([np.empty(0, int), *structure.surfaces.values()]))
+    unnamed = np.setdiff1d(mesh.boundary_facets(), named)
+    joints: dict[str, JointFacts] = {}
+    warnings: list[str] = []
+    for name in structure.joints:
+        try:
+            joints[name] = _joint(structure, name)
+        except InputError as error:
+            warnings.append(str(error))
+    bodies = _bodies(structure)
+    extent = _triple(np.ptp(mesh.p, axis=1))
+    bare_area = _area(structure, unnamed)
+    return Inspection(
+        kind=_kind(structure),
+        nodes=int(mesh.p.shape[1]),
+        cells=int(mesh.nelements),
+        extent=extent,
+        bodies=bodies,
+        surfaces={name: _surface(structure, name) for name in structure.surfaces},
+        joints=joints,
+        probes={name: (probe.position, probe.body) for name, probe in structure.probes.items()},
+        quality={
+            "worst": float(quality[worst]),
+            "1 %": float(np.quantile(quality, 0.01)),
+            "median": float(np.median(quality)),
+        },
+        worst_cell=_triple(mesh.p[:, mesh.t[:, worst]].mean(axis=1)),
+        unnamed_area=bare_area,
+        warnings=(
+            *_size_warning(extent),
+            *_quality_warning(structure, quality),
+            *_piece_warnings(bodies),
+            *_glue_warnings(structure),
+            *warnings,
+            *_joint_warnings(joints),
+            *_partner_warnings(structure),
+            *_facing_warnings(structure),
+        ),
+    )
+
+
+def _kind(structure: Structure) -> str:
+    shape = "tetrahedra" if structure.mesh.t.shape[0] == 4 else "hexahedra"
+    order = "straight" if structure.mesh.p.shape[1] == structure.mesh.nvertices else "curved"
+    return f"{shape}, {order}"
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _area(structure: Structure, facets: NDArray[np.int64]) -> float:
+    if not facets.size:
+        return 0.0
+    return float(np.linalg.norm(outward_areas(structure.mesh, facets), axis=1).sum())
+
+
+def _bodies(structure: Structure) -> dict[str, BodyFacts]:
+    mesh, volumes = structure.mesh, cell_volumes(structure.mesh)
+    found = {}
+    for name, cells in structure.bodies.items():
+        corners = mesh.t[:, cells]
+        cell = np.tile(np.arange(len(cells)), len(corners))
+        touches = coo_array((np.ones(cell.size), (cell, corners.ravel()))).tocsr()
+        pieces, _ = connected_components(touches @ touches.T, directed=False)
+        points = mesh.p[:, np.unique(corners)]
+        extent = _triple(np.ptp(points, axis=1))
+        found[name] = BodyFacts(len(cells), float(volumes[cells].sum()), extent, int(pieces))
+    return found
+
+
+def _surface(structure: Structure, name: str) -> SurfaceFacts:
+    facets = structure.surfaces[name]
+    vectors = outward_areas(structure.mesh, facets)
+    area = float(np.linalg.norm(vectors, axis=1).sum())
+    owners = structure.mesh.f2t[0, facets]
+    bodies = tuple(n for n, cells in structure.bodies.items() if np.isin(owners, cells).any())
+    return SurfaceFacts(len(facets), area, _triple(vectors.sum(axis=0) / area), bodies)
+
+
+def _joint(structure: Structure, name: str) -> JointFacts:
+    mesh = structure.mesh
+    side_a, side_b = (structure.surfaces[side] for side in structure.joints[name])
+    joint = pair_joint(structure, name, ALONG, ACROSS)
+    normal = joint.normal[joint.element]
+    gap = np.einsum("iq,qi->q", joint.points_b - joint.points_a, normal)
+    # The facets behind the quadrature points are found by their nearness, one normal for each.
+    normals = {}
+    for side, facets, points in (("a", side_a, joint.points_a), ("b", side_b, joint.points_b)):
+        vectors = outward_areas(mesh, facets)
+        centres = facet_corners(mesh, facets).mean(axis=1)
+        at = cKDTree(centres).query(points.T)[1]
+        normals[side] = vectors[at] / np.linalg.norm(vectors[at], axis=1, keepdims=True)
+    facing = -np.einsum("qi,qi->q", normals["a"], normals["b"])
+    corners_a, corners_b = (
+        np.sort(np.round(facet_corners(mesh, f).mean(axis=1), 9), axis=0) for f in (side_a, side_b)
+    )
+    return JointFacts(
+        area_a=_area(structure, side_a),
+        area_b=_area(structure, side_b),
+        overlap=float(joint.area.sum()),
+        gap=(float(gap.min()), float(gap.max())),
+        misalignment=float(np.rad2deg(np.arccos(np.clip(facing.min(), -1.0, 1.0)))),
+        parts=len(np.unique(np.round(joint.normal, 6), axis=0)),
+        matching=corners_a.shape == corners_b.shape and bool(np.allclose(corners_a, corners_b)),
+    )
+
+
+def _size_warning(extent: tuple[float, float, float]) -> list[str]:
+    largest = max(extent)
+    if USUAL_SIZE[0] <= largest <= USUAL_SIZE[1]:
+        return []
+    return [f"the structure is {largest:g} m long: check the unit of the mesh"]
+
+
+def _quality_warning(structure: Structure, quality: Array) -> list[str]:
+    poor = np.flatnonzero(quality < POOR)
+    if not poor.size:
+        return []
+    worst = poor[np.argmin(quality[poor])]
+    x, y, z = structure.mesh.p[:, structure.mesh.t[:, worst]].mean(axis=1)
+    return [
+        f"{poor.size} cells have a quality below {POOR:g}; the worst, {quality[worst]:.3f}, is at "
+        f"({x:.4g}, {y:.4g}, {z:.4g}) m: mesh finer there"
+    ]
+
+
+def _piece_warnings(bodies: dict[str, BodyFacts]) -> list[str]:
+    return [
+        f"body {name!r} is in {body.pieces} pieces: each needs a support or a joint of its own"
+        for name, body in bodies.items()
+        if body.pieces > 1
+    ]
+
+
+def _glue_warnings(structure: Structure) -> list[str]:
+    nodes = {name: np.unique(structure.mesh.t[:, c]) for name, c in structure.bodies.items()}
+    return [
+        f"bodies {one!r} and {other!r} share {shared} nodes: they are one piece there, no joint"
+        for one, other in combinations(nodes, 2)
+        if (shared := np.intersect1d(nodes[one], nodes[other]).size)
+    ]
+
+
+def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:
+    found = []
+    for name, joint in joints.items():
+        smaller = min(joint.area_a, joint.area_b)
+        if joint.overlap < 0.9 * smaller:
+            found.append(
+                f"joint {name!r}: its sides share {1e4 * joint.overlap:.4g} of "
+                f"{1e4 * smaller:.4g} cm2"
+            )
+        if max(abs(end) for end in joint.gap) > 0.01 * np.sqrt(smaller):
+            found.append(
+                f"joint {name!r}: its sides are {1e3 * joint.gap[0]:.3g} to "
+                f"{1e3 * joint.gap[1]:.3g} mm apart; it is taken as closed at its preload"
+            )
+        if joint.misalignment > 10.0:
+            found.append(
+                f"joint {name!r}: facing facets differ by {joint.misalignment:.0f} degrees"
+            )
+    return found
+
+
+def _partner_warnings(structure: Structure) -> list[str]:
+    partner = {"a": "b", "b": "a"}
+    return [
+        f"surface {name!r} looks like a joint side, but there is no {other!r}"
+        for name in structure.surfaces
+        if name[-2:] in (".a", ".b")
+        for other in [f"{name[:-1]}{partner[name[-1]]}"]
+        if other not in structure.surfaces
+    ]
+
+
+def _facing_warnings(structure: Structure) -> list[str]:
+    """Boundary facets of two bodies that touch, but are in no joint."""
+    mesh = structure.mesh
+    sides = [structure.surfaces[side] for pair in structure.joints.values() for side in pair]
+    free = np.setdiff1d(mesh.boundary_facets(), np.concatenate([np.empty(0, int), *sides]))
+    if not free.size:
+        return []
+    vectors = outward_areas(mesh, free)
+    area = np.linalg.norm(vectors, axis=1)
+    normals, centres = vectors / area[:, None], facet_corners(mesh, free).mean(axis=1)
+    owner = np.empty(mesh.nelements, dtype=int)
+    for k, cells in enumerate(structure.bodies.values()):
+        owner[cells] = k
+    body = owner[mesh.f2t[0, free]]
+    # Meshes need not match: a touching facet's centre is within about one facet's size.
+    pairs = cKDTree(centres).query_pairs(float(np.sqrt(area.max())), output_type="ndarray")
+    if not pairs.size:
+        return []
+    one, other = pairs.T
+    between = centres[other] - centres[one]
+    apart = np.abs(np.einsum("pi,pi->p", between, normals[one]))
+    beside = np.sqrt(np.maximum(np.einsum("pi,pi->p", between, between) - apart**2, 0.0))
+    touching = (
+        (body[one] != body[other])
+        & (np.einsum("pi,pi->p", normals[one], normals[other]) < -0.98)
+        & (apart < TOUCHING * float(np.ptp(mesh.p, axis=1).max()))
+        & (beside < 0.5 * np.sqrt(np.maximum(area[one], area[other])))
+    )
+    names = list(structure.bodies)
+    found: dict[tuple[int, int], set[int]] = {}
+    for i, j in pairs[touching]:
+        first, second = (i, j) if body[i] < body[j] else (j, i)
+        found.setdefault((int(body[first]), int(body[second])), set()).add(int(first))
+    return [
+        f"bodies {names[a]!r} and {names[b]!r} face each other on about "
+        f"{1e4 * float(area[list(facets)].sum()):.3g} cm2 without a joint: no heat passes there"
+        for (a, b), facets in found.items()
+    ]

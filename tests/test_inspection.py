@@ -1,0 +1,117 @@
+"""What `inspect` finds in structures whose contents are known."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, two_bars
+from skfem import MeshHex, MeshTet
+
+from fesim.case import case_from_data
+from fesim.setup import build_structure, check_names
+from meshes.exchange import write_structure
+from meshes.inspection import inspect
+from meshes.milling_machine import box_milling_machine
+from meshes.quality import cell_quality
+from thermojoint.inspection_report import as_json, case_skeleton
+
+
+def test_cubes_are_perfect_and_slanted_ones_are_worse():
+    cube = MeshHex.init_tensor(*([np.linspace(0.0, 1.0, 3)] * 3))
+    assert cell_quality(cube) == pytest.approx(np.ones(8))
+    assert cell_quality(MeshHex(2.0 * cube.p, cube.t)) == pytest.approx(np.ones(8))
+    slant = cube.p.copy()
+    slant[0] += slant[2]  # a shear by 45 degrees
+    assert cell_quality(MeshHex(slant, cube.t)) == pytest.approx(np.full(8, np.sqrt(0.5)))
+
+
+def test_regular_tetrahedra_are_perfect_and_slivers_are_not():
+    points = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float).T
+    cells = np.array([[0], [1], [2], [3]])
+    assert cell_quality(MeshTet(points, cells)) == pytest.approx([1.0])
+    flat = points * np.array([[1.0], [1.0], [1e-3]])
+    assert cell_quality(MeshTet(flat, cells))[0] < 0.01
+
+
+@pytest.mark.parametrize("tetrahedra", [False, True])
+def test_volumes_areas_and_joints_are_measured(tetrahedra):
+    found = inspect(two_bars((2, 3, 2), (2, 4, 3), tetrahedra))
+    assert found.bodies["left"].volume == pytest.approx(LEFT * AREA)
+    assert found.bodies["right"].extent == pytest.approx((RIGHT, WIDTH, DEPTH))
+    assert found.surfaces["top"].area == pytest.approx((LEFT + RIGHT) * DEPTH)
+    assert found.surfaces["top"].normal == pytest.approx((0.0, 1.0, 0.0))
+    assert found.surfaces["top"].bodies == ("left", "right")
+    joint = found.joints["joint"]
+    assert (joint.area_a, joint.area_b, joint.overlap) == pytest.approx((AREA, AREA, AREA))
+    assert joint.gap == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert joint.parts == 1
+    assert not joint.matching
+    assert found.warnings == ()
+    # The front is the only side of the bars without a name.
+    assert found.unnamed_area == pytest.approx((LEFT + RIGHT) * WIDTH)
+
+
+def moved(structure, body, shift):
+    points = structure.mesh.p.copy()
+    nodes = np.unique(structure.mesh.t[:, structure.bodies[body]])
+    points[:, nodes] += np.array(shift)[:, None]
+    return replace(structure, mesh=type(structure.mesh)(points, structure.mesh.t), probes={})
+
+
+BARS = two_bars((2, 2, 2), (2, 2, 2))
+FAULTS = {
+    "a gap": (moved(BARS, "right", (2e-3, 0.0, 0.0)), "its sides are 2 to 2 mm apart"),
+    "half beside": (moved(BARS, "right", (0.0, WIDTH / 2, 0.0)), "its sides share 12 of 24 cm2"),
+    "not facing": (moved(BARS, "right", (0.0, 2 * WIDTH, 0.0)), "do not face each other"),
+    "millimetres": (
+        replace(BARS, mesh=MeshHex(1e3 * BARS.mesh.p, BARS.mesh.t), probes={}),
+        "250 m long: check the unit",
+    ),
+    "no joint": (replace(BARS, joints={}), "'left' and 'right' face each other on about 24 cm2"),
+    "no partner": (
+        replace(
+            BARS, joints={}, surfaces={n: f for n, f in BARS.surfaces.items() if n != "joint.b"}
+        ),
+        "'joint.a' looks like a joint side, but there is no 'joint.b'",
+    ),
+    "one body in two": (
+        replace(BARS, bodies={"both": np.arange(BARS.mesh.nelements)}, joints={}, probes={}),
+        "body 'both' is in 2 pieces",
+    ),
+    "glued": (box_milling_machine(element_size=0.15), "'table' and 'screw' share"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_told(fault):
+    structure, said = FAULTS[fault]
+    assert any(said in warning for warning in inspect(structure).warnings)
+
+
+def test_slivers_are_told_with_their_place():
+    points = BARS.mesh.p.copy()
+    inner = np.flatnonzero(np.isclose(points, [[LEFT / 2], [WIDTH / 2], [DEPTH / 2]]).all(axis=0))
+    points[:, inner] = [[1e-3], [1e-3], [DEPTH / 2]]
+    found = inspect(replace(BARS, mesh=MeshHex(points, BARS.mesh.t)))
+    assert found.quality["worst"] < 0.1
+    assert any("cells have a quality below 0.1" in warning for warning in found.warnings)
+
+
+def test_what_was_found_is_valid_json():
+    data = json.loads(as_json(inspect(BARS)))
+    assert data["joints"]["joint"]["overlap"] == pytest.approx(AREA)
+
+
+def test_the_skeleton_names_what_is_there(tmp_path):
+    """Completed by a source and a point, it is a case that fits the mesh."""
+    write_structure(BARS, tmp_path / "bars.vtu")
+    text = case_skeleton("bars.vtu", "m", inspect(BARS))
+    data = tomllib.loads(text)
+    assert set(data["bodies"]) == {"left", "right"}
+    assert set(data["joints"]) == {"joint"}
+    data["sources"]["heat"]["surface"] = "left_top"
+    data["supports"]["fixed"] = ["left_end", "right_end"]
+    case = case_from_data(data, "skeleton", tmp_path)
+    check_names(case, build_structure(case))
