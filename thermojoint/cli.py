@@ -29,6 +29,7 @@ from fesim.case import read_case
 from fesim.setup import UNITS, build_structure, check_names, set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
+from meshes.cad import mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import inspect as look_over
 from thermojoint import (
@@ -383,6 +384,33 @@ def verify(
     _wrote(out, markdown)
     if not all(result.passed for result in results):
         raise typer.Exit(OUT_OF_TOLERANCE)
+
+
+@app.command()
+def mesh(
+    part: Annotated[Path, typer.Argument(help="CAD file: STEP, IGES or BREP.")],
+    out: Annotated[Path, typer.Option(help="Mesh file to write (MSH, in m).")],
+    size: Annotated[float, typer.Option("--size-mm", help="Largest element edge, mm.")],
+    order: Annotated[int, typer.Option(min=1, max=2, help="1, or 2 for curved cells.")] = 1,
+    names: Annotated[
+        Path | None,
+        typer.Option(help="TOML: [surfaces_mm] with NAME = [[x, y, z], ...], points on faces."),
+    ] = None,
+) -> None:
+    """Mesh a CAD part with its names; needs Gmsh, the extra 'gmsh'.
+
+    Solids become bodies, faces of two solids that lie on each other the sides of a joint, faces
+    without a name BODY_outer.
+
+    Example: [bold]thermojoint mesh part.step --size-mm 10 --out part.msh[/bold]
+    """
+    arguments.check_writable(out)
+    if not 0.0 < size < math.inf:
+        raise InputError(f"--size-mm {size:g}: give a positive length")
+    mesh_cad(part, out, 1e-3 * size, order, read_names(names) if names else None)
+    found = look_over(read_structure(out))
+    inspection_report.show(console.out(), str(out), found)
+    _wrote(out)
 
 
 @app.command()

@@ -1,0 +1,233 @@
+"""From CAD to a mesh with names, by Gmsh (the extra ``gmsh``): STEP, IGES or BREP in, MSH out.
+
+Solids keep their names and become bodies. Where faces of two solids lie on each other they become
+the two sides of a joint, ``BODY1_BODY2.a`` and ``.b``; the solids are meshed apart, so that they
+share no node. Faces keep their names; those without one are gathered as ``BODY_outer``.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+
+SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
+#: A face may be this far from a point that names it, relative to the size of the part.
+NEAR = 1e-4
+#: Faces that share less than this part of the smaller one only touch at an edge.
+LEAST_OVERLAP = 1e-3
+
+Point = tuple[float, float, float]
+
+
+class FaceNames(pydantic.BaseModel):
+    """A file of names: ``[surfaces_mm]`` with NAME = [[x, y, z], ...], points on its faces."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    surfaces_mm: dict[str, list[Point]] = {}
+
+
+def read_names(path: Path) -> dict[str, list[Point]]:
+    """Read the names of faces; points in m.
+
+    Raises
+    ------
+    InputError
+        The file is missing, no TOML, or holds something else.
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        found = FaceNames.model_validate(data).surfaces_mm
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read; give a TOML file of names") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: no valid TOML: {error}") from error
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        at = ".".join(str(part) for part in first["loc"])
+        raise InputError(
+            f"{path}: {at}: write [surfaces_mm] with NAME = [[x, y, z], ...]"
+        ) from error
+    return {
+        name: [(1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in points]
+        for name, points in found.items()
+    }
+
+
+def mesh_cad(
+    part: Path,
+    out: Path,
+    size: float,
+    order: int = 1,
+    names: Mapping[str, Sequence[Point]] | None = None,
+) -> None:
+    """Mesh a CAD file with tetrahedra and write it with its names, coordinates in m.
+
+    Parameters
+    ----------
+    part : Path
+        One of `SUFFIXES`; its own unit of length is kept in mind.
+    out : Path
+        ``.msh``, written whole or not at all.
+    size : float
+        Largest element edge, m.
+    order : int
+        1, or 2 for curved cells.
+    names : mapping, optional
+        Name of a surface to points on its faces, m.
+
+    Raises
+    ------
+    InputError
+        Gmsh is not installed, the file is unreadable or has no solid, or a point lies on no face.
+    """
+    if part.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"{part}: unknown suffix {part.suffix!r}; give one of {', '.join(SUFFIXES)}"
+        )
+    if not part.is_file():
+        raise InputError(f"{part}: no such CAD file; check its name")
+    if out.suffix != ".msh":
+        raise InputError(f"{out}: the mesh is written as MSH; name it {out.stem}.msh")
+    with _gmsh_session() as gmsh:
+        try:
+            gmsh.model.occ.importShapes(str(part))
+            gmsh.model.occ.synchronize()
+        # Gmsh raises nothing more special.
+        except Exception as error:
+            raise InputError(f"{part}: Gmsh cannot read it ({error}); export it again") from error
+        bodies = _bodies(gmsh)
+        if not bodies:
+            raise InputError(f"{part}: holds no solid; export solids, not surfaces")
+        for name, volume in bodies.items():
+            _group(gmsh, 3, [volume], name)
+        for name, faces in _surfaces(gmsh, bodies, names or {}).items():
+            _group(gmsh, 2, faces, name)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
+        try:
+            gmsh.model.mesh.generate(3)
+            gmsh.model.mesh.setOrder(order)
+            if order > 1:
+                gmsh.model.mesh.optimize("HighOrderElastic")
+        except Exception as error:
+            raise InputError(
+                f"{part}: Gmsh cannot mesh it ({error}); take another element size or mend the part"
+            ) from error
+        with whole_file(out) as unfinished:
+            gmsh.write(str(unfinished))
+
+
+@contextmanager
+def _gmsh_session() -> Iterator[Any]:
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"Gmsh is not to be had ({error}); pip install 'thermojoint[gmsh]', and its system "
+            "libraries (Debian: libglu1-mesa libxcursor1 libxft2 libxinerama1)"
+        ) from error
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "M")
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+def _group(gmsh: Any, dimension: int, tags: Sequence[int], name: str) -> None:  # noqa: ANN401
+    gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, tags), name)
+
+
+def _plain(label: str) -> str:
+    """Return the last part of a CAD label with nothing in it that a mesh file cannot hold."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "_", label.rsplit("/", 1)[-1]).strip("_.")
+
+
+def _bodies(gmsh: Any) -> dict[str, int]:  # noqa: ANN401
+    """Names of the solids; numbered where there is none or it is not the only one."""
+    labels = {tag: _plain(gmsh.model.getEntityName(3, tag)) for _, tag in gmsh.model.getEntities(3)}
+    all_names = list(labels.values())
+    return {
+        name if name and all_names.count(name) == 1 else f"{name or 'body'}_{tag}": tag
+        for tag, name in labels.items()
+    }
+
+
+def _surfaces(
+    gmsh: Any,  # noqa: ANN401
+    bodies: Mapping[str, int],
+    names: Mapping[str, Sequence[Point]],
+) -> dict[str, list[int]]:
+    faces = {
+        body: [abs(tag) for _, tag in gmsh.model.getBoundary([(3, volume)], oriented=False)]
+        for body, volume in bodies.items()
+    }
+    found: dict[str, list[int]] = {}
+    for name, points in names.items():
+        found[name] = sorted({_face_at(gmsh, name, point) for point in points})
+    for tags in faces.values():
+        for tag in tags:
+            label = _plain(gmsh.model.getEntityName(2, tag))
+            if label:
+                found.setdefault(label, []).append(tag)
+    for one, other in combinations(bodies, 2):
+        pairs = [
+            pair for pair in product(faces[one], faces[other]) if _lie_on_each_other(gmsh, *pair)
+        ]
+        if pairs:
+            found[f"{one}_{other}.a"] = sorted({a for a, _ in pairs})
+            found[f"{one}_{other}.b"] = sorted({b for _, b in pairs})
+    taken = {tag for tags in found.values() for tag in tags}
+    for body, tags in faces.items():
+        rest = [tag for tag in tags if tag not in taken]
+        if rest:
+            found[f"{body}_outer"] = rest
+    return found
+
+
+def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
+    occ = gmsh.model.occ
+    at = occ.addPoint(*point)
+    box = gmsh.model.getBoundingBox(-1, -1)
+    size = max(high - low for low, high in zip(box[:3], box[3:], strict=True))
+    away = {tag: occ.getDistance(0, at, 2, tag)[0] for _, tag in gmsh.model.getEntities(2)}
+    occ.remove([(0, at)])
+    nearest = min(away, key=lambda tag: away[tag])
+    if away[nearest] > NEAR * size:
+        where = ", ".join(f"{1e3 * x:g}" for x in point)
+        raise InputError(
+            f"surface {name!r}: no face at ({where}) mm; the nearest is "
+            f"{1e3 * away[nearest]:.3g} mm away"
+        )
+    return int(nearest)
+
+
+def _lie_on_each_other(gmsh: Any, one: int, other: int) -> bool:  # noqa: ANN401
+    boxes = [gmsh.model.getBoundingBox(2, tag) for tag in (one, other)]
+    slack = NEAR * max(b[3 + k] - b[k] for b in boxes for k in range(3))
+    if any(
+        boxes[0][k] > boxes[1][3 + k] + slack or boxes[1][k] > boxes[0][3 + k] + slack
+        for k in range(3)
+    ):
+        return False
+    occ = gmsh.model.occ
+    # Copies: faces of the solids themselves would be bound to the result.
+    copies = occ.copy([(2, one), (2, other)])
+    shared, _ = occ.intersect(copies[:1], copies[1:])
+    area = sum(occ.getMass(dimension, tag) for dimension, tag in shared if dimension == 2)
+    occ.remove(shared, recursive=True)
+    smaller = min(occ.getMass(2, tag) for tag in (one, other))
+    return bool(area > LEAST_OVERLAP * smaller)
