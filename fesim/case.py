@@ -230,10 +230,10 @@ class ProbeSection(_Section):
 
 
 class DisplacementSection(_Section):
-    """``[displacement]``: the relative displacement that is recorded."""
+    """``[displacement]``: the displacement that is recorded, of one point or between two."""
 
-    point: str = "A"
-    relative_to: str | None = "B"
+    point: str
+    relative_to: str | None = None
 
 
 class CandidatesSection(_Section):
@@ -266,7 +266,7 @@ class Case(_Section):
     ambient: AmbientSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
     march: MarchSection = MarchSection()
-    displacement: DisplacementSection = DisplacementSection()
+    displacement: DisplacementSection = DisplacementSection(point="A", relative_to="B")
     probes: dict[str, ProbeSection] = {}
     candidates: list[CandidatesSection] = []
     output: OutputSection = OutputSection()

@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HeatBalance:
-    """Sums of the heat equation over all nodes: in = stored + convected, per step.
+    """What enters, is stored and leaves, summed over all nodes: in = stored + convected.
 
-    Heat enters by the inputs and through the held surfaces. There it is what their rows of the
-    equation lack: held = after . T - before . T_before - drive . u + flow . j.
+    Heat enters by the inputs and at the h held unknowns. There it is what their rows of the
+    equation lack: after T - before T_before - drive u + flow j.
 
     Attributes
     ----------
@@ -35,21 +35,21 @@ class HeatBalance:
         Column sums of M (J/K) and H (W/K).
     entering : ndarray, shape (k,)
         Column sums of P, W per unit of each input.
-    after, before : ndarray, shape (n,)
-        Column sums over the held rows of A0 and of M/dt, W/K.
-    drive : ndarray, shape (k,)
-        Column sums over the held rows of P.
-    flow : ndarray, shape (m,)
-        Row sums over the held columns of B.
+    after, before : scipy.sparse.csr_array, shape (h, n)
+        Held rows of A0 and of M/dt, W/K.
+    drive : ndarray, shape (h, k)
+        Held rows of P.
+    flow : scipy.sparse.csr_array, shape (h, m)
+        Held rows of B^T.
     """
 
     stored: Array
     convected: Array
     entering: Array
-    after: Array
-    before: Array
+    after: csr_array
+    before: csr_array
     drive: Array
-    flow: Array
+    flow: csr_array
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,6 @@ def condense_heat(
     alone = csr_array(keep @ system @ keep + diags_array(1.0 - free))
     factor = factorise(alone, "heat equation", solver)
     influence = checked_solve(factor, (joints.jump @ keep).toarray().T, "heat condensation")
-    held_sum = 1.0 - free
     return ThermalCondensation(
         factor=factor,
         capacity_rate=csr_array(keep @ rate),
@@ -170,10 +169,10 @@ def condense_heat(
             stored=np.asarray(heat.capacity.sum(axis=0)).ravel(),
             convected=np.asarray(heat.convection.sum(axis=0)).ravel(),
             entering=heat.inputs.sum(axis=0),
-            after=held_sum @ system,
-            before=held_sum @ rate,
-            drive=held_sum @ heat.inputs,
-            flow=joints.jump @ held_sum,
+            after=system[heat.held],
+            before=rate[heat.held],
+            drive=heat.inputs[heat.held],
+            flow=csr_array(joints.jump[:, heat.held].T),
         ),
         step=step,
     )

@@ -267,14 +267,17 @@ def heat_step(
 def heat_balance(
     thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
 ) -> float:
-    """(in - stored - convected) over one step, relative to the largest of the three."""
+    """(in - stored - convected) over one step, relative to the largest of the three.
+
+    What enters at one held surface and leaves at another counts as entering, not as nothing.
+    """
     sums, step = thermal.balance, thermal.step
     held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
-    entered = float(sums.entering @ inputs + held) * step
-    stored = float(sums.stored @ (after - before))
-    convected = float(sums.convected @ after) * step
-    largest = max(abs(entered), abs(stored), abs(convected))
-    return (entered - stored - convected) / largest if largest > 0.0 else 0.0
+    given = float(sums.entering @ inputs)
+    stored = float(sums.stored @ (after - before)) / step
+    convected = float(sums.convected @ after)
+    largest = max(abs(given), float(np.abs(held).sum()), abs(stored), abs(convected))
+    return (given + float(held.sum()) - stored - convected) / largest if largest > 0.0 else 0.0
 
 
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:

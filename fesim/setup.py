@@ -34,6 +34,25 @@ MOST_CANDIDATES = 100_000
 
 
 @dataclass(frozen=True)
+class Parts:
+    """What a case is made of, before any finite element.
+
+    Attributes
+    ----------
+    structure : Structure
+        With all probes of the case.
+    joints : tuple of PairedJoint
+        In the order of the contact elements.
+    probes : dict of str to Probe
+        Temperature probes: those that the case names and its candidates.
+    """
+
+    structure: Structure
+    joints: tuple[PairedJoint, ...]
+    probes: dict[str, Probe]
+
+
+@dataclass(frozen=True)
 class Setup:
     """A condensed case.
 
@@ -72,22 +91,12 @@ def set_up(case: Case) -> Setup:
     InputError
         A name does not exist in the structure, or parts do not fit.
     """
-    structure = build_structure(case)
+    parts = make_parts(case)
+    structure, joints = parts.structure, parts.joints
     materials = body_materials(case, structure)
-    check_names(case, structure)
-    thermal_inputs(case)  # a bad history is found now, not after the factorisation
-    joints = tuple(
-        pair_joint(structure, name, section.along, section.across)
-        for name, section in case.joints.items()
-    )
     spaces = make_spaces(structure.mesh)
     relative = _relative_rows(case, structure, spaces)
-    temperature_probes = {
-        name: probe for name, probe in structure.probes.items() if name in case.probes
-    } | candidate_probes(case, structure)
-    if not temperature_probes:
-        raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
-    rows = probe_rows(spaces.heat, structure, temperature_probes)
+    rows = probe_rows(spaces.heat, structure, parts.probes)
 
     laws = joint_laws(case, structure, materials, joints)
     operators = joint_operators(joints, spaces)
@@ -117,9 +126,32 @@ def set_up(case: Case) -> Setup:
         joints=joints,
         machine=machine,
         field=field,
-        probes=temperature_probes,
+        probes=parts.probes,
         probe_rows=rows,
     )
+
+
+def make_parts(case: Case) -> Parts:
+    """Build and check what a case names, short of finite elements: quick, and finds most slips.
+
+    Raises
+    ------
+    InputError
+        A name does not exist in the structure, a history is bad, or parts do not fit.
+    """
+    structure = build_structure(case)
+    check_names(case, structure)
+    thermal_inputs(case)  # a bad history is found now, not after the factorisation
+    joints = tuple(
+        pair_joint(structure, name, section.along, section.across)
+        for name, section in case.joints.items()
+    )
+    probes = {
+        name: probe for name, probe in structure.probes.items() if name in case.probes
+    } | candidate_probes(case, structure)
+    if not probes:
+        raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
+    return Parts(structure, joints, probes)
 
 
 def check_names(case: Case, structure: Structure) -> None:
@@ -134,6 +166,9 @@ def check_names(case: Case, structure: Structure) -> None:
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
+    for name in _measured_points(case):
+        if name not in structure.probes:
+            raise unknown_name("probe", name, structure.probes, "displacement")
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:
@@ -283,13 +318,14 @@ def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _measured_points(case: Case) -> list[str]:
+    """Return the point whose displacement is recorded and the one it is measured from, if any."""
+    point, origin = case.displacement.point, case.displacement.relative_to
+    return [point] if origin is None else [point, origin]
+
+
 def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
-    names = [case.displacement.point]
-    if case.displacement.relative_to is not None:
-        names.append(case.displacement.relative_to)
-    for name in names:
-        if name not in structure.probes:
-            raise unknown_name("probe", name, structure.probes, "displacement")
+    names = _measured_points(case)
     rows = probe_rows(spaces.elastic, structure, {name: structure.probes[name] for name in names})
     relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
     at = relative.tocoo()

@@ -187,7 +187,11 @@ def test_wrong_usage_ends_with_2(command, arguments):
 
 
 @pytest.mark.parametrize(
-    "name", ["simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"]
+    "name",
+    [
+        *("simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"),
+        *("verify", "mesh", "inspect"),
+    ],
 )
 def test_every_command_has_help_with_an_example(command, name):
     code, out, _ = command(name, "--help")

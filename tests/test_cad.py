@@ -1,0 +1,133 @@
+"""CAD parts become meshes with names; needs Gmsh, but for what is said when it is not there."""
+
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from artefacts.errors import InputError
+from meshes.cad import mesh_cad, read_names
+from meshes.exchange import read_structure
+from meshes.inspection import inspect
+
+try:
+    import gmsh
+except (ImportError, OSError):
+    gmsh = None
+needs_gmsh = pytest.mark.skipif(gmsh is None, reason="Gmsh cannot be imported here")
+
+
+@pytest.fixture(scope="module")
+def step(tmp_path_factory):
+    """A bed, a head stock beside it and a pin standing on it, with one named face."""
+    path = tmp_path_factory.mktemp("cad") / "part.step"
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    occ = gmsh.model.occ
+    occ.addBox(0, 0, 0, 100, 40, 40)
+    occ.addBox(100, 0, 0, 50, 40, 40)
+    occ.addCylinder(20, 20, 40, 0, 0, 30, 10)
+    occ.synchronize()
+    gmsh.write(str(path))
+    gmsh.finalize()
+    text = path.read_text()
+    for number, name in ((1, "bed"), (2, "head stock"), (3, "pin")):
+        text = re.sub(rf"(Open CASCADE STEP translator [\d.]+ 1)\.{number}'", f"{name}'", text)
+    path.write_text(text)
+    return path
+
+
+@needs_gmsh
+def test_solids_keep_their_names_and_their_size_in_metres(step, tmp_path):
+    mesh_cad(step, tmp_path / "part.msh", 0.02)
+    found = inspect(read_structure(tmp_path / "part.msh"))
+    assert set(found.bodies) == {"bed", "head_stock", "pin"}
+    assert found.bodies["bed"].volume == pytest.approx(0.1 * 0.04 * 0.04)
+    assert found.extent == pytest.approx((0.15, 0.04, 0.07))
+    assert found.warnings == ()
+
+
+@needs_gmsh
+def test_faces_on_each_other_are_the_sides_of_a_joint(step, tmp_path):
+    """Equal faces, and a small one that stands in the middle of a large one."""
+    mesh_cad(step, tmp_path / "part.msh", 0.02)
+    joints = inspect(read_structure(tmp_path / "part.msh")).joints
+    assert set(joints) == {"bed_head_stock", "bed_pin"}
+    assert joints["bed_head_stock"].overlap == pytest.approx(0.04**2)
+    assert joints["bed_pin"].overlap == pytest.approx(np.pi * 0.01**2, rel=0.05)
+
+
+@needs_gmsh
+def test_curved_cells_are_rounder(step, tmp_path):
+    volume = np.pi * 0.01**2 * 0.03
+    errors = []
+    for order in (1, 2):
+        mesh_cad(step, tmp_path / "part.msh", 0.02, order)
+        bodies = inspect(read_structure(tmp_path / "part.msh")).bodies
+        errors.append(abs(bodies["pin"].volume / volume - 1.0))
+    assert errors[1] < 0.1 * errors[0]
+
+
+@needs_gmsh
+def test_points_name_faces(step, tmp_path):
+    (tmp_path / "names.toml").write_text(
+        "[surfaces_mm]\nfoot = [[0, 20, 20]]\nends = [[150, 20, 20], [20, 20, 70]]\n"
+    )
+    names = read_names(tmp_path / "names.toml")
+    mesh_cad(step, tmp_path / "part.msh", 0.02, names=names)
+    surfaces = inspect(read_structure(tmp_path / "part.msh")).surfaces
+    assert surfaces["foot"].area == pytest.approx(0.04**2)
+    assert surfaces["foot"].normal == pytest.approx((-1.0, 0.0, 0.0))
+    assert set(surfaces["ends"].bodies) == {"head_stock", "pin"}
+
+
+@needs_gmsh
+def test_a_point_on_no_face_is_refused_with_the_distance(step, tmp_path):
+    with pytest.raises(InputError, match=r"'foot': no face at \(-5, 20, 20\) mm.* 5 mm away"):
+        mesh_cad(step, tmp_path / "part.msh", 0.02, names={"foot": [(-0.005, 0.02, 0.02)]})
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_gmsh
+@pytest.mark.parametrize("content", ["", "ISO-10303-21;\nHEADER;\n", "nonsense"])
+def test_a_damaged_part_is_refused(tmp_path, content):
+    (tmp_path / "bad.step").write_text(content)
+    with pytest.raises(InputError, match=r"bad\.step: (Gmsh cannot read it|holds no solid)"):
+        mesh_cad(tmp_path / "bad.step", tmp_path / "out.msh", 0.01)
+    assert not (tmp_path / "out.msh").exists()
+
+
+def test_without_gmsh_it_is_said_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    (tmp_path / "part.step").write_text("")
+    with pytest.raises(InputError, match=r"pip install 'thermojoint\[gmsh\]'"):
+        mesh_cad(tmp_path / "part.step", tmp_path / "out.msh", 0.01)
+
+
+@pytest.mark.parametrize(
+    ("part", "out", "message"),
+    [
+        ("part.stl", "out.msh", "unknown suffix '.stl'"),
+        ("part.step", "out.msh", "no such CAD file"),
+        ("there.step", "out.vtu", "name it out.msh"),
+    ],
+)
+def test_wrong_files_are_refused_before_gmsh_starts(tmp_path, part, out, message):
+    (tmp_path / "there.step").write_text("")
+    with pytest.raises(InputError, match=message):
+        mesh_cad(tmp_path / part, tmp_path / out, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[surfaces]\nfoot = [[0, 0, 0]]\n", "surfaces: write"),
+        ("[surfaces_mm]\nfoot = [[0, 0]]\n", "write .surfaces_mm. with NAME"),
+        ("[surfaces_mm\n", "no valid TOML"),
+    ],
+)
+def test_a_file_of_names_is_checked(tmp_path, text, message):
+    (tmp_path / "names.toml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_names(tmp_path / "names.toml")

@@ -1,0 +1,121 @@
+"""The page for newcomers does what it says: every file in it is written, every command is run."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from skfem import MeshHex
+
+from meshes.box_grid import put_side_by_side
+from meshes.exchange import write_structure
+from meshes.structure import Structure
+from thermojoint.cli import app
+
+PAGE = Path(__file__).parents[1] / "docs" / "your-own-machine.md"
+BLOCKS = re.findall(r"^```(\w+)([^\n]*)\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
+
+try:
+    import gmsh
+except (ImportError, OSError):
+    gmsh = None
+
+
+def write_step(path):
+    """A block on a bed, as a CAD system exports it."""
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.model.occ.addBox(0, 0, 0, 150, 40, 20)
+    gmsh.model.occ.addBox(50, 0, 20, 50, 40, 20)
+    gmsh.model.occ.synchronize()
+    gmsh.write(str(path))
+    gmsh.finalize()
+    text = path.read_text()
+    for number, name in ((1, "bed"), (2, "block")):
+        text = re.sub(rf"(Open CASCADE STEP translator [\d.]+ 1)\.{number}'", f"{name}'", text)
+    path.write_text(text)
+
+
+def clamp_mesh():
+    """The same part where Gmsh is missing."""
+    parts = [
+        MeshHex.init_tensor(*(np.linspace(low, high, n + 1) for low, high, n in spans))
+        for spans in (
+            ((0.0, 0.15, 9), (0.0, 0.04, 3), (0.0, 0.02, 2)),
+            ((0.05, 0.10, 4), (0.0, 0.04, 4), (0.02, 0.04, 2)),
+        )
+    ]
+    mesh, (bed, block) = put_side_by_side(parts)
+    facets = mesh.boundary_facets()
+    x, _, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    of_bed = mesh.f2t[0, facets] < len(bed)
+    between = np.abs(z - 0.02) < 1e-9
+    named = {
+        "foot": x < 1e-9,
+        "warm": z > 0.04 - 1e-9,
+        "bed_block.a": between & of_bed,
+        "bed_block.b": between & ~of_bed,
+    }
+    rest = ~np.any(list(named.values()), axis=0)
+    named |= {"bed_outer": of_bed & (rest | between), "block_outer": ~of_bed & rest}
+    return Structure(
+        mesh=mesh,
+        bodies={"bed": bed, "block": block},
+        surfaces={name: facets[mask] for name, mask in named.items()},
+        joints={"bed_block": ("bed_block.a", "bed_block.b")},
+    )
+
+
+def run(command):
+    words = shlex.split(command)
+    assert words[0] == "thermojoint"
+    app(words[1:], standalone_mode=False)
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """Follow the page from top to bottom in an empty folder."""
+    folder = tmp_path_factory.mktemp("newcomer")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        if gmsh is not None:
+            write_step(folder / "clamp.step")
+        else:
+            write_structure(clamp_mesh(), folder / "clamp.msh")
+        for language, rest, content in BLOCKS:
+            if language == "sh":
+                if "cad" not in rest or gmsh is not None:
+                    for command in content.strip().splitlines():
+                        run(command)
+            elif language != "python":
+                (folder / rest.strip()).write_text(content)
+    return folder
+
+
+def test_every_command_of_the_page_leaves_its_file(followed):
+    for name in re.findall(r"--(?:out|case|save-state|snapshots) (\S+)", PAGE.read_text("utf-8")):
+        assert (followed / name).exists(), name
+
+
+def test_the_clamp_does_what_physics_says(followed):
+    response = xr.load_dataset(followed / "clamp.nc")
+    assert float(np.abs(response["heat_balance"]).max()) < 1e-8
+    assert float(response["gap_residual"].max()) < 1e-11
+    # Heat goes down from the block (side b) into the bed (side a).
+    assert float(response["heat_flow"][60].sum()) < -5.0
+    tip, base = (response["temperature"].sel(probe=name) for name in ("tip", "base"))
+    assert float(tip[60]) > float(base[60]) > 0.0
+    # It rises, and sinks again when the spindle slows down.
+    height = response["displacement"].sel(axis="z")
+    assert float(height[60]) > 1e-6
+    assert float(tip[120]) < float(tip[60])
+
+
+def test_the_python_of_the_page_runs(followed, capsys, monkeypatch):
+    monkeypatch.chdir(followed)
+    for language, _, content in BLOCKS:
+        if language == "python":
+            exec(compile(content, str(PAGE), "exec"), {})
+    assert "displacement" in capsys.readouterr().out
