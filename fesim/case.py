@@ -328,7 +328,9 @@ def _with_files_in(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
 
 def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
     first = error.errors()[0]
-    place = [str(part) for part in first["loc"] if part not in _UNION_TAGS]
+    # A key may be called like a tag: only what stands before the last part can be one.
+    *inner, last = first["loc"] or ("case",)
+    place = [*(str(part) for part in inner if part not in _UNION_TAGS), str(last)]
     at = f"{where}: {'.'.join(place)}"
     if first["type"] == "extra_forbidden":
         return unknown_name(

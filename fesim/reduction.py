@@ -1,0 +1,129 @@
+"""Reduced thermal model: Galerkin on a rational-Krylov basis, diagonalised (docs/reduction.md).
+
+M dT/dt + A T = P u - B^T j is projected on T = V a with V^T M V = I and V^T A V diagonal. The
+basis holds the exact responses (A + s M)^-1 [P, B^T] at shifts s spread evenly in ln s between the
+slowest and the fastest time of interest: the march, whatever its step, is a combination of such
+responses. Each block adds only the directions that the basis lacks by more than a tolerance
+(singular value decomposition), which keeps the rank small where neighbouring contact elements act
+alike. The error is measured: full against reduced transfer at shifts between those of the basis;
+where it is too large there are more shifts. The constant temperature is in the basis, so that the
+reduced model keeps the heat balance to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+
+from artefacts.errors import ConvergenceError
+from fesim.linear_solver import checked_solve, factorise
+
+Array = NDArray[np.float64]
+
+#: Numbers of shifts that are tried one after the other.
+SHIFTS = (14, 20, 28, 40)
+#: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at first.
+CUT = 1e-3
+
+
+@dataclass(frozen=True)
+class ReducedHeat:
+    """A diagonalised reduced model of r modes.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (n, r)
+        V, K per unit of each mode.
+    rates : ndarray, shape (r,)
+        V^T A V, 1/s.
+    error : float
+        Largest error of an output found between the shifts, relative to its tolerance.
+    shifts : ndarray, shape (k,)
+        1/s.
+    """
+
+    basis: Array
+    rates: Array
+    error: float
+    shifts: Array
+
+
+def reduce_heat(
+    capacity: Array,
+    conduction: csr_array,
+    drives: Array,
+    outputs: Array,
+    shortest: float,
+    longest: float,
+    solver: str | None = None,
+) -> ReducedHeat:
+    """Reduce the heat equation.
+
+    Parameters
+    ----------
+    capacity : ndarray, shape (n,)
+        Diagonal of M, J/K.
+    conduction : scipy.sparse.csr_array, shape (n, n)
+        A = K + H, W/K, symmetric and positive semidefinite.
+    drives : ndarray, shape (n, p)
+        Right-hand sides, each of the size it has in a march, W.
+    outputs : ndarray, shape (q, n)
+        Rows of the results, each divided by the error allowed in it.
+    shortest, longest : float
+        Times of interest, s: the shortest step, and the time to a steady state.
+    solver : str, optional
+        See `fesim.linear_solver.factorise`.
+
+    Raises
+    ------
+    ConvergenceError
+        The error stays above the tolerance with the most shifts.
+    """
+    root = np.sqrt(capacity)
+    responses: dict[float, Array] = {}
+
+    def response(shift: float) -> Array:
+        if shift not in responses:
+            system = conduction + diags_array(shift * capacity)
+            factor = factorise(csr_array(system), "shifted heat equation", solver)
+            responses[shift] = checked_solve(factor, drives, "reduction of the heat equation")
+        return responses[shift]
+
+    cut, error = CUT, np.inf
+    for count in SHIFTS:
+        shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
+        basis = _orthonormal(root[:, None], np.empty((len(root), 0)), 0.0)
+        for shift in shifts:
+            basis = np.hstack([basis, _orthonormal(root[:, None] * response(shift), basis, cut)])
+        vectors = basis / root[:, None]
+        rates, turn = np.linalg.eigh(vectors.T @ (conduction @ vectors))
+        modes = np.ascontiguousarray(vectors @ turn)
+        rates = np.maximum(rates, 0.0)
+        reduced_drives, reduced_outputs = modes.T @ drives, outputs @ modes
+        between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // 12)]
+        error = max(
+            float(
+                np.abs(
+                    outputs @ response(shift) - (reduced_outputs / (rates + shift)) @ reduced_drives
+                ).max()
+            )
+            for shift in between
+        )
+        if error <= 1.0:
+            return ReducedHeat(modes, rates, error, shifts)
+        cut /= 10.0
+    raise ConvergenceError(
+        f"reduction of the heat equation: an output is still off by {error:.2g} times its "
+        'tolerance; use thermal = "full" in [march]'
+    )
+
+
+def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
+    """Directions of `block` that `basis` lacks by more than `cut`, orthonormal."""
+    rest = block - basis @ (basis.T @ block)
+    rest -= basis @ (basis.T @ rest)
+    vectors, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    return np.asarray(vectors[:, sizes > cut])
