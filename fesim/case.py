@@ -211,6 +211,7 @@ class MarchSection(_Section):
     step_s: Positive = 2.0
     duration_min: Positive = 35.0
     coupling: Literal["staggered", "iterated"] = "staggered"
+    thermal: Literal["reduced", "full"] = "reduced"
     solver: Literal["pardiso", "superlu"] | None = None
 
     @model_validator(mode="after")

@@ -22,6 +22,10 @@ from fesim.linear_solver import Factor, checked_solve, factorise
 Array = NDArray[np.float64]
 
 
+#: The unknowns of the full model: nodal temperatures.
+FULL = "full"
+
+
 @dataclass(frozen=True)
 class HeatBalance:
     """What enters, is stored and leaves, summed over all nodes: in = stored + convected.
@@ -46,8 +50,8 @@ class HeatBalance:
     stored: Array
     convected: Array
     entering: Array
-    after: csr_array
-    before: csr_array
+    after: csr_array | Array
+    before: csr_array | Array
     drive: Array
     flow: csr_array
 
@@ -55,6 +59,8 @@ class HeatBalance:
 @dataclass(frozen=True)
 class ThermalCondensation:
     """One implicit Euler step of the heat equation, reduced to m joint heat flows.
+
+    The unknowns are nodal temperatures, or the amplitudes of a reduced model's modes.
 
     Attributes
     ----------
@@ -74,16 +80,19 @@ class ThermalCondensation:
         What closes the books of a step.
     step : float
         dt, s.
+    model : str
+        What the unknowns are: ``"full"``, or the digest of a reduced model's basis.
     """
 
     factor: Factor
     capacity_rate: csr_array
     inputs: Array
-    jump: csr_array
+    jump: csr_array | Array
     influence: Array
     joint_influence: Array
     balance: HeatBalance
     step: float
+    model: str = FULL
 
 
 @dataclass(frozen=True)
@@ -148,34 +157,57 @@ def condense_heat(
     heat: HeatOperators, joints: JointOperators, step: float, solver: str | None = None
 ) -> ThermalCondensation:
     """Factorise one implicit Euler step of length `step` (s) and condense it on the joints."""
-    rate = csr_array(heat.capacity / step)
-    system = csr_array(rate + heat.conduction + heat.convection)
-    free = np.ones(rate.shape[0])
-    free[heat.held] = 0.0
-    keep = diags_array(free, format="csr")
-    inputs = free[:, None] * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
-    inputs[heat.held] = heat.held_inputs
-    alone = csr_array(keep @ system @ keep + diags_array(1.0 - free))
-    factor = factorise(alone, "heat equation", solver)
-    influence = checked_solve(factor, (joints.jump @ keep).toarray().T, "heat condensation")
+    system, inputs = eliminate_held(heat, step)
+    factor = factorise(system, "heat equation", solver)
+    free = _free_unknowns(heat)
+    influence = checked_solve(
+        factor, (joints.jump @ diags_array(free)).toarray().T, "heat condensation"
+    )
     return ThermalCondensation(
         factor=factor,
-        capacity_rate=csr_array(keep @ rate),
+        capacity_rate=csr_array(diags_array(free) @ heat.capacity / step),
         inputs=inputs,
         jump=joints.jump,
         influence=influence,
         joint_influence=joints.jump @ influence,
-        balance=HeatBalance(
-            stored=np.asarray(heat.capacity.sum(axis=0)).ravel(),
-            convected=np.asarray(heat.convection.sum(axis=0)).ravel(),
-            entering=heat.inputs.sum(axis=0),
-            after=system[heat.held],
-            before=rate[heat.held],
-            drive=heat.inputs[heat.held],
-            flow=csr_array(joints.jump[:, heat.held].T),
-        ),
+        balance=heat_sums(heat, joints, step),
         step=step,
     )
+
+
+def eliminate_held(heat: HeatOperators, step: float) -> tuple[csr_array, Array]:
+    """Return A0 (n, n) and the right-hand sides (n, k) with the held unknowns taken out.
+
+    Their rows say that they have their given temperature; what they send to their neighbours is on
+    the right-hand side. So the matrix stays symmetric.
+    """
+    system = csr_array(heat.capacity / step + heat.conduction + heat.convection)
+    free = _free_unknowns(heat)
+    inputs = free[:, None] * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
+    inputs[heat.held] = heat.held_inputs
+    keep = diags_array(free)
+    return csr_array(keep @ system @ keep + diags_array(1.0 - free)), inputs
+
+
+def heat_sums(heat: HeatOperators, joints: JointOperators, step: float) -> HeatBalance:
+    """Return what closes the books of a step of length `step` (s)."""
+    rate = csr_array(heat.capacity / step)
+    system = csr_array(rate + heat.conduction + heat.convection)
+    return HeatBalance(
+        stored=np.asarray(heat.capacity.sum(axis=0)).ravel(),
+        convected=np.asarray(heat.convection.sum(axis=0)).ravel(),
+        entering=heat.inputs.sum(axis=0),
+        after=system[heat.held],
+        before=rate[heat.held],
+        drive=heat.inputs[heat.held],
+        flow=csr_array(joints.jump[:, heat.held].T),
+    )
+
+
+def _free_unknowns(heat: HeatOperators) -> Array:
+    free = np.ones(heat.inputs.shape[0])
+    free[heat.held] = 0.0
+    return free
 
 
 def condense_elasticity(

@@ -92,7 +92,7 @@ class State:
     index : int
         Steps taken; time is index times the step length.
     temperature : ndarray, shape (n,)
-        Nodal temperatures above ambient, K.
+        Nodal temperatures above the initial ambient, K, or a reduced model's amplitudes.
     gap : ndarray, shape (3, m)
         Gaps, m.
     slip : ndarray, shape (2, m)
@@ -101,6 +101,8 @@ class State:
         Contact pressure, Pa.
     thermal_gap : ndarray, shape (3 m,)
         g_T = S_T T, m.
+    model : str
+        Whose temperature it is: the `model` of the `ThermalCondensation`.
     """
 
     index: int
@@ -109,6 +111,7 @@ class State:
     slip: Array
     pressure: Array
     thermal_gap: Array
+    model: str
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,7 @@ def initial_state(machine: CondensedMachine) -> State:
         slip=np.zeros((2, count)),
         pressure=machine.preload.copy(),
         thermal_gap=np.zeros(3 * count),
+        model=machine.thermal.model,
     )
 
 
@@ -261,7 +265,8 @@ def heat_step(
     system = joint[:, None] * thermal.joint_influence
     system[np.diag_indices_from(system)] += 1.0
     heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
-    return alone - thermal.influence @ heat_flow, heat_flow
+    after: Array = alone - thermal.influence @ heat_flow
+    return after, np.asarray(heat_flow, dtype=np.float64)
 
 
 def heat_balance(
@@ -269,14 +274,17 @@ def heat_balance(
 ) -> float:
     """(in - stored - convected) over one step, relative to the largest of the three.
 
-    What enters at one held surface and leaves at another counts as entering, not as nothing.
+    What enters at one held surface and leaves at another counts as entering, and what one part of
+    the structure stores at the cost of another counts as stored: neither counts as nothing.
     """
     sums, step = thermal.balance, thermal.step
     held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
     given = float(sums.entering @ inputs)
-    stored = float(sums.stored @ (after - before)) / step
+    change = (after - before) / step
+    stored = float(sums.stored @ change)
     convected = float(sums.convected @ after)
-    largest = max(abs(given), float(np.abs(held).sum()), abs(stored), abs(convected))
+    moved = float(np.abs(sums.stored) @ np.abs(change))
+    largest = max(abs(given), float(np.abs(held).sum()), moved, abs(convected))
     return (given + float(held.sum()) - stored - convected) / largest if largest > 0.0 else 0.0
 
 
@@ -298,6 +306,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             slip=found.traction.slip,
             pressure=pressure,
             thermal_gap=thermal_gap,
+            model=machine.thermal.model,
         ),
         inputs=inputs,
         conductance=conductance,

@@ -18,8 +18,14 @@ from fesim.elasticity import DIRECTIONS, elastic_operators
 from fesim.heat import by_cell, heat_operators
 from fesim.joint_operators import joint_operators
 from fesim.loads import heat_sources, spring_stiffnesses, thermal_inputs
-from fesim.march import CondensedMachine
+from fesim.march import CondensedMachine, State
 from fesim.materials import Material
+from fesim.reduced_march import (
+    ThermalModes,
+    project_elasticity,
+    project_heat,
+    thermal_modes,
+)
 from fesim.spaces import Spaces, make_spaces, probe_rows
 from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
@@ -70,8 +76,10 @@ class Setup:
         Full displacements on demand.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
-    probe_rows : scipy.sparse.csr_array, shape (probes, n_heat)
-        Their rows.
+    probe_rows : scipy.sparse.csr_array or ndarray, shape (probes, n_heat)
+        Their rows, of nodal temperatures or of the reduced model's amplitudes.
+    modes : ThermalModes or None
+        The reduced thermal model; None if the march has the full one.
     """
 
     structure: Structure
@@ -80,7 +88,12 @@ class Setup:
     machine: CondensedMachine
     field: DisplacementField
     probes: dict[str, Probe]
-    probe_rows: csr_array
+    probe_rows: csr_array | NDArray[np.float64]
+    modes: ThermalModes | None
+
+    def nodal_temperature(self, state: State) -> NDArray[np.float64]:
+        """Temperature above the initial ambient at every unknown of `spaces.heat`, K."""
+        return state.temperature if self.modes is None else self.modes.basis @ state.temperature
 
 
 def set_up(case: Case) -> Setup:
@@ -119,7 +132,14 @@ def set_up(case: Case) -> Setup:
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
     condensed, field = condense_elasticity(elastic, operators, springs, relative, solver)
-    machine = CondensedMachine(condense_heat(heat, operators, step, solver), condensed, laws)
+    modes = None
+    if case.march.thermal == "reduced":
+        modes = thermal_modes(heat, operators, condensed, rows, step, solver)
+        thermal = project_heat(heat, operators, step, modes)
+        condensed = project_elasticity(condensed, modes)
+    else:
+        thermal = condense_heat(heat, operators, step, solver)
+    machine = CondensedMachine(thermal, condensed, laws)
     return Setup(
         structure=structure,
         spaces=spaces,
@@ -127,7 +147,8 @@ def set_up(case: Case) -> Setup:
         machine=machine,
         field=field,
         probes=parts.probes,
-        probe_rows=rows,
+        probe_rows=rows if modes is None else rows @ modes.basis,
+        modes=modes,
     )
 
 

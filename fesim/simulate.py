@@ -16,6 +16,7 @@ from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.case import Case
 from fesim.elasticity import DIRECTIONS
+from fesim.linear_solver import default_solver
 from fesim.loads import heat_history, source_power, thermal_inputs
 from fesim.march import (
     Advance,
@@ -84,6 +85,11 @@ def simulate(
     """
     ready = setup if setup is not None else set_up(case)
     first = start if start is not None else initial_state(ready.machine)
+    if first.model != ready.machine.thermal.model:
+        raise InputError(
+            "start: the state is of another reduced thermal model, built elsewhere; simulate from "
+            'the start, or use thermal = "full" in [march] for both'
+        )
     steps = [] if start is not None else [at_rest(ready.machine)]
     probes = [ready.probe_rows @ step.state.temperature for step in steps]
     count = round(60.0 * case.march.duration_min / case.march.step_s) - first.index
@@ -166,8 +172,11 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "versions": json.dumps(
             {name: version(name) for name in ("thermojoint", "scikit-fem", "numpy", "scipy")}
         ),
-        "linear_solver": machine.thermal.factor.solver,
-        "thermal_unknowns": int(machine.thermal.inputs.shape[0]),
+        "linear_solver": case.march.solver or default_solver(),
+        "thermal_model": "full" if setup.modes is None else "reduced",
+        "thermal_unknowns": int(setup.spaces.heat.N),
+        "thermal_modes": 0 if setup.modes is None else int(setup.modes.rates.size),
+        "reduction_error": 0.0 if setup.modes is None else setup.modes.error,
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }

@@ -83,14 +83,15 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     cell data ``body``, the number of the body in the order of ``structure.bodies``.
     """
     spaces, structure = setup.spaces, setup.structure
-    displacement = setup.field.solve(step.state.temperature, step.remainder)
+    temperature = setup.nodal_temperature(step.state)
+    displacement = setup.field.solve(temperature, step.remainder)
     body = np.zeros(structure.mesh.nelements, dtype=np.int32)
     for number, cells in enumerate(structure.bodies.values()):
         body[cells] = number
     return to_meshio(
         corner_mesh(structure.mesh),
         point_data={
-            "temperature_K": step.state.temperature[spaces.heat.nodal_dofs[0]],
+            "temperature_K": temperature[spaces.heat.nodal_dofs[0]],
             "displacement_m": displacement.reshape(-1, 3)[spaces.elastic.nodal_dofs[0]],
         },
         cell_data={"body": [body]},

@@ -22,7 +22,7 @@ from fesim.case import Case, MeshSection
 from fesim.march import State
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
 _ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap")
@@ -52,6 +52,7 @@ def save_state(state: State, case: Case, path: Path) -> None:
         "schema_version": SCHEMA_VERSION,
         "case": fingerprint(case),
         "index": state.index,
+        "model": state.model,
     }
     with whole_file(Path(path)) as part, part.open("wb") as file:
         # To an open file: np.savez adds a suffix to names.
@@ -100,10 +101,12 @@ def load_state(path: Path, case: Case) -> State:
             "start afresh, or use the case it was saved with"
         )
     index: Any = header.get("index")
+    model: Any = header.get("model")
     count = arrays["pressure"].size
     shapes = {"gap": (3, count), "slip": (2, count), "thermal_gap": (3 * count,)}
     usable = (
         isinstance(index, int)
+        and isinstance(model, str)
         and index >= 0
         and all(arrays[name].shape == shape for name, shape in shapes.items())
         and all(array.dtype == np.float64 for array in arrays.values())
@@ -111,4 +114,4 @@ def load_state(path: Path, case: Case) -> State:
     )
     if not usable:
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    return State(index=index, **arrays)
+    return State(index=index, model=model, **arrays)

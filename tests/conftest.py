@@ -25,7 +25,7 @@ def coarse_data():
     """The reference case, coarse and one minute long, as nested dictionaries: copy to edit."""
     data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
     data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
-    data["march"]["duration_min"] = 1.0
+    data["march"] |= {"duration_min": 1.0, "thermal": "full"}
     data["candidates"] = []
     data["probes"] = {
         "a": {"position_mm": [575.0, 600.0, 175.0], "body": "column"},

@@ -16,7 +16,11 @@ STEP, COUNT = 2.0, 12
 
 divisions = st.tuples(st.integers(1, 3), st.integers(1, 3), st.integers(1, 2))
 coupling = st.sampled_from([staggered, iterated])
-levels = st.lists(st.floats(-400.0, 400.0), min_size=2, max_size=4)
+#: Heat in W, at the ends of equal times.
+levels = st.lists(st.integers(-400, 400).map(float), min_size=2, max_size=4)
+
+#: A gap is solved to 1e-12 m; sliding makes more of it. The joint has up to 4e13 Pa/m.
+GAP, PRESSURE = 1e-11, 400.0
 
 
 @st.composite
@@ -66,7 +70,10 @@ def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance
         assert (machine.conductance(pressure)[pressure == 0.0] == 0.0).all()
         # Heat goes down the jump, and none crosses a joint that was open.
         jump = machine.thermal.jump @ step.state.temperature
-        assert (step.heat_flow * jump >= -1e-12 * np.abs(step.heat_flow * jump).max()).all()
+        area = machine.elastic.area[: machine.contacts]
+        scale = np.abs(step.heat_flow).max()
+        expected = step.conductance * area * jump
+        np.testing.assert_allclose(step.heat_flow, expected, atol=1e-7 * scale + 1e-9)
         assert (step.heat_flow[step.conductance == 0.0] == 0.0).all()
 
 
@@ -110,16 +117,16 @@ def test_a_turned_structure_does_the_same(parts, values, seed):
     last, other = here[-1], there[-1]
     size = np.abs(last.state.temperature).max()
     np.testing.assert_allclose(
-        other.state.temperature, last.state.temperature, atol=1e-7 * size + 1e-12
+        other.state.temperature, last.state.temperature, atol=1e-7 * size + 1e-9
     )
     np.testing.assert_allclose(
-        np.sort(other.state.pressure), np.sort(last.state.pressure), rtol=1e-5, atol=1.0
+        np.sort(other.state.pressure), np.sort(last.state.pressure), rtol=1e-5, atol=PRESSURE
     )
     moved = last.displacement.reshape(-1, 3)
     np.testing.assert_allclose(
         other.displacement.reshape(-1, 3),
         rotation.apply(moved),
-        atol=1e-6 * np.abs(moved).max() + 1e-15,
+        atol=1e-6 * np.abs(moved).max() + GAP,
     )
 
 
@@ -151,11 +158,11 @@ def test_numbers_of_nodes_and_cells_mean_nothing(parts, values, seed):
     here = run(assembled(parts), values, staggered)[-1]
     other = assembled(parts | {"structure": renumbered(parts["structure"], seed)})
     there = run(other, values, staggered)[-1]
-    np.testing.assert_allclose(there.state.pressure, here.state.pressure, rtol=1e-5, atol=1.0)
+    np.testing.assert_allclose(there.state.pressure, here.state.pressure, rtol=1e-5, atol=PRESSURE)
     size = np.abs(here.displacement).max()
-    np.testing.assert_allclose(there.displacement, here.displacement, atol=1e-6 * size + 1e-15)
+    np.testing.assert_allclose(there.displacement, here.displacement, atol=1e-6 * size + GAP)
     np.testing.assert_allclose(
-        there.heat_flow, here.heat_flow, atol=1e-6 * np.abs(here.heat_flow).max() + 1e-12
+        there.heat_flow, here.heat_flow, atol=1e-6 * np.abs(here.heat_flow).max() + 1e-6
     )
 
 

@@ -162,7 +162,7 @@ def structure_scene(
 
 def temperature_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Scene:
     """Temperature on the surface of the structure, K above ambient, whole and cut open."""
-    at_nodes = step.state.temperature[setup.spaces.heat.nodal_dofs[0]]
+    at_nodes = setup.nodal_temperature(step.state)[setup.spaces.heat.nodal_dofs[0]]
     surface = _skin(setup.structure, values=at_nodes)
     panels = [Panel("outside", _whole((surface,), mirror))]
     if mirror is not None:
@@ -173,7 +173,7 @@ def temperature_scene(setup: Setup, step: Step, mirror: Mirror | None = None) ->
 def deformed_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Scene:
     """Exaggerated deformed shape, coloured by the size of the displacement, over the cold shape."""
     mesh = setup.structure.mesh
-    field = setup.field.solve(step.state.temperature, step.remainder)
+    field = setup.field.solve(setup.nodal_temperature(step.state), step.remainder)
     at_nodes = field.reshape(-1, 3)[setup.spaces.elastic.nodal_dofs[0]]
     size = np.linalg.norm(at_nodes, axis=1)
     extent = float(np.ptp(mesh.p, axis=1).max())

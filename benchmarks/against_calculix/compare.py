@@ -121,7 +121,9 @@ def run_ours(case: Case, law: JointLaw, *, consistent: bool = False) -> Ours:
         steps = march(machine, thermal_inputs(case), COUPLINGS[case.march.coupling])
         step = next(islice(steps, count - 1, count))
         end = time.perf_counter()
-        displacement = setup.field.solve(step.state.temperature, step.remainder).reshape(-1, 3)
+        displacement = setup.field.solve(
+            setup.nodal_temperature(step.state), step.remainder
+        ).reshape(-1, 3)
     return Ours(setup, step, displacement, end - start, end - ready)
 
 

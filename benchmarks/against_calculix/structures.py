@@ -100,7 +100,12 @@ def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
             },
         },
         "held_temperatures": {"left_end": {"rise_K": 5.0}, "right_end": {"rise_K": 0.0}},
-        "march": {"step_s": 2.0, "duration_min": 2.0, "coupling": "iterated"},
+        "march": {
+            "step_s": 2.0,
+            "duration_min": 2.0,
+            "coupling": "iterated",
+            "thermal": "full",
+        },
         "displacement": {"point": "left_face", "relative_to": "right_face"},
         "probes": {
             "left_face": {"position_mm": _mm(LEFT, WIDTH / 2, DEPTH / 2), "body": "left"},
@@ -120,7 +125,12 @@ def machine(size: float = 100.0, **changes: Any) -> Case:
         "joint_top": {"position_mm": [650.0, 750.0, 87.5], "body": "column"},
     }
     data["heat_input"] = {"kind": "step", "level": 3.0}
-    data["march"] = {"step_s": 2.0, "duration_min": 1.0, "coupling": "iterated"}
+    data["march"] = {
+        "step_s": 2.0,
+        "duration_min": 1.0,
+        "coupling": "iterated",
+        "thermal": "full",
+    }
     return case_from_data(with_changes(data, changes), "coarse machine", Path())
 
 

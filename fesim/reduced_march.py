@@ -1,0 +1,180 @@
+"""The condensed machine on the modes of the reduced thermal model: same equations, fewer unknowns.
+
+T = V a + E u: V the modes on the unknowns that are free, E the held surfaces, whose temperatures
+are inputs. Every operator of the march is multiplied by [V, E] once; the march does not change.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+
+from fesim.condensation import (
+    ElasticCondensation,
+    ThermalCondensation,
+    eliminate_held,
+    heat_sums,
+)
+from fesim.heat import HeatOperators
+from fesim.joint_operators import JointOperators
+from fesim.linear_solver import Factor
+from fesim.reduction import ReducedHeat, reduce_heat
+
+Array = NDArray[np.float64]
+
+#: What the inputs of a march are like: heat in all, W; ambient and held surfaces, K.
+USUAL_POWER, USUAL_RISE = 1000.0, 10.0
+#: Errors allowed at inputs like these: temperature, K; gap, m; displacement, m.
+TEMPERATURE_ERROR, GAP_ERROR, DISPLACEMENT_ERROR = 2e-4, 1e-10, 4e-10
+#: Times that the reduced model resolves, s: at least a step of this length, and the steady state.
+SHORTEST, LONGEST = 1.0, 1e6
+
+
+@dataclass(frozen=True)
+class ThermalModes:
+    """What a reduced temperature field is made of.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (n, r + s)
+        [V, E]: nodal temperatures of each mode, then of each of the s held surfaces at 1 K.
+    rates : ndarray, shape (r,)
+        Decay rates of the modes, 1/s.
+    error : float
+        Largest error found in an output, relative to what is allowed.
+    """
+
+    basis: Array
+    rates: Array
+    error: float
+
+    @property
+    def digest(self) -> str:
+        """Digest of the basis: amplitudes mean something only with the same one."""
+        return hashlib.sha256(np.ascontiguousarray(self.basis).tobytes()).hexdigest()
+
+
+def thermal_modes(
+    heat: HeatOperators,
+    joints: JointOperators,
+    elastic: ElasticCondensation,
+    probes: csr_array,
+    step: float,
+    solver: str | None = None,
+) -> ThermalModes:
+    """Find the modes that the joints, gaps and probes of a march need.
+
+    Parameters
+    ----------
+    heat : HeatOperators
+    joints : JointOperators
+    elastic : ElasticCondensation
+        Of the full model.
+    probes : scipy.sparse.csr_array, shape (p, n)
+        Rows of the temperature probes.
+    step : float
+        Time step, s.
+    solver : str, optional
+        See `fesim.linear_solver.factorise`.
+
+    Raises
+    ------
+    ConvergenceError
+        The error cannot be brought below what is allowed.
+    """
+    size = heat.inputs.shape[0]
+    free = np.setdiff1d(np.arange(size), heat.held)
+    system = csr_array(heat.conduction + heat.convection)
+    surfaces = _held_surfaces(heat)
+    usual = np.full(heat.inputs.shape[1], USUAL_POWER)
+    usual[heat.inputs.shape[1] - surfaces.shape[1] - 1 :] = USUAL_RISE
+    drives = usual * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
+    flows = USUAL_POWER / len(joints.area) * joints.jump.toarray().T
+    outputs = np.vstack(
+        [
+            joints.jump.toarray() / TEMPERATURE_ERROR,
+            probes.toarray() / TEMPERATURE_ERROR,
+            elastic.thermal_gap / GAP_ERROR,
+            elastic.probe_thermal / DISPLACEMENT_ERROR,
+        ]
+    )
+    found: ReducedHeat = reduce_heat(
+        heat.capacity.diagonal()[free],
+        csr_array(system[free][:, free]),
+        np.hstack([drives, flows])[free],
+        outputs[:, free],
+        min(step, SHORTEST),
+        LONGEST,
+        solver,
+    )
+    basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
+    basis[free, : found.rates.size] = found.basis
+    basis[:, found.rates.size :] = surfaces
+    return ThermalModes(basis, found.rates, found.error)
+
+
+def project_heat(
+    heat: HeatOperators, joints: JointOperators, step: float, modes: ThermalModes
+) -> ThermalCondensation:
+    """Return one implicit Euler step of length `step` (s) on the modes: all of it is diagonal."""
+    _, inputs = eliminate_held(heat, step)
+    sums = heat_sums(heat, joints, step)
+    count = modes.rates.size
+    held = modes.basis.shape[1] - count
+    diagonal = np.concatenate([1.0 / step + modes.rates, np.ones(held)])
+    jump = joints.jump @ modes.basis
+    influence = np.zeros((count + held, jump.shape[0]))
+    influence[:count] = jump[:, :count].T / diagonal[:count, None]
+    projected = np.vstack([modes.basis[:, :count].T @ inputs, np.zeros((held, inputs.shape[1]))])
+    # A held surface's amplitude is its input: the last ones, in order.
+    projected[count:, inputs.shape[1] - held :] = np.eye(held)
+    return ThermalCondensation(
+        factor=_diagonal_factor(diagonal),
+        capacity_rate=diags_array(
+            np.concatenate([np.full(count, 1.0 / step), np.zeros(held)]), format="csr"
+        ),
+        inputs=projected,
+        jump=jump,
+        influence=influence,
+        joint_influence=jump @ influence,
+        balance=replace(
+            sums,
+            stored=sums.stored @ modes.basis,
+            convected=sums.convected @ modes.basis,
+            after=sums.after @ modes.basis,
+            before=sums.before @ modes.basis,
+        ),
+        step=step,
+        model=modes.digest,
+    )
+
+
+def project_elasticity(elastic: ElasticCondensation, modes: ThermalModes) -> ElasticCondensation:
+    """Return gaps and probes as functions of the modes."""
+    return replace(
+        elastic,
+        thermal_gap=elastic.thermal_gap @ modes.basis,
+        probe_thermal=elastic.probe_thermal @ modes.basis,
+    )
+
+
+def _held_surfaces(heat: HeatOperators) -> Array:
+    """Nodal temperatures of each held surface at 1 K, shape (n, s)."""
+    driven = np.flatnonzero(heat.held_inputs.any(axis=0))
+    first = int(driven[0]) if driven.size else heat.inputs.shape[1]
+    surfaces = np.zeros((heat.inputs.shape[0], heat.inputs.shape[1] - first))
+    surfaces[heat.held] = heat.held_inputs[:, first:]
+    return surfaces
+
+
+def _diagonal_factor(diagonal: Array) -> Factor:
+    inverse = 1.0 / diagonal
+
+    def solve(right_side: Array) -> Array:
+        return (right_side.T * inverse).T
+
+    return Factor(diags_array(diagonal, format="csr"), solve, "diagonal")
