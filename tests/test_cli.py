@@ -250,21 +250,22 @@ def test_an_interrupted_estimate_leaves_no_file(command, files_at_hand, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_continued_simulation_is_the_uninterrupted_one(
-    command, files_at_hand, tmp_path, coarse_response
-):
+def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand, tmp_path):
+    case = files_at_hand / "case.toml"
+    assert command("simulate", case, "--out", tmp_path / "whole.nc")[0] == 0
     (tmp_path / "half.toml").write_text(lasting(0.5))
-    half = ["simulate", tmp_path / "half.toml", "--out", tmp_path / "half.nc"]
-    assert command(*half, "--save-state", tmp_path / "half.npz")[0] == 0
-    rest = ["simulate", files_at_hand / "case.toml", "--out", tmp_path / "rest.nc"]
-    code, out, err = command(*rest, "--continue", tmp_path / "half.npz")
+    begun = ["simulate", tmp_path / "half.toml", "--out", tmp_path / "half.nc"]
+    assert command(*begun, "--save-state", tmp_path / "half.npz")[0] == 0
+    going_on = ["simulate", case, "--out", tmp_path / "rest.nc"]
+    code, out, err = command(*going_on, "--continue", tmp_path / "half.npz")
     assert code == 0
     assert "gap residual" in out
     assert "wrote" in err
-    first, second = read_response(tmp_path / "half.nc"), read_response(tmp_path / "rest.nc")
-    whole = coarse_response["displacement"].to_numpy()
-    parts = [part["displacement"].to_numpy() for part in (first, second)]
-    assert np.array_equal(np.concatenate(parts), whole)
+    half, rest, whole = (
+        read_response(tmp_path / f"{name}.nc")["displacement"].to_numpy()
+        for name in ("half", "rest", "whole")
+    )
+    assert np.array_equal(np.concatenate([half, rest]), whole)
 
 
 def test_snapshots_are_written_where_they_are_asked_for(command, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import signal
 from collections.abc import Iterator
 from enum import StrEnum
@@ -447,6 +448,38 @@ def inspect(
     if out:
         write_pictures({out: bare_structure(structure)})
     _wrote(as_json, skeleton, out)
+
+
+@app.command()
+def batch(
+    given: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Folder for all results; goes on with what is there.")],
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786."),
+    ] = None,
+) -> None:
+    """Simulate many cases: grids, lists and Latin hypercubes over the values of a case.
+
+    Responses, one dataset of all of them and a summary table go into the folder. Interrupted in
+    any way, the same command goes on from there. Exit code 1 if a case failed.
+
+    Example: [bold]thermojoint batch study.toml --out results[/bold]
+
+    Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
+    """
+    # Here, not above: the other commands need neither Zarr nor Arrow.
+    from thermojoint import batch_run
+
+    batch_run.check_workers(workers, scheduler)
+    finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
+    for line in batch_run.closing_lines(finished, out):
+        console.say(line)
+    if code := batch_run.worst(finished):
+        raise typer.Exit(code)
 
 
 def _wrote(*paths: Path | None) -> None:

@@ -1,0 +1,155 @@
+"""Workers of an existing Dask cluster.
+
+Only cases and responses travel: the cluster need not see the batch's folder, but it must find the
+files that a case names (meshes, histories) under the same paths.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from itertools import count
+from threading import Event
+
+from artefacts.errors import InputError
+from fesim.batch.crew import Report
+from fesim.batch.worker import Outcome, Task, run
+
+try:
+    from distributed import Client, Future
+    from distributed.scheduler import KilledWorker
+except ImportError as _error:
+    raise InputError(
+        "--scheduler: Dask is not installed; install thermojoint with its extra 'dask'"
+    ) from _error
+
+#: A scheduler that does not answer within this time, s, is not there.
+CONNECT_TIMEOUT = 10.0
+#: A response that does not arrive within this time, s, is asked for again, or its worker is gone.
+FETCH_TIMEOUT = 60.0
+
+OWN_VERSION = version("thermojoint")
+
+
+class DaskCrew:
+    """The workers of a cluster as they come and go; see `fesim.batch.crew.Crew`."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._checked: set[str] = set()
+        self._working: dict[str, tuple[Task, Future]] = {}
+        self._number = count()
+        self._news = Event()
+
+    def members(self) -> list[str]:
+        """Every worker: its address."""
+        try:
+            found = list(self._client.nthreads())
+        except (OSError, TimeoutError, RuntimeError) as error:
+            raise InputError(
+                "--scheduler: the connection is lost; start the batch again, it goes on from here"
+            ) from error
+        for address in found:
+            if address not in self._checked:
+                _check_version(self._client, address)
+                self._checked.add(address)
+        return found
+
+    def idle(self) -> list[str]:
+        """Workers without a case."""
+        return [address for address in self.members() if address not in self._working]
+
+    def hand(self, worker: str, task: Task) -> None:
+        """Give an idle worker a case."""
+        # Pinned, for the worker's condensation; and unique, or Dask takes a repetition for known.
+        future = self._client.submit(
+            run,
+            task,
+            key=f"thermojoint-{task.id}-{next(self._number)}",
+            workers=[worker],
+            allow_other_workers=False,
+            pure=False,
+        )
+        future.add_done_callback(lambda _: self._news.set())
+        self._working[worker] = task, future
+
+    def gather(self, timeout: float) -> list[Report]:
+        """Wait for outcomes, `timeout` seconds at most, and look which workers are gone."""
+        self._news.wait(timeout)
+        self._news.clear()
+        here = set(self.members())
+        reports = []
+        for worker, (task, future) in list(self._working.items()):
+            status = future.status
+            outcome = _fetch(future) if status == "finished" else None
+            if outcome is not None:
+                reports.append(Report(worker, task, outcome))
+            elif status in ("error", "cancelled", "lost"):
+                reports.append(Report(worker, task, None, _why(future)))
+            elif worker not in here:
+                future.cancel()
+                reports.append(Report(worker, task, None, "the worker left the cluster"))
+            else:
+                continue
+            del self._working[worker]
+        return reports
+
+    def close(self) -> None:
+        """Take back what is still running."""
+        for _, future in self._working.values():
+            future.cancel()
+        self._working.clear()
+
+
+@contextmanager
+def dask_crew(address: str) -> Iterator[DaskCrew]:
+    """Give the workers of the cluster at `address`, e.g. ``tcp://10.0.0.1:8786``.
+
+    Raises
+    ------
+    InputError
+        Nobody answers there, or the cluster has another version of this program.
+    """
+    # What it has to say about a lost connection is said in one line, not in three tracebacks.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no Dask scheduler answers there") from error
+    with client:
+        crew = DaskCrew(client)
+        try:
+            yield crew
+        finally:
+            crew.close()
+
+
+def _check_version(client: Client, address: str) -> None:
+    try:
+        theirs = client.run(version, "thermojoint", workers=[address])[address]
+    except PackageNotFoundError:
+        theirs = "not installed"
+    if theirs != OWN_VERSION:
+        raise InputError(
+            f"--scheduler: worker {address} has thermojoint {theirs}, here it is {OWN_VERSION}; "
+            "install the same version there"
+        )
+
+
+def _fetch(future: Future) -> Outcome | None:
+    """Return a finished case's outcome, or None if its worker went before it was sent."""
+    try:
+        outcome: Outcome = future.result(timeout=FETCH_TIMEOUT)
+    except (TimeoutError, CancelledError, KilledWorker, OSError):
+        return None
+    return outcome
+
+
+def _why(future: Future) -> str:
+    error = future.exception() if future.status == "error" else None
+    if error is None:
+        return f"Dask: {future.status}"
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

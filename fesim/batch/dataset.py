@@ -1,0 +1,214 @@
+"""All responses of a study in one labelled dataset: a Zarr store that xarray opens.
+
+It is laid out before the first case runs, with every case of the study in it, and each response
+fills its own chunks. A chunk is a file that is written whole, so a reader never sees half of one,
+and a killed writer spoils nothing. Where a case has no value (it is still to come, failed, is
+shorter, or has fewer probes or contact elements) there is NaN, or an empty text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+
+from artefacts.errors import InputError
+from artefacts.response import VARIABLES
+from fesim.batch.study import Study, plain
+
+#: How a case stands, as a number and in words.
+STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
+
+#: Time steps in a chunk at most: where steps of different lengths stand on one axis, most of it is
+#: empty, and an empty chunk takes no room.
+CHUNK = 4096
+
+Labels = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An open dataset.
+
+    Attributes
+    ----------
+    arrays : dict of str to zarr.Array
+        Variables by name.
+    row : dict of str to int
+        Position of each case.
+    labels : dict of str to ndarray
+        Labels of every other dimension.
+    """
+
+    arrays: dict[str, zarr.Array]
+    row: dict[str, int]
+    labels: dict[str, Labels]
+
+
+def open_dataset(path: Path, study: Study) -> Dataset:
+    """Open the dataset of a study; lay it out if there is none, or one of another study."""
+    labels = dimension_labels(study)
+    layout = _layout_digest(study, labels)
+    row = {one.id: number for number, one in enumerate(study.cases)}
+    if (path / ".zgroup").is_file():
+        group = zarr.open_group(path, mode="r+", zarr_format=2)
+        if group.attrs.get("layout") == layout:
+            return Dataset(dict(group.arrays()), row, labels)
+    group = _lay_out(path, study, labels, layout)
+    return Dataset(dict(group.arrays()), row, labels)
+
+
+def dimension_labels(study: Study) -> dict[str, Labels]:
+    """Return the labels of every dimension but ``case``: the union of those of its cases."""
+    shapes = study.shapes.values()
+    return {
+        "time": np.unique(np.concatenate([_times(length, step) for length, step in _runs(study)])),
+        "source": _union(one.case.sources for one in study.cases),
+        "probe": _union(shape.probes for shape in shapes),
+        "axis": np.array(["x", "y", "z"]),
+        "space": np.array(["x", "y", "z"]),
+        "tangent": np.array(["along", "across"]),
+        "contact": np.arange(1, max(shape.contacts for shape in shapes) + 1),
+    }
+
+
+def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
+    """Write one response into its row; writing it again changes nothing."""
+    at = dataset.row[case]
+    for name, (dims, _, _) in VARIABLES.items():
+        if name not in response:
+            continue
+        values = response[name].to_numpy()
+        array = dataset.arrays[name]
+        whole = np.full(array.shape[1:], array.fill_value, dtype=array.dtype)
+        places = [_positions(dataset.labels[dim], response[dim].to_numpy()) for dim in dims]
+        whole[np.ix_(*places)] = values
+        array[at] = whole
+
+
+def store_status(dataset: Dataset, case: str, status: str) -> None:
+    """Write how a case stands: after its response, so that ``done`` means that it is there."""
+    dataset.arrays["status"][dataset.row[case]] = STATUS[status]
+
+
+def stored_status(dataset: Dataset) -> dict[str, str]:
+    """Return how every case stands in the dataset."""
+    names = {number: name for name, number in STATUS.items()}
+    column = np.asarray(dataset.arrays["status"][...]).tolist()
+    return {case: names[column[at]] for case, at in dataset.row.items()}
+
+
+def _runs(study: Study) -> set[tuple[float, float]]:
+    marches = [one.case.march for one in study.cases]
+    return {(march.duration_min, march.step_s) for march in marches}
+
+
+def _times(duration: float, step: float) -> NDArray[np.float64]:
+    return _rounded(step * np.arange(round(60.0 * duration / step) + 1.0))
+
+
+def _rounded(times: Labels) -> NDArray[np.float64]:
+    """Times to the nanosecond: 3 x 0.1 s and 1 x 0.3 s are one label."""
+    return np.round(times, 9).astype(np.float64)
+
+
+def _union(names: Any) -> Labels:  # noqa: ANN401 - iterables of iterables of names
+    found = list(dict.fromkeys(name for some in names for name in some))
+    return np.array(found, dtype=str) if found else np.empty(0, dtype="<U1")
+
+
+def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
+    if wanted.dtype.kind == "f":
+        wanted = _rounded(wanted)
+    order = np.argsort(labels, kind="stable")
+    found = order[np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)]
+    if not np.array_equal(labels[found], wanted):
+        raise InputError("dataset: a response does not fit the study; give another folder")
+    return found
+
+
+def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
+    parts: list[Any] = [list(study.paths), list(VARIABLES)]
+    parts += [[one.id, *(plain(value) for value in one.values.values())] for one in study.cases]
+    parts += [[name, some.tolist()] for name, some in labels.items()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -> zarr.Group:
+    group = zarr.open_group(path, mode="w", zarr_format=2)
+    count = len(study.cases)
+    _coordinate(group, "case", ("case",), np.array([one.id for one in study.cases]))
+    for name, some in labels.items():
+        attrs = {"units": "s", "long_name": "time"} if name == "time" else {}
+        _coordinate(group, name, (name,), some, attrs)
+    varied = []
+    for path_name in study.paths:
+        # A whole section, as "heat_input", may be called like a variable of the response.
+        varied.append(path_name if "." in path_name else f"case.{path_name}")
+        values = [plain(one.values[path_name]) for one in study.cases]
+        numbers = all(isinstance(value, int | float) for value in values)
+        column = np.array(values, dtype=float if numbers else str)
+        _coordinate(group, varied[-1], ("case",), column, {"long_name": path_name})
+    for name, (dims, unit, long_name) in VARIABLES.items():
+        shape = (count, *(len(labels[dim]) for dim in dims))
+        chunks = (1, *(CHUNK if dim == "time" else max(len(labels[dim]), 1) for dim in dims))
+        text = name == "contact_joint"
+        width = max([1, *(len(joint) for one in study.cases for joint in one.case.joints)])
+        _array(
+            group,
+            name,
+            ("case", *dims),
+            shape,
+            tuple(min(size, max(whole, 1)) for size, whole in zip(chunks, shape, strict=True)),
+            f"<U{width}" if text else "<f8",
+            "" if text else np.nan,
+            {"long_name": long_name, **({"units": unit} if unit else {})},
+        )
+    meanings = {"flag_values": list(STATUS.values()), "flag_meanings": " ".join(STATUS)}
+    _array(group, "status", ("case",), (count,), (1,), "|i1", None, meanings)
+    group.attrs.update({"title": study.title, "coordinates": " ".join(varied)})
+    # Last: a store without it is not complete and is laid out again.
+    group.attrs["layout"] = layout
+    zarr.consolidate_metadata(path, zarr_format=2)
+    return group
+
+
+def _array(
+    group: zarr.Group,
+    name: str,
+    dims: tuple[str, ...],
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+    dtype: str,
+    fill: float | str | None,
+    attrs: dict[str, Any],
+) -> zarr.Array:
+    meta = {"_ARRAY_DIMENSIONS": list(dims), **attrs}
+    return group.create_array(
+        name, shape=shape, chunks=chunks, dtype=dtype, fill_value=fill, attributes=meta
+    )
+
+
+def _coordinate(
+    group: zarr.Group,
+    name: str,
+    dims: tuple[str, ...],
+    values: Labels,
+    attrs: dict[str, Any] | None = None,
+) -> None:
+    kept = values if values.dtype.kind != "U" else values.astype(f"<U{max(1, _width(values))}")
+    chunks = tuple(max(size, 1) for size in kept.shape)
+    array = _array(group, name, dims, kept.shape, chunks, kept.dtype.str, None, attrs or {})
+    if kept.size:
+        array[...] = kept
+
+
+def _width(texts: Labels) -> int:
+    return max((len(text) for text in texts.tolist()), default=1)

@@ -1,0 +1,149 @@
+"""The folder of a batch: who writes into it, what is finished, and the summary tables.
+
+::
+
+    FOLDER/
+      responses/ID.nc      one response a case, written whole
+      records/ID.json      what became of it; written last, so a record means: all of it is there
+      dataset.zarr         all responses in one labelled dataset (fesim.batch.dataset)
+      summary.csv          a row for each case of the study, and the same as summary.parquet
+      journal.jsonl        when which worker got, finished or lost a case
+      lock                 locked by the process that writes here
+
+Only the main process writes. A process that is killed loses its lock with it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file, write_text
+from fesim.batch.study import Study, plain
+from fesim.batch.summary import COUNTS, FIGURES
+from fesim.batch.worker import Outcome
+
+Record = dict[str, Any]
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other batches out of a folder, which is made if it is missing.
+
+    Raises
+    ------
+    InputError
+        Another process is at work there, or it is no folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; give a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            raise InputError(
+                f"{folder}: another batch writes here ({file.read().strip()}); wait for it, or "
+                "give another folder"
+            ) from error
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        file.flush()
+        for name in ("responses", "records", "."):
+            for left in (folder / name).glob(".*.*.*"):
+                left.unlink()  # what a killed process was writing
+        yield
+
+
+def response_path(folder: Path, case: str) -> Path:
+    """Return where the response of a case stands."""
+    return folder / "responses" / f"{case}.nc"
+
+
+def write_record(folder: Path, outcome: Outcome) -> Record:
+    """Write what became of a case and return it; its response must be written already."""
+    record = {
+        "id": outcome.id,
+        "status": outcome.status,
+        "reason": outcome.reason,
+        **outcome.figures,
+        "seconds": outcome.seconds,
+        "setup_seconds": outcome.setup_seconds,
+    }
+    write_text(folder / "records" / f"{outcome.id}.json", json.dumps(record, indent=2) + "\n")
+    return record
+
+
+def read_records(folder: Path, study: Study) -> dict[str, Record]:
+    """Return the records of the study's cases that need not run again, by the case's id.
+
+    Cases that broke off for a reason that may pass are left out.
+    """
+    found = {}
+    for one in study.cases:
+        path = folder / "records" / f"{one.id}.json"
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, json.JSONDecodeError):
+            continue
+        finished = record["status"] == "done" and response_path(folder, one.id).is_file()
+        if finished or record["status"] == "failed":
+            found[one.id] = record
+    return found
+
+
+def write_response_bytes(folder: Path, outcome: Outcome) -> None:
+    """Write a finished case's response, whole or not at all."""
+    with whole_file(response_path(folder, outcome.id)) as part:
+        part.write_bytes(outcome.encoded)
+
+
+def note(folder: Path, event: str, case: str, worker: str, detail: str = "") -> None:
+    """Add a line to the journal: ``started``, ``done``, ``failed``, ``broken`` or ``lost``."""
+    line = {
+        "time": datetime.now(UTC).isoformat(),
+        "event": event,
+        "case": case,
+        "worker": worker,
+        **({"detail": detail} if detail else {}),
+    }
+    with (folder / "journal.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
+
+
+def summary(study: Study, records: Mapping[str, Record]) -> pd.DataFrame:
+    """Return a row for each case of the study: varied values, what became of it, its figures."""
+    rows = []
+    for one in study.cases:
+        record = records.get(one.id, {"status": "pending", "reason": ""})
+        values = {path: plain(one.values[path]) for path in study.paths}
+        told = {"id": one.id, "status": record["status"], "reason": record["reason"]}
+        names = [*FIGURES, "seconds", "setup_seconds"]
+        rows.append(told | values | {name: record.get(name) for name in names})
+    table = pd.DataFrame(rows)
+    for path in study.paths:
+        kinds = {type(value) for value in table[path]}
+        if len(kinds) > 1 and not kinds <= {int, float}:
+            table[path] = table[path].map(str)
+    numbers = [*FIGURES, "seconds", "setup_seconds"]
+    table[numbers] = table[numbers].astype(float)
+    return table.astype(dict.fromkeys(COUNTS, "Int64"))
+
+
+def write_summary(folder: Path, table: pd.DataFrame) -> None:
+    """Write the summary as CSV and as Parquet, each whole or not at all."""
+    with whole_file(folder / "summary.csv") as part:
+        table.to_csv(part, index=False)
+    with whole_file(folder / "summary.parquet") as part:
+        table.to_parquet(part, index=False)

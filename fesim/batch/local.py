@@ -1,0 +1,164 @@
+"""Workers on this machine: one process each, at the end of a pipe of its own.
+
+Not `concurrent.futures.ProcessPoolExecutor`: there, one killed process breaks the whole pool, and a
+case cannot be given to the worker that has its condensation. Here a process that dies takes only
+its own case along, and another takes its place.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from threading import Thread
+
+from threadpoolctl import threadpool_limits
+
+from fesim.batch.crew import Report
+from fesim.batch.worker import Outcome, Task, run
+
+#: Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
+_CONTEXT = get_context("spawn")
+
+#: A worker that is told to end gets this long, s.
+_PATIENCE = 5.0
+
+
+@dataclass
+class _Worker:
+    process: SpawnProcess
+    pipe: Connection
+    task: Task | None = None
+
+
+class LocalCrew:
+    """As many processes as asked for, those that die replaced; see `fesim.batch.crew.Crew`."""
+
+    def __init__(self, count: int) -> None:
+        self._threads = max(1, (os.cpu_count() or 1) // count)
+        self._workers: dict[str, _Worker] = {}
+        for _ in range(count):
+            self._recruit()
+
+    def members(self) -> list[str]:
+        """Every worker: ``process`` and its process id."""
+        return list(self._workers)
+
+    def idle(self) -> list[str]:
+        """Workers without a case."""
+        return [name for name, worker in self._workers.items() if worker.task is None]
+
+    def hand(self, worker: str, task: Task) -> None:
+        """Give an idle worker a case; if it is dead already, `gather` reports it."""
+        chosen = self._workers[worker]
+        chosen.task = task
+        try:
+            chosen.pipe.send(task)
+        except OSError:
+            chosen.process.kill()
+
+    def gather(self, timeout: float) -> list[Report]:
+        """Wait for outcomes and for deaths, `timeout` seconds at most."""
+        ends = [end for one in self._workers.values() for end in (one.pipe, one.process.sentinel)]
+        ready = set(wait(ends, timeout))
+        reports = []
+        for name, worker in list(self._workers.items()):
+            if worker.pipe not in ready and worker.process.sentinel not in ready:
+                continue
+            outcome = _receive(worker.pipe)
+            task, worker.task = worker.task, None
+            if outcome is None:
+                self._replace(name)
+            if task is not None:
+                reports.append(Report(name, task, outcome, "" if outcome else _ending(worker)))
+        return reports
+
+    def close(self) -> None:
+        """End every process, whatever it is doing."""
+        for worker in self._workers.values():
+            worker.process.terminate()
+        for worker in self._workers.values():
+            worker.process.join(_PATIENCE)
+            worker.process.kill()
+            worker.process.join()
+            worker.pipe.close()
+        self._workers.clear()
+
+    def _replace(self, name: str) -> None:
+        worker = self._workers.pop(name)
+        worker.process.kill()
+        worker.process.join()
+        worker.pipe.close()
+        self._recruit()
+
+    def _recruit(self) -> None:
+        ours, theirs = _CONTEXT.Pipe()
+        process = _CONTEXT.Process(target=_serve, args=(theirs, self._threads), daemon=True)
+        # Ctrl-C goes to every process of the terminal; the main one decides what it means. A child
+        # inherits what is blocked, so not even its start is disturbed. The resource tracker, were it
+        # started with the first process, would unblock it again.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        theirs.close()
+        self._workers[f"process {process.pid}"] = _Worker(process, ours)
+
+
+@contextmanager
+def local_crew(count: int) -> Iterator[LocalCrew]:
+    """Give `count` worker processes, ended with the block."""
+    crew = LocalCrew(count)
+    try:
+        yield crew
+    finally:
+        crew.close()
+
+
+def _receive(pipe: Connection) -> Outcome | None:
+    """Return what a worker sent, or None if it died, even in the middle of a word."""
+    try:
+        if pipe.poll():
+            outcome: Outcome = pipe.recv()
+            return outcome
+    except (EOFError, OSError):
+        pass
+    return None
+
+
+def _ending(worker: _Worker) -> str:
+    code = worker.process.exitcode
+    if code is not None and code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    return f"exit code {code}"
+
+
+def _serve(pipe: Connection, threads: int) -> None:
+    """Work off cases until the other end of the pipe is closed: what a worker process does."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    limit = None
+    if "OMP_NUM_THREADS" not in os.environ:
+        # For libraries that are still to be loaded; the limit below is for those that are.
+        limit, os.environ["OMP_NUM_THREADS"] = threads, str(threads)
+    with threadpool_limits(limits=limit):
+        while True:
+            try:
+                task = pipe.recv()
+            except EOFError:
+                return
+            pipe.send(run(task))
+
+
+def _end_with_parent() -> None:
+    """End at once when the main process is gone: nobody waits for the case any more."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

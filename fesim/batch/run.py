@@ -1,0 +1,224 @@
+"""The batch itself: hands cases to workers, writes what comes back, goes on after any end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+
+import pandas as pd
+
+from artefacts.response import read_response
+from fesim.batch import dataset as collected
+from fesim.batch import folder as on_disk
+from fesim.batch.crew import Crew, Report
+from fesim.batch.queue import Queue
+from fesim.batch.study import Study, StudyCase
+from fesim.batch.summary import figures_of
+from fesim.batch.worker import Outcome, Task
+
+#: A case that loses this many workers is given up: it, not chance, kills them.
+MOST_LOSSES = 3
+#: The tables are written again after this many seconds, not after every case.
+TABLE_INTERVAL = 10.0
+#: How long a wait for reports lasts before a stop is noticed, s.
+TICK = 0.2
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a batch stands.
+
+    Attributes
+    ----------
+    total : int
+        Cases of the study.
+    found : int
+        Cases that an earlier run had finished.
+    counts : dict of str to int
+        Cases by status: ``done``, ``failed``, ``broken``; those found are among them.
+    working : dict of str to str
+        Worker to the case it works on.
+    workers : int
+        Workers there are.
+    """
+
+    total: int
+    found: int
+    counts: dict[str, int]
+    working: dict[str, str]
+    workers: int
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A batch that ended.
+
+    Attributes
+    ----------
+    summary : pandas.DataFrame
+        As written to ``summary.csv`` and ``summary.parquet``.
+    found, ran : int
+        Cases that were finished before, and those that ran now.
+    stopped : bool
+        It was stopped before its end.
+    """
+
+    summary: pd.DataFrame
+    found: int
+    ran: int
+    stopped: bool
+
+
+def run_batch(
+    study: Study,
+    folder: Path,
+    recruit: Callable[[], AbstractContextManager[Crew]],
+    *,
+    watch: Callable[[Progress], None] = lambda progress: None,
+    tell: Callable[[StudyCase, str], None] = lambda case, text: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Finished:
+    """Run every case of a study that is not finished yet.
+
+    Parameters
+    ----------
+    study : Study
+        What to run.
+    folder : Path
+        Where results go and are found again (`fesim.batch.folder`).
+    recruit : callable
+        Gives the workers, e.g. ``lambda: local_crew(2)``; not called if nothing is left to run.
+    watch : callable
+        Called now and then with how the batch stands.
+    tell : callable
+        Called with a case and one line for each failure and each lost worker.
+    stopped : callable
+        True from the moment when no further case shall start; those at work are still finished.
+
+    Raises
+    ------
+    InputError
+        Another batch writes into the folder, or the workers cannot be reached.
+    """
+    with on_disk.locked(folder):
+        keeper = _Keeper(study, folder)
+        found = len(keeper.records)
+        left = [one for one in study.cases if one.id not in keeper.records]
+        try:
+            if left:
+                with recruit() as crew:
+                    _work_off(left, crew, keeper, watch, tell, stopped)
+        finally:
+            table = keeper.write_tables()
+    missing = len(study.cases) - len(keeper.records)
+    return Finished(table, found, len(keeper.records) - found, missing > 0)
+
+
+class _Keeper:
+    """The one who writes: dataset, records and tables of a study in its folder."""
+
+    def __init__(self, study: Study, folder: Path) -> None:
+        self.study, self.folder = study, folder
+        self.records = on_disk.read_records(folder, study)
+        self._dataset = collected.open_dataset(folder / "dataset.zarr", study)
+        self._written = monotonic()
+        self._recover()
+
+    def _recover(self) -> None:
+        """Bring records and dataset to what the responses say, after a kill or another study."""
+        for one in self.study.cases:
+            path = on_disk.response_path(self.folder, one.id)
+            if one.id not in self.records and path.is_file():
+                response = read_response(path)
+                figures = figures_of(response)
+                self.keep(Outcome(one.id, "done", figures=figures, response=response))
+        stored = collected.stored_status(self._dataset)
+        for case, record in self.records.items():
+            if record["status"] != stored[case]:
+                if record["status"] == "done":
+                    response = read_response(on_disk.response_path(self.folder, case))
+                    collected.store_response(self._dataset, case, response)
+                collected.store_status(self._dataset, case, record["status"])
+
+    def keep(self, outcome: Outcome) -> None:
+        """Write an outcome; its record comes last and makes it count."""
+        if outcome.encoded:
+            on_disk.write_response_bytes(self.folder, outcome)
+        if outcome.response is not None:
+            collected.store_response(self._dataset, outcome.id, outcome.response)
+        collected.store_status(self._dataset, outcome.id, outcome.status)
+        self.records[outcome.id] = on_disk.write_record(self.folder, outcome)
+        if monotonic() - self._written > TABLE_INTERVAL:
+            self.write_tables()
+
+    def write_tables(self) -> pd.DataFrame:
+        """Write the summary as it stands."""
+        table = on_disk.summary(self.study, self.records)
+        on_disk.write_summary(self.folder, table)
+        self._written = monotonic()
+        return table
+
+
+def _work_off(
+    left: list[StudyCase],
+    crew: Crew,
+    keeper: _Keeper,
+    watch: Callable[[Progress], None],
+    tell: Callable[[StudyCase, str], None],
+    stopped: Callable[[], bool],
+) -> None:
+    cases = {one.id: one for one in left}
+    queue = Queue(Task(one.id, one.key, one.case.model_dump_json()) for one in left)
+    working: dict[str, Task] = {}
+    losses: Counter[str] = Counter()
+    found = len(keeper.records)
+
+    def hand_out() -> None:
+        members = crew.members()
+        queue.keep(members)
+        if not stopped():
+            for worker in crew.idle():
+                task = queue.next_for(worker)
+                if task is not None:
+                    on_disk.note(keeper.folder, "started", task.id, worker)
+                    crew.hand(worker, task)
+                    working[worker] = task
+        counts = Counter(record["status"] for record in keeper.records.values())
+        at_work = {worker: task.id for worker, task in working.items()}
+        watch(Progress(len(keeper.study.cases), found, dict(counts), at_work, len(members)))
+
+    def settle(report: Report) -> None:
+        case, worker = report.task.id, report.worker
+        outcome = report.outcome
+        if outcome is None:
+            losses[case] += 1
+            on_disk.note(keeper.folder, "lost", case, worker, report.detail)
+            if losses[case] < MOST_LOSSES:
+                tell(cases[case], f"{worker} is lost ({report.detail}); the case starts again")
+                queue.give_back(report.task)
+                return
+            outcome = Outcome(case, "broken", f"lost {MOST_LOSSES} workers: {report.detail}")
+        keeper.keep(outcome)
+        on_disk.note(keeper.folder, outcome.status, case, worker, outcome.reason)
+        if outcome.status != "done":
+            tell(cases[case], outcome.reason)
+
+    hand_out()
+    while working or (len(queue) and not stopped()):
+        reports = crew.gather(TICK)
+        for report in reports:
+            del working[report.worker]
+            if report.outcome is not None:
+                queue.learn(report.task, report.outcome)
+        for report in reports:
+            if report.outcome is None:
+                settle(report)
+        # Before the outcomes are written, so that no worker waits for the disk.
+        hand_out()
+        for report in reports:
+            if report.outcome is not None:
+                settle(report)

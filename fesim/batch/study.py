@@ -1,0 +1,334 @@
+"""The study: one TOML file that says which cases a batch runs, validated before any work.
+
+Grids, lists and a Latin hypercube vary values of one case; the batch is their product.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.stats import qmc
+
+from artefacts.errors import InputError, unknown_name
+from fesim.batch.paths import known_paths, with_values
+from fesim.case import Case, case_from_data, parse_case
+from fesim.loads import thermal_inputs
+from fesim.setup import make_parts
+from fesim.sharing import case_id, condensation_key, file_digest
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Values = dict[str, Any]
+
+#: More cases than this in one study are a slip of a grid.
+MOST_CASES = 100_000
+
+#: Sections whose histories are read to check them.
+LOADS = {"sources", "heat_input", "ambient", "held_temperatures"}
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GridSection(_Section):
+    """``[[grid]]``: every value, with every value of the others."""
+
+    path: str
+    values: Annotated[list[Any], Field(min_length=1)]
+
+
+class ListSection(_Section):
+    """``[[list]]``: values that go together, a row for each."""
+
+    paths: Annotated[list[str], Field(min_length=1)]
+    rows: Annotated[list[list[Any]], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _rows_fit(self) -> ListSection:
+        for number, row in enumerate(self.rows, start=1):
+            if len(row) != len(self.paths):
+                raise ValueError(f"row {number} has {len(row)} values for {len(self.paths)} paths")
+        return self
+
+
+class RangeSection(_Section):
+    """``[[latin_hypercube.ranges]]``: one dimension of the hypercube."""
+
+    path: str
+    low: Finite
+    high: Finite
+    scale: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _ordered(self) -> RangeSection:
+        if self.low >= self.high:
+            raise ValueError("low must be below high")
+        if self.scale == "log" and self.low <= 0.0:
+            raise ValueError('low must be positive with scale = "log"')
+        return self
+
+
+class LatinHypercubeSection(_Section):
+    """``[latin_hypercube]``: random values, spread evenly over every range."""
+
+    samples: Annotated[int, Field(ge=1, le=MOST_CASES)]
+    seed: Annotated[int, Field(ge=0)]
+    ranges: Annotated[list[RangeSection], Field(min_length=1)]
+
+
+class StudyFile(_Section):
+    """A whole study file."""
+
+    case: Path
+    title: str | None = None
+    grid: list[GridSection] = []
+    list_: list[ListSection] = Field(default=[], alias="list")
+    latin_hypercube: LatinHypercubeSection | None = None
+
+    @model_validator(mode="after")
+    def _something_varies(self) -> StudyFile:
+        paths = varied_paths(self)
+        if not paths:
+            raise ValueError("nothing varies: add [[grid]], [[list]] or [latin_hypercube]")
+        for path in paths:
+            if paths.count(path) > 1:
+                raise ValueError(f"{path!r} is varied twice; vary it in one place")
+            for other in paths:
+                if other.startswith(f"{path}."):
+                    raise ValueError(f"{path!r} and {other!r} overlap; vary one of them")
+        return self
+
+
+@dataclass(frozen=True)
+class StudyCase:
+    """One case of a study.
+
+    Attributes
+    ----------
+    id : str
+        See `fesim.sharing.case_id`.
+    key : str
+        See `fesim.sharing.condensation_key`.
+    values : dict
+        The varied values by path.
+    case : Case
+        The whole case.
+    """
+
+    id: str
+    key: str
+    values: Values
+    case: Case
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What sizes a response, but for its times.
+
+    Attributes
+    ----------
+    probes : tuple of str
+        Names of the temperature probes.
+    contacts : int
+        Number of contact elements.
+    """
+
+    probes: tuple[str, ...]
+    contacts: int
+
+
+@dataclass(frozen=True)
+class Study:
+    """Every case of a batch, validated.
+
+    Attributes
+    ----------
+    title : str
+        Of the study, or of its case.
+    paths : tuple of str
+        What is varied.
+    cases : tuple of StudyCase
+        No two alike.
+    shapes : dict of str to Shape
+        Of the responses, by condensation key.
+    """
+
+    title: str
+    paths: tuple[str, ...]
+    cases: tuple[StudyCase, ...]
+    shapes: dict[str, Shape]
+
+
+def read_study(path: Path) -> Study:
+    """Read a study and validate every case of it, short of finite elements.
+
+    Raises
+    ------
+    InputError
+        The study or its case is missing or no TOML, a key or a path is unknown, or a case of it is
+        refused.
+    """
+    path = Path(path)
+    given = _parse(_text(path, "study"), str(path))
+    source = path.parent / given.case
+    text = _text(source, "case")
+    base = parse_case(text, str(source), source.parent)
+    known = known_paths(base)
+    for name in varied_paths(given):
+        if name not in known:
+            raise unknown_name("value", name, known, f"{path}: {source}")
+    if (count := _count(given)) > MOST_CASES:
+        raise InputError(f"{path}: {count} cases; {MOST_CASES} are the most, take fewer values")
+
+    digest = cache(file_digest)
+    data = tomllib.loads(text)
+    found: dict[str, StudyCase] = {}
+    shapes: dict[str, Shape] = {}
+    loads: set[str] = set()
+    for number, values in enumerate(combinations(given), start=1):
+        where = f"{path}: case {number} ({shown(values)})"
+        case = case_from_data(with_values(data, values), where, source.parent)
+        load = case.model_dump_json(include=LOADS)
+        try:
+            one = StudyCase(case_id(case, digest), condensation_key(case, digest), values, case)
+            if load not in loads:
+                thermal_inputs(case)
+            if one.key not in shapes:
+                parts = make_parts(case)
+                contacts = sum(len(joint.area) for joint in parts.joints)
+                shapes[one.key] = Shape(tuple(parts.probes), contacts)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+        loads.add(load)
+        found.setdefault(one.id, one)
+    return Study(
+        given.title or base.title, tuple(varied_paths(given)), tuple(found.values()), shapes
+    )
+
+
+def varied_paths(given: StudyFile) -> list[str]:
+    """Return the paths a study varies, in the order of the file."""
+    grids = [section.path for section in given.grid]
+    lists = [path for section in given.list_ for path in section.paths]
+    cube = given.latin_hypercube
+    return grids + lists + ([one.path for one in cube.ranges] if cube else [])
+
+
+def combinations(given: StudyFile) -> Iterator[Values]:
+    """Yield the varied values of every case, the last section changing fastest."""
+    sections: list[list[Values]] = [
+        [{section.path: value} for value in section.values] for section in given.grid
+    ]
+    sections += [
+        [dict(zip(section.paths, row, strict=True)) for row in section.rows]
+        for section in given.list_
+    ]
+    if given.latin_hypercube:
+        sections.append(latin_hypercube(given.latin_hypercube))
+    for parts in product(*sections):
+        yield {path: value for part in parts for path, value in part.items()}
+
+
+def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
+    """Return the samples of a Latin hypercube; the same seed gives the same ones.
+
+    Each range is cut into as many strips as there are samples, equal in its scale, and each strip
+    has one sample (McKay, Beckman & Conover 1979).
+    """
+    ranges = section.ranges
+    unit = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(section.seed))
+    low, high = (
+        np.array([np.log(end) if one.scale == "log" else end for one, end in ends])
+        for ends in (
+            [(one, one.low) for one in ranges],
+            [(one, one.high) for one in ranges],
+        )
+    )
+    scaled = low + (high - low) * unit.random(section.samples)
+    return [
+        {
+            one.path: float(np.exp(value) if one.scale == "log" else value)
+            for one, value in zip(ranges, row, strict=True)
+        }
+        for row in scaled
+    ]
+
+
+def shown(values: Values) -> str:
+    """Return varied values in one line."""
+    return ", ".join(f"{path} = {plain(value)}" for path, value in values.items())
+
+
+def brief(values: Values) -> str:
+    """Return varied values for a narrow place: the last word of each path, four digits."""
+    told = []
+    for path, value in values.items():
+        number = f"{value:.4g}" if isinstance(value, float) else plain(value)
+        told.append(f"{path.rpartition('.')[2]} {number}")
+    return ", ".join(told)
+
+
+def plain(value: Any) -> str | float | int | bool:  # noqa: ANN401 - any TOML value
+    """Return a varied value as it stands in a table: tables and lists as JSON."""
+    if isinstance(value, str | float | int | bool):
+        return value
+    return json.dumps(value, default=str)
+
+
+def _count(given: StudyFile) -> int:
+    count = given.latin_hypercube.samples if given.latin_hypercube else 1
+    for size in [len(one.values) for one in given.grid] + [len(one.rows) for one in given.list_]:
+        count *= size
+    return count
+
+
+def _text(path: Path, what: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read; give a TOML {what} file") from error
+
+
+def _parse(text: str, where: str) -> StudyFile:
+    try:
+        return StudyFile.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: no valid TOML: {error}") from error
+    except pydantic.ValidationError as error:
+        raise _one_line(error, where) from error
+
+
+#: Keys allowed in each section, by the section's place without the numbers in it.
+_KEYS: dict[tuple[str, ...], list[str]] = {
+    (): ["case", "title", "grid", "list", "latin_hypercube"],
+    ("grid",): list(GridSection.model_fields),
+    ("list",): list(ListSection.model_fields),
+    ("latin_hypercube",): list(LatinHypercubeSection.model_fields),
+    ("latin_hypercube", "ranges"): list(RangeSection.model_fields),
+}
+
+
+def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
+    first = error.errors()[0]
+    place = first["loc"]
+    # Sections count from 1 where a person reads.
+    at = ".".join([where, *(str(part + 1 if isinstance(part, int) else part) for part in place)])
+    if first["type"] == "extra_forbidden":
+        section = tuple(part for part in place[:-1] if isinstance(part, str))
+        return unknown_name("key", str(place[-1]), _KEYS[section], at.rpartition(".")[0])
+    if first["type"] == "missing":
+        return InputError(f"{at} is missing; add it")
+    message = first["msg"].removeprefix("Value error, ")
+    given = first.get("input")
+    given_shown = f" (given: {given!r})" if isinstance(given, str | int | float) else ""
+    return InputError(f"{at}: {message[0].lower()}{message[1:]}{given_shown}; change it")

@@ -1,0 +1,107 @@
+"""What tells two cases apart: their whole content, or what the condensation depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from artefacts.errors import InputError
+from fesim.case import Case
+
+#: What enters only the joint's law (`fesim.setup.with_laws`) or the loads, or is only recorded.
+#: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
+_LAW = {
+    "preload_MPa",
+    "roughness_um",
+    "asperity_slope",
+    "hardness_GPa",
+    "normal_law",
+    "back_burdekin",
+    "conductance",
+    "friction_coefficient",
+    "tangential_stiffness_ratio",
+}
+_MARCH = {"duration_min", "coupling"}
+_LOADS = {"title", "heat_input", "ambient", "output"}
+_STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
+
+#: Read once: it takes longer than all the rest of a digest.
+_VERSION = version("thermojoint")
+
+Digest = Callable[[Path], str]
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read; check its name") from error
+
+
+def case_id(case: Case, digest: Digest = file_digest) -> str:
+    """Return 16 hexadecimal digits that stand for a case's whole content and the program's version.
+
+    Parameters
+    ----------
+    case : Case
+        Its files count by what is in them, not by their names.
+    digest : callable
+        Path to the digest of the file's content; give a remembering one for many cases.
+    """
+    return _hash(_with_digests(case.model_dump(mode="json"), digest))[:16]
+
+
+def condensation_key(case: Case, digest: Digest = file_digest) -> str:
+    """Return the digest of everything that `set_up` uses except loads and joint laws.
+
+    Cases of equal key share one condensation: `fesim.setup.with_laws` makes one's set-up from
+    another's.
+
+    Parameters
+    ----------
+    case, digest
+        As for `case_id`.
+    """
+    data = case.model_dump(mode="json", exclude=_LOADS)
+    data["march"] = _without(data["march"], _MARCH)
+    # Lists of pairs where the order is that of the condensed rows and columns.
+    data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
+    data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
+    data["held_temperatures"] = list(data["held_temperatures"])
+    data["probes"] = list(data["probes"].items())
+    return _hash(_with_digests(data, digest))
+
+
+def _without(section: dict[str, Any], keys: set[str]) -> dict[str, Any]:
+    return {key: value for key, value in section.items() if key not in keys}
+
+
+def _hash(data: dict[str, Any]) -> str:
+    # Not sorted: the order of sources, probes and joints is part of what comes out.
+    text = json.dumps(data | {"version": _VERSION})
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _with_digests(data: Any, digest: Digest) -> Any:  # noqa: ANN401 - any JSON value
+    if isinstance(data, list | tuple):
+        return [_with_digests(value, digest) for value in data]
+    if not isinstance(data, dict):
+        return data
+    return {
+        key: digest(Path(value))
+        if key == "file" and isinstance(value, str)
+        else _with_digests(value, digest)
+        for key, value in data.items()
+    }

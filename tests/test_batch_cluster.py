@@ -1,0 +1,88 @@
+"""Batches on a real Dask cluster of two worker processes, one of which is killed in the middle."""
+
+import os
+import signal
+
+import pytest
+from batch_cases import levels, study_in, tally, write_study
+
+from artefacts.errors import InputError
+from artefacts.response import read_response
+from fesim.batch.folder import response_path
+from fesim.batch.run import run_batch
+
+distributed = pytest.importorskip("distributed")
+
+from fesim.batch.cluster import dask_crew  # noqa: E402 - it needs Dask
+from thermojoint import batch_run  # noqa: E402 - it needs Dask
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        local_directory=str(tmp_path_factory.mktemp("dask")),
+    ) as running:
+        yield running
+
+
+def process_ids(cluster):
+    with distributed.Client(cluster, set_as_default=False) as client:
+        return client.run(os.getpid)
+
+
+def test_a_worker_that_dask_loses_costs_no_case_and_repeats_none_that_was_finished(
+    tmp_path, cluster
+):
+    study, out = study_in(tmp_path, levels(12), minutes=6.0), tmp_path / "out"
+    processes, killed, told = process_ids(cluster), [], []
+    assert len(processes) == 2
+
+    def watch(progress):
+        if not killed and progress.counts.get("done", 0) >= 3 and len(progress.working) == 2:
+            killed.append(next(iter(progress.working)))
+            os.kill(processes[killed[0]], signal.SIGKILL)
+
+    end = run_batch(
+        study,
+        out,
+        lambda: dask_crew(cluster.scheduler_address),
+        watch=watch,
+        tell=lambda case, text: told.append(text),
+    )
+    assert len(killed) == len(told) == 1
+    assert f"{killed[0]} is lost" in told[0]
+    assert (end.summary["status"] == "done").all()
+    events = tally(out)
+    assert set(events["done"].values()) == {1}
+    assert len(events["done"]) == 12
+    assert events["started"] == events["done"] + events["lost"]
+    assert events["lost"].total() == 1
+    assert read_response(response_path(out, study.cases[0].id)).sizes["time"] == 181
+
+
+def test_the_command_uses_a_cluster_that_is_there(tmp_path, cluster):
+    path, out = write_study(tmp_path, levels(3), 1.0), tmp_path / "out"
+    end = batch_run.run_study(path, out, 1, cluster.scheduler_address)
+    assert (end.ran, batch_run.worst(end)) == (3, 0)
+    workers = {line.split('"worker": ')[1] for line in (out / "journal.jsonl").open()}
+    assert all("tcp://" in worker for worker in workers)
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("fesim.batch.cluster.CONNECT_TIMEOUT", 1.0)
+    study = study_in(tmp_path, levels(2), 1.0)
+    with pytest.raises(InputError, match="no Dask scheduler answers there"):
+        run_batch(study, tmp_path / "out", lambda: dask_crew("tcp://127.0.0.1:9"))
+
+
+def test_a_cluster_with_another_version_is_refused(cluster, monkeypatch):
+    monkeypatch.setattr("fesim.batch.cluster.OWN_VERSION", "0.0.0")
+    with (
+        pytest.raises(InputError, match="install the same version there"),
+        dask_crew(cluster.scheduler_address) as crew,
+    ):
+        crew.members()

@@ -1,0 +1,333 @@
+"""Study files: which cases they name, what is refused, and which cases share a condensation."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_cases import case_text, grid, levels, study_in, write_study
+from hypothesis import given
+from hypothesis import strategies as st
+
+from artefacts.errors import InputError
+from fesim.batch.paths import known_paths, with_values
+from fesim.batch.queue import Queue
+from fesim.batch.study import (
+    LatinHypercubeSection,
+    StudyFile,
+    combinations,
+    latin_hypercube,
+    read_study,
+)
+from fesim.batch.worker import Outcome, Task
+from fesim.case import case_from_data
+from fesim.setup import set_up, with_laws
+from fesim.sharing import case_id, condensation_key
+
+CUBE = """[latin_hypercube]
+samples = 5
+seed = 3
+[[latin_hypercube.ranges]]
+path = "joints.knee.roughness_um"
+low = 0.5
+high = 5.0
+scale = "log"
+"""
+
+
+def test_a_study_is_the_product_of_its_sections(tmp_path):
+    rows = (
+        '[[list]]\npaths = ["joints.knee.friction_coefficient", "heat_input"]\n'
+        'rows = [[0.2, {kind = "step", level = 2.0}], '
+        '[0.6, {kind = "triangle", peak = 2.0, duration_min = 1.0}]]\n'
+    )
+    study = study_in(tmp_path, grid("march.coupling", "staggered", "iterated") + rows + CUBE)
+    assert len(study.cases) == 2 * 2 * 5
+    assert study.paths == (
+        "march.coupling",
+        "joints.knee.friction_coefficient",
+        "heat_input",
+        "joints.knee.roughness_um",
+    )
+    assert {one.case.heat_input.kind for one in study.cases} == {"step", "triangle"}
+    for one in study.cases:
+        assert one.case.march.coupling == one.values["march.coupling"]
+        assert one.case.joints["knee"].roughness_um == one.values["joints.knee.roughness_um"]
+        assert (one.case.joints["knee"].friction_coefficient == 0.2) == (
+            one.case.heat_input.kind == "step"
+        )
+    assert len({one.key for one in study.cases}) == 1
+
+
+def test_the_same_case_twice_is_one_case(tmp_path):
+    assert len(study_in(tmp_path, grid("heat_input.level", 1, 1.0, 2.0)).cases) == 2
+
+
+def test_a_dimension_that_the_case_leaves_to_its_default_can_be_varied(tmp_path):
+    study = study_in(tmp_path, grid("structure.dimensions_mm.wall", 40.0, 50.0))
+    assert [one.case.structure.dimensions_mm["wall"] for one in study.cases] == [40.0, 50.0]
+    assert len({one.key for one in study.cases}) == 2
+
+
+@given(samples=st.integers(1, 40), seed=st.integers(0, 2**32), log=st.booleans())
+def test_every_strip_of_a_latin_hypercube_has_one_sample(samples, seed, log):
+    section = LatinHypercubeSection(
+        samples=samples,
+        seed=seed,
+        ranges=[
+            {"path": "a", "low": 0.1, "high": 10.0, "scale": "log" if log else "linear"},
+            {"path": "b", "low": -3.0, "high": 4.0},
+        ],
+    )
+    found = latin_hypercube(section)
+    assert found == latin_hypercube(section)
+    a, b = (np.array([row[name] for row in found]) for name in "ab")
+    a = np.log10(a) / 2.0 + 0.5 if log else (a - 0.1) / 9.9
+    for strips in (a, (b + 3.0) / 7.0):
+        assert sorted(np.floor(strips * samples + 1e-9).astype(int).clip(0, samples - 1)) == list(
+            range(samples)
+        )
+
+
+@pytest.mark.parametrize(
+    ("varied", "told"),
+    [
+        ("", "nothing varies"),
+        ("[[grid]\n", "no valid TOML"),
+        (grid("joints.knee.frictoin_coefficient", 1.0), "'joints.knee.friction_coefficient'?"),
+        (grid("sources.bearing.reference_power_W", 1.0), "'sources.bearings.reference_power_W'?"),
+        (grid("heat_input.level", 1.0, "hot"), "case 2 (heat_input.level = hot)"),
+        (grid("joints.knee.roughness_um", -1.0), "greater than 0"),
+        (grid("supports.fixed", ["column_bse"]), "'column_base'?"),
+        (grid("displacement.point", "C"), "no probe named 'C'"),
+        (grid("structure.dimensions_mm.wall", 900.0), "case 1 (structure.dimensions_mm.wall"),
+        (
+            "[[grid]]\npath = 'heat_input'\nvalues = [{kind = 'sampled', file = 'none.csv'}]\n",
+            "none.csv: cannot be read",
+        ),
+        (grid("heat_input.level", 1.0) * 2, "varied twice"),
+        (grid("heat_input", {}) + grid("heat_input.level", 1.0), "overlap"),
+        (grid("heat_input.level"), "grid.1.values"),
+        (grid("heat_input.level", 1.0) + "step = 2\n", "grid.1: no key named 'step'"),
+        ("grids = []\n", "did you mean 'grid'"),
+        ("[[list]]\npaths = ['heat_input.level']\nrows = [[1.0, 2.0]]\n", "row 1 has 2 values"),
+        (CUBE.replace("seed = 3", ""), "latin_hypercube.seed is missing"),
+        (CUBE.replace("samples = 5", "samples = 0"), "latin_hypercube.samples"),
+        (CUBE.replace("low = 0.5", "low = 6.0"), "low must be below high"),
+        (CUBE.replace("low = 0.5", "low = 0.0"), "low must be positive"),
+        (CUBE.replace("log", "lag"), "latin_hypercube.ranges.1.scale"),
+        (levels(400) + grid("march.step_s", *range(1, 300)), "119600 cases"),
+    ],
+)
+def test_a_bad_study_is_refused_in_one_line(tmp_path, varied, told):
+    path = write_study(tmp_path, varied)
+    with pytest.raises(InputError) as refusal:
+        read_study(path)
+    message = str(refusal.value)
+    assert told in message
+    assert "study.toml" in message
+    assert "\n" not in message or told == "no valid TOML"
+
+
+def test_a_study_without_its_case_is_refused(tmp_path):
+    path = write_study(tmp_path, levels(2))
+    (tmp_path / "machine.toml").unlink()
+    with pytest.raises(InputError, match=r"machine\.toml: cannot be read"):
+        read_study(path)
+
+
+def test_combinations_change_the_last_section_fastest():
+    given_study = StudyFile.model_validate(
+        {"case": "x", "grid": [{"path": p, "values": [1, 2]} for p in "ab"]}
+    )
+    assert [(one["a"], one["b"]) for one in combinations(given_study)] == [
+        (1, 1),
+        (1, 2),
+        (2, 1),
+        (2, 2),
+    ]
+
+
+# Which cases share a condensation.
+
+#: Another value for everything that enters only loads and joint laws, or is only recorded.
+NOT_CONDENSED = {
+    "title": "another",
+    "heat_input.level": 2.0,
+    "heat_input": {"kind": "triangle", "peak": 1.0, "duration_min": 2.0},
+    "sources.bearings.reference_power_W": 100.0,
+    "sources.bearings.count": 1,
+    "sources.bearings.reading": "total",
+    "sources.bearings.heat_input": {"kind": "step", "level": 2.0},
+    "march.duration_min": 1.0,
+    "march.coupling": "iterated",
+    "joints.knee.preload_MPa": 3.0,
+    "joints.knee.roughness_um": 2.0,
+    "joints.knee.asperity_slope": 0.2,
+    "joints.knee.hardness_GPa": 1.5,
+    "joints.knee.normal_law": "back-burdekin",
+    "joints.knee.back_burdekin": {"coefficient_um": 0.5},
+    "joints.knee.conductance": {"law": "cmy-exact"},
+    "joints.knee.friction_coefficient": 0.1,
+    "joints.knee.tangential_stiffness_ratio": 0.5,
+    "output.snapshots_s": [10.0],
+}
+CONDENSED = {
+    "structure.element_size_mm": 90.0,
+    "structure.half": False,
+    "structure.dimensions_mm.wall": 40.0,
+    "materials.cast_iron.conductivity_W_mK": 50.0,
+    "materials.cast_iron.density_kg_m3": 7000.0,
+    "materials.screw.youngs_modulus_GPa": 3000.0,
+    "materials.screw.expansion_1_K": 0.0,
+    "bodies.screw": "cast_iron",
+    "joints.knee.along": 8,
+    "joints.knee.across": 2,
+    "joints.knee.side_a": "other",
+    "supports.fixed": ["column_base"],
+    "supports.symmetry": {},
+    "supports.springs": {"screw_foot": {"stiffness_N_um": [1.0, 1.0, 1.0]}},
+    "convection_W_m2K.exterior": 7.0,
+    "sources.bearings.surface": "interior",
+    "held_temperatures": {"exterior": {"rise_K": 1.0}},
+    "march.step_s": 1.0,
+    "march.solver": "superlu",
+    "march.thermal": "reduced",
+    "displacement.point": "B",
+    "probes.T1.position_mm": [625.0, 450.0, 80.0],
+    "candidates": [{"body": "table", "low_mm": [0, 0, 0], "high_mm": [1, 1, 1], "spacing_mm": 1.0}],
+}
+#: As NOT_CONDENSED, for a case that has them.
+OF_OTHER_LOADS = {"held_temperatures.exterior.rise_K": 2.0, "ambient": None}
+
+
+@pytest.fixture(scope="module")
+def data():
+    import tomllib
+
+    found = tomllib.loads(case_text(2.0))
+    found["joints"]["knee"] |= {"side_a": "knee.a", "side_b": "knee.b"}
+    return found
+
+
+def made(data, values):
+    return case_from_data(with_values(data, values), "case", Path())
+
+
+@pytest.mark.parametrize("path", NOT_CONDENSED)
+def test_loads_and_joint_laws_leave_the_condensation_as_it_is(data, path):
+    changed = made(data, {path: NOT_CONDENSED[path]})
+    assert condensation_key(changed) == condensation_key(made(data, {}))
+    assert case_id(changed) != case_id(made(data, {}))
+
+
+@pytest.mark.parametrize("path", CONDENSED)
+def test_whatever_enters_the_condensation_changes_its_key(data, path):
+    changed = made(data, {path: CONDENSED[path]})
+    assert condensation_key(changed) != condensation_key(made(data, {}))
+    assert case_id(changed) != case_id(made(data, {}))
+
+
+def test_every_value_of_a_case_is_known_to_one_of_the_two_lists(data):
+    above = {path.rsplit(".", n)[0] for path in [*CONDENSED, *NOT_CONDENSED] for n in range(5)}
+    sections = {path.split(".")[0] for path in known_paths(made(data, {}))}
+    joint = {p for p in known_paths(made(data, {})) if p.startswith("joints.knee.")}
+    assert sections - {p.split(".")[0] for p in above} == {"ambient"}
+    assert {p for p in joint if p.count(".") == 2} <= above | {"joints.knee.side_b"}
+
+
+def test_the_strength_of_a_held_temperature_is_a_load_and_its_place_is_not(data):
+    warm, hot, elsewhere = (
+        made(data, {"held_temperatures": {place: {"rise_K": rise}}})
+        for place, rise in (("exterior", 1.0), ("exterior", 2.0), ("interior", 1.0))
+    )
+    assert condensation_key(warm) == condensation_key(hot) != condensation_key(elsewhere)
+
+
+def test_a_file_counts_by_its_content(tmp_path, data):
+    names = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
+    for name, text in zip(names, ("0,1", "0,1", "0,2"), strict=True):
+        name.write_text(f"time_s,heat_input\n{text}\n")
+    one, same, other = (
+        made(data, {"heat_input": {"kind": "sampled", "file": str(name)}}) for name in names
+    )
+    assert case_id(one) == case_id(same) != case_id(other)
+    assert condensation_key(one) == condensation_key(other)
+    mesh = {"structure": {"kind": "mesh", "file": str(names[0])}}
+    assert condensation_key(made(data, mesh)) != condensation_key(
+        made(data, {"structure": {"kind": "mesh", "file": str(names[2])}})
+    )
+
+
+def test_a_condensation_with_other_laws_is_that_of_the_other_case(data):
+    del_heat = {path: value for path, value in NOT_CONDENSED.items() if path != "heat_input.level"}
+    base, other = made(data, {}), made(data, del_heat)
+    shared, own = with_laws(set_up(base), other), set_up(other)
+    thermal, elastic = shared.machine.thermal, shared.machine.elastic
+    np.testing.assert_allclose(thermal.inputs, own.machine.thermal.inputs, rtol=1e-12)
+    np.testing.assert_allclose(elastic.compliance, own.machine.elastic.compliance, rtol=1e-10)
+    np.testing.assert_array_equal(elastic.reference, own.machine.elastic.reference)
+    gap, slip = np.full((3, shared.machine.contacts), -1e-7), np.zeros((2, shared.machine.contacts))
+    np.testing.assert_array_equal(
+        shared.machine.traction(gap, slip).value, own.machine.traction(gap, slip).value
+    )
+    assert shared.machine.preload[0] == 3.0e6
+
+
+# Which case a worker gets next.
+
+
+def outcome(task):
+    return Outcome(task.id, "done", seconds=1.0, setup_seconds=20.0)
+
+
+@given(
+    sizes=st.lists(st.integers(1, 6), min_size=1, max_size=5),
+    order=st.lists(st.tuples(st.integers(0, 2), st.booleans()), max_size=60),
+)
+def test_every_case_is_handed_out_once_whoever_finishes_or_dies_first(sizes, order):
+    tasks = [
+        Task(f"{key}-{n}", str(key), "") for key, size in enumerate(sizes) for n in range(size)
+    ]
+    queue, working, finished = Queue(tasks), {}, []
+    names = ["w0", "w1", "w2"]
+
+    def hand_out():
+        queue.keep(names)
+        for name in names:
+            if name not in working and (task := queue.next_for(name)) is not None:
+                working[name] = task
+
+    hand_out()
+    moves = iter(order)
+    while working:
+        number, dies = next(moves, (0, False))
+        name = sorted(working)[number % len(working)]
+        task = working.pop(name)
+        if dies:
+            names[names.index(name)] = name + "'"
+            queue.give_back(task)
+        else:
+            finished.append(task.id)
+            queue.learn(task, outcome(task))
+        hand_out()
+    assert sorted(finished) == sorted(task.id for task in tasks)
+
+
+def test_a_worker_stays_with_its_condensation():
+    tasks = [Task(f"{key}-{n}", key, "") for n in range(10) for key in ("a", "b")]
+    queue = Queue(tasks)
+    keys = {name: [queue.next_for(name).key for _ in range(10)] for name in ("w0", "w1")}
+    assert {name: len(set(some)) for name, some in keys.items()} == {"w0": 1, "w1": 1}
+
+
+def test_a_worker_joins_another_only_if_that_is_quicker_than_its_set_up():
+    queue = Queue([Task(str(n), "a", "") for n in range(30)])
+    first = queue.next_for("w0")
+    queue.learn(first, outcome(first))
+    assert queue.next_for("w1") is not None
+    queue = Queue([Task(str(n), "a", "") for n in range(10)])
+    first = queue.next_for("w0")
+    queue.learn(first, outcome(first))
+    assert queue.next_for("w1") is None
+    assert all(queue.next_for("w0") for _ in range(9))
+    assert len(queue) == 0

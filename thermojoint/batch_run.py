@@ -1,0 +1,153 @@
+"""``thermojoint batch`` at the terminal: workers, live progress, and what Ctrl-C means."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from types import FrameType
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from artefacts.errors import InputError
+from fesim.batch import run
+from fesim.batch.crew import Crew
+from fesim.batch.local import local_crew
+from fesim.batch.study import Study, StudyCase, brief, read_study, shown
+
+#: Workers that are shown one by one; of more only the number.
+SHOWN_WORKERS = 8
+
+
+def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
+    """Run a study file's batch and show how it goes."""
+    study = read_study(path)
+    with stop_request() as stopped, display(study, stopped) as (watch, tell):
+        return run.run_batch(
+            study, out, crew_of(workers, scheduler), watch=watch, tell=tell, stopped=stopped
+        )
+
+
+def crew_of(workers: int, scheduler: str | None) -> Callable[[], AbstractContextManager[Crew]]:
+    """Return what recruits the workers: processes of this machine, or those of a Dask cluster."""
+    if scheduler is None:
+        return lambda: local_crew(workers)
+    # Here, not above: Dask is an extra.
+    from fesim.batch.cluster import dask_crew
+
+    return lambda: dask_crew(scheduler)
+
+
+@contextmanager
+def stop_request() -> Iterator[Callable[[], bool]]:
+    """Give a function that says if Ctrl-C was pressed; pressed again, it ends at once."""
+    pressed = False
+
+    def press(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    before = signal.signal(signal.SIGINT, press)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def display(
+    study: Study, stopped: Callable[[], bool]
+) -> Iterator[tuple[Callable[[run.Progress], None], Callable[[StudyCase, str], None]]]:
+    """Give the functions that show progress and failures, on standard error.
+
+    Without a terminal only failures are shown, a line each.
+    """
+    console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    values = {one.id: brief(one.values) for one in study.cases}
+    bar = Progress(
+        TextColumn("cases"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+    task = bar.add_task("cases", total=len(study.cases))
+
+    def tell(case: StudyCase, text: str) -> None:
+        console.print(f"case {case.id} ({shown(case.values)}): {text}")
+
+    def watch(progress: run.Progress) -> None:
+        if not console.is_terminal:
+            return
+        bar.update(task, completed=sum(progress.counts.values()))
+        live.update(
+            Group(
+                bar,
+                Text(
+                    "\n".join(lines(progress, values, stopped())),
+                    no_wrap=True,
+                    overflow="ellipsis",
+                ),
+            )
+        )
+
+    live = Live(bar, console=console)
+    with live if console.is_terminal else nullcontext():
+        yield watch, tell
+
+
+def lines(progress: run.Progress, values: dict[str, str], stopping: bool) -> list[str]:
+    """Return what stands under the bar: counts, and what each worker does."""
+    counts = [f"{count} {status}" for status, count in progress.counts.items()]
+    if progress.found:
+        counts.append(f"{progress.found} of them found finished")
+    told = [", ".join([*counts, f"{progress.workers} workers"])]
+    if not progress.workers:
+        told.append("waiting for workers")
+    if stopping:
+        told.append("stopping: the cases at work are finished first; Ctrl-C again ends at once")
+    at_work = list(progress.working.items())
+    told += [f"  {worker}: {values[case]}" for worker, case in at_work[:SHOWN_WORKERS]]
+    return told
+
+
+def worst(finished: run.Finished) -> int:
+    """Return the exit code: 130 if stopped, 1 if a case has no result, else 0."""
+    if finished.stopped:
+        return 130
+    return int(bool((finished.summary["status"] != "done").any()))
+
+
+def closing_lines(finished: run.Finished, out: Path) -> list[str]:
+    """Return what is said at the end."""
+    counts = finished.summary["status"].value_counts()
+    told = [
+        f"{len(finished.summary)} cases: "
+        + ", ".join(f"{count} {status}" for status, count in counts.items())
+        + f"; {finished.found} found finished, {finished.ran} run now"
+    ]
+    if finished.stopped:
+        told.append("stopped; the same command goes on from here")
+    return [*told, f"wrote {out / 'dataset.zarr'}, {out / 'summary.csv'}, summary.parquet"]
+
+
+def check_workers(workers: int | None, scheduler: str | None) -> None:
+    """Refuse what does not go together."""
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers goes with local processes, not with --scheduler; give one")
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers}: give 1 or more")
