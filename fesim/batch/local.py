@@ -100,8 +100,8 @@ class LocalCrew:
         ours, theirs = _CONTEXT.Pipe()
         process = _CONTEXT.Process(target=_serve, args=(theirs, self._threads), daemon=True)
         # Ctrl-C goes to every process of the terminal; the main one decides what it means. A child
-        # inherits what is blocked, so not even its start is disturbed. The resource tracker, were it
-        # started with the first process, would unblock it again.
+        # inherits what is blocked, so not even its start is disturbed. The resource
+        # tracker, were it started with the first process, would unblock it again.
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
