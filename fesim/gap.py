@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Traction]
 
 #: Largest gap residual of an accepted state, m.
-TOLERANCE = 1e-12
+TOLERANCE = 1e-13
 MAX_ITERATIONS = 60
 SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10
@@ -132,18 +132,35 @@ def solve_gap(
                 # No descent: the iterate sits on a kink of the law (stick to slip) and has the
                 # tangent of the wrong side. A full step leaves the kink.
                 if full_steps == 0:
-                    raise ConvergenceError(
-                        f"gap equations: the line search stalled at a residual of {size:.1e} m"
-                    )
+                    raise stalled(size)
                 full_steps -= 1
                 trial = gap + step
                 trial_traction = problem.law(trial, slip)
                 trial_residual = problem.residual(trial, trial_traction, thermal_gap)
                 break
         gap, traction, residual = trial, trial_traction, trial_residual
-    raise ConvergenceError(
-        f"gap equations: residual {float(np.abs(residual).max()):.1e} m after "
-        f"{MAX_ITERATIONS} iterations, wanted {tolerance:.0e} m"
+    raise unconverged(float(np.abs(residual).max()), tolerance)
+
+
+def stalled(residual: float) -> ConvergenceError:
+    """Return the error of a line search that finds no descent any more."""
+    return ConvergenceError(
+        f"gap equations: the line search stalled at a residual of {residual:.1e} m"
+    )
+
+
+def unconverged(residual: float, tolerance: float) -> ConvergenceError:
+    """Return the error of too many iterations."""
+    return ConvergenceError(
+        f"gap equations: residual {residual:.1e} m after {MAX_ITERATIONS} iterations, wanted "
+        f"{tolerance:.0e} m"
+    )
+
+
+def singular() -> ConvergenceError:
+    """Return the error of a tangent that has no inverse."""
+    return ConvergenceError(
+        "gap equations: the tangent is singular; a body that the joint holds has come loose"
     )
 
 
@@ -151,10 +168,7 @@ def _newton_step(problem: GapProblem, traction: Traction, residual: Array) -> Ar
     try:
         step = np.linalg.solve(problem.jacobian(traction), -residual)
     except np.linalg.LinAlgError as error:
-        raise ConvergenceError(
-            "gap equations: the tangent is singular at a residual of "
-            f"{float(np.abs(residual).max()):.1e} m; a body that the joint holds has come loose"
-        ) from error
+        raise singular() from error
     return np.asarray(step, dtype=np.float64)
 
 

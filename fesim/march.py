@@ -7,18 +7,22 @@ Nothing is factorised, assembled or allocated by mesh size inside it except the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError
+from fesim.compiled_gap import compile_gap
 from fesim.condensation import ElasticCondensation, ThermalCondensation
-from fesim.gap import Equilibrium, GapProblem, solve_gap
+from fesim.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
 from fesim.joint_law import JointLaw, Traction, evaluate
 
 Array = NDArray[np.float64]
+#: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
+Settle = Callable[[Array, Array, Array], Equilibrium]
 
 #: A step is halved this many times at most before it is given up.
 MAX_CUTS = 10
@@ -39,11 +43,14 @@ class CondensedMachine:
         Gaps and probes.
     laws : sequence of (JointLaw, int)
         The law of each joint and how many contact elements it has, in their order.
+    gap_tolerance : float
+        Largest gap residual of a step, m.
     """
 
     thermal: ThermalCondensation
     elastic: ElasticCondensation
     laws: Sequence[tuple[JointLaw, int]]
+    gap_tolerance: float = TOLERANCE
 
     @property
     def contacts(self) -> int:
@@ -55,6 +62,11 @@ class CondensedMachine:
         """The gap equations of this machine."""
         elastic = self.elastic
         return GapProblem(elastic.compliance * elastic.area, elastic.reference, self.traction)
+
+    @cached_property
+    def settle(self) -> Settle:
+        """What solves them."""
+        return gap_solver(self.gap_problem, self.laws, self.gap_tolerance)
 
     def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
         start = 0
@@ -83,6 +95,15 @@ class CondensedMachine:
         return np.concatenate([np.full(count, law.preload) for law, count in self.laws])
 
 
+def gap_solver(
+    problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
+) -> Settle:
+    """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
+    compiled = compile_gap(problem.force_compliance, problem.reference, laws)
+    solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
+    return partial(solve, tolerance=tolerance)
+
+
 @dataclass(frozen=True)
 class State:
     """Everything the next step depends on.
@@ -101,6 +122,8 @@ class State:
         Contact pressure, Pa.
     thermal_gap : ndarray, shape (3 m,)
         g_T = S_T T, m.
+    change : ndarray, shape (3, m)
+        By how much the last step changed the gaps, m: the next step's first guess goes on so.
     model : str
         Whose temperature it is: the `model` of the `ThermalCondensation`.
     """
@@ -111,6 +134,7 @@ class State:
     slip: Array
     pressure: Array
     thermal_gap: Array
+    change: Array
     model: str
 
 
@@ -165,6 +189,7 @@ def initial_state(machine: CondensedMachine) -> State:
         slip=np.zeros((2, count)),
         pressure=machine.preload.copy(),
         thermal_gap=np.zeros(3 * count),
+        change=np.zeros((3, count)),
         model=machine.thermal.model,
     )
 
@@ -231,6 +256,9 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         if change > last_change:
             weight /= 2.0
         last_change = change
+        # The next sweep's first guess: the same gaps again give the same pressures again, while
+        # another guess moves them within the tolerance of the gap equations for ever.
+        state = replace(state, change=step.state.change)
         pressure = pressure + weight * (step.state.pressure - pressure)
     raise ConvergenceError(
         f"in-step iteration: pressures still change by {change:.1e} of the preload after "
@@ -263,7 +291,7 @@ def heat_step(
     """
     alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
     system = joint[:, None] * thermal.joint_influence
-    system[np.diag_indices_from(system)] += 1.0
+    system.flat[:: len(joint) + 1] += 1.0
     heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
     after: Array = alone - thermal.influence @ heat_flow
     return after, np.asarray(heat_flow, dtype=np.float64)
@@ -295,7 +323,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
-    found, iterations, cuts = _settle(machine.gap_problem, state, thermal_gap)
+    found, iterations, cuts = _settle(machine.settle, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
     return Step(
@@ -306,6 +334,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             slip=found.traction.slip,
             pressure=pressure,
             thermal_gap=thermal_gap,
+            change=found.gap - state.gap,
             model=machine.thermal.model,
         ),
         inputs=inputs,
@@ -323,11 +352,16 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     )
 
 
-def _settle(problem: GapProblem, state: State, thermal_gap: Array) -> tuple[Equilibrium, int, int]:
+def _settle(settle: Settle, state: State, thermal_gap: Array) -> tuple[Equilibrium, int, int]:
     """Follow the thermal gap from the state's to `thermal_gap`, halving the way when it must be.
 
-    The mechanical problem has no clock of its own, so a part of the way is a shorter step.
+    The first guess goes on as the last step did, which suits a smooth march, then it stays where
+    the gaps are. The mechanical problem has no clock of its own, so a part of the way is a shorter
+    step.
     """
+    with suppress(ConvergenceError):
+        found = settle(thermal_gap, state.slip, state.gap + state.change)
+        return found, found.iterations, 0
     reached, part, cuts, iterations = 0.0, 1.0, 0, 0
     gap, slip = state.gap, state.slip
     while True:
@@ -338,7 +372,7 @@ def _settle(problem: GapProblem, state: State, thermal_gap: Array) -> tuple[Equi
             else ((1.0 - target) * state.thermal_gap + target * thermal_gap)
         )
         try:
-            found = solve_gap(problem, way, slip, gap)
+            found = settle(way, slip, gap)
         except ConvergenceError:
             cuts += 1
             part /= 2.0

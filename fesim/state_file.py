@@ -22,10 +22,10 @@ from fesim.case import Case, MeshSection
 from fesim.march import State
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap", "change")
 
 
 def fingerprint(case: Case) -> str:
@@ -73,7 +73,7 @@ def load_state(path: Path, case: Case) -> State:
     try:
         with np.load(path, allow_pickle=False) as content:
             header = json.loads(str(content["header"]))
-            arrays = {name: content[name] for name in _ARRAYS}
+            arrays = {name: content[name] for name in _ARRAYS if name in content}
     except (
         OSError,
         EOFError,
@@ -102,10 +102,16 @@ def load_state(path: Path, case: Case) -> State:
         )
     index: Any = header.get("index")
     model: Any = header.get("model")
-    count = arrays["pressure"].size
-    shapes = {"gap": (3, count), "slip": (2, count), "thermal_gap": (3 * count,)}
+    count = arrays["pressure"].size if "pressure" in arrays else 0
+    shapes = {
+        "gap": (3, count),
+        "slip": (2, count),
+        "thermal_gap": (3 * count,),
+        "change": (3, count),
+    }
     usable = (
-        isinstance(index, int)
+        arrays.keys() == set(_ARRAYS)
+        and isinstance(index, int)
         and isinstance(model, str)
         and index >= 0
         and all(arrays[name].shape == shape for name, shape in shapes.items())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from skfem import MeshHex
+from step_files import write_step
 
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
@@ -21,21 +22,6 @@ try:
     import gmsh
 except (ImportError, OSError):
     gmsh = None
-
-
-def write_step(path):
-    """A block on a bed, as a CAD system exports it."""
-    gmsh.initialize(interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.model.occ.addBox(0, 0, 0, 150, 40, 20)
-    gmsh.model.occ.addBox(50, 0, 20, 50, 40, 20)
-    gmsh.model.occ.synchronize()
-    gmsh.write(str(path))
-    gmsh.finalize()
-    text = path.read_text()
-    for number, name in ((1, "bed"), (2, "block")):
-        text = re.sub(rf"(Open CASCADE STEP translator [\d.]+ 1)\.{number}'", f"{name}'", text)
-    path.write_text(text)
 
 
 def clamp_mesh():
@@ -81,7 +67,12 @@ def followed(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         if gmsh is not None:
-            write_step(folder / "clamp.step")
+            # A block on a bed.
+            solids = [
+                ("bed", "addBox", 0, 0, 0, 150, 40, 20),
+                ("block", "addBox", 50, 0, 20, 50, 40, 20),
+            ]
+            write_step(folder / "clamp.step", solids)
         else:
             write_structure(clamp_mesh(), folder / "clamp.msh")
         for language, rest, content in BLOCKS:

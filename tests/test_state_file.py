@@ -147,7 +147,7 @@ def test_files_of_another_kind_are_refused(coarse_case, tmp_path):
     path.write_text("no zip")
     refused(path, coarse_case, "not a readable state")
     np.savez(path, header=np.array("{}"))
-    refused(path, coarse_case, "not a readable state")
+    refused(path, coarse_case, "not a march's state")
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
     refused(path, coarse_case, "not a readable state")
@@ -167,7 +167,7 @@ def rewritten(saved, tmp_path, header=None, **arrays):
     ("header", "match"),
     [
         ({"schema": "thermojoint-model"}, "not a march's state"),
-        ({"schema_version": 3}, "state of version 3, expected 2"),
+        ({"schema_version": 2}, "state of version 2, expected 3"),
         ({"case": "0" * 64}, "state of another structure"),
         ({"index": -1}, "values are damaged"),
         ({"index": "30"}, "values are damaged"),

@@ -34,6 +34,13 @@ LOOSEST = {
     "implicit Euler": 0.1,
     "conductance, exact, p/H": 5e-7,
     "conductance, ": 5e-4,
+    "Barber's rod,": 1e-2,
+    "two dissimilar rods,": 1e-3,
+    "friction, block at": 1e-8,
+    "friction, block round": 2e-3,
+    "partial slip,": 1e-2,
+    "condensed march,": 1e-9,
+    "splitting,": 0.1,
 }
 
 

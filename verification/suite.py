@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from verification import hot_spot, manufactured, nafems_heat, patch, series, surface_model
+from verification import (
+    dissimilar_rods,
+    friction,
+    hot_spot,
+    manufactured,
+    marching,
+    nafems_heat,
+    partial_slip,
+    patch,
+    rod,
+    series,
+    surface_model,
+)
 from verification.check import Check
 
 
@@ -93,6 +105,70 @@ GROUPS: tuple[Group, ...] = (
         "deviation of the two power laws from it (error relative to the exact model), and $h_c$ of "
         "the paper's joint, $p/H = 2.2485 \\cdot 10^{-3}$. Tolerances are half of the reference's "
         "last digit.",
+    ),
+    Group(
+        "Barber's rod",
+        rod.checks,
+        "A rod of 0.1 m, one end built in and kept at 0, presses on a wall kept at $T_2$ (Barber, "
+        "Dundurs and Comninou 1980). Its joint is that of two rough surfaces whose mean planes are "
+        "20 µm apart when cold. *Growth and decay*: a steady state at the given opening of the "
+        "joint is perturbed in the shape of a mode, by some mK, and the rate of the march is "
+        "compared with $\\kappa z^2/L^2$, $z\\cosh z + Bi \\sinh z + b(\\cosh z - 1)/z = 0$, on "
+        "both sides of both stability limits; the known error of implicit Euler is taken out. The "
+        "joint's stiffness is in $b$. *Bistable*: with the wall at 25 K there are three steady "
+        "states. All are found by following the condensed machine's response to a given contact "
+        "pressure; the march comes to rest in two of them and leaves the middle one either way at "
+        "the predicted rate.",
+    ),
+    Group(
+        "Two dissimilar rods",
+        dissimilar_rods.checks,
+        "Steel and aluminium between a hot and a cold wall, conductance growing with the square of "
+        "the pressure. With the cold wall at −20 K the rods settle; at −36 K their only steady "
+        "state is unstable and the pressure oscillates without end (Barber and Zhang 1988). The "
+        "march, extrapolated from three time steps (0.5, 0.25, 0.125 s), is compared at nine times "
+        "up to 900 s with finite volumes in one dimension, integrated by an implicit Runge-Kutta "
+        "method; shown is the time of the largest difference, relative to the range of the "
+        "quantity.",
+    ),
+    Group(
+        "Friction: a pressed block",
+        friction.checks,
+        "Two bodies so stiff that only the joint gives way, with $\\mu = 0.3$ and $k_t = 10^{12}$ "
+        "Pa/m; one is driven obliquely to the joint's tangents, to three micro-slip lengths "
+        "$\\mu p/k_t$ and back, twice. At 4.41 MPa the joint, whose preload is 1 MPa, is first "
+        "pressed together. The work of the driving force and the dissipation in the joint (shear "
+        "times slip) are computed apart. Led round a circle of radius $R = 2 \\mu p/k_t$, the "
+        "slip follows on a circle of radius $r$ with $r^2 + (\\mu p/k_t)^2 = R^2$ and a round "
+        "costs $2 \\pi r \\mu P$: 1440 steps, an error of first order in their length. What is "
+        "to be zero is relative to $\\mu P$ or to the work of a cycle.",
+    ),
+    Group(
+        "Partial slip of a strip",
+        partial_slip.checks,
+        "A strip of 300 mm × 1 mm × 20 mm, held at one end, on a rigid base: "
+        "$E t u'' = \\tau(u)$, elastic up to $\\mu p$. Heated by 80 K it slips over three "
+        "quarters of its length, cooled it slips back over a quarter; what has changed since the "
+        "turn obeys the same equation with twice the limit. 120 hexahedra and 240 contact elements "
+        "along the strip. The slip zone is counted in whole contact elements (1.25 mm).",
+    ),
+    Group(
+        "The condensed march against a plain one",
+        marching.condensed_checks,
+        "Ten coupled steps of the staggered march beside one that condenses nothing: all "
+        "temperatures and displacements as unknowns, every matrix factorised anew in every Newton "
+        "iteration. Bars of iron and steel whose meshes do not match, heated on one side and then "
+        "cooled until the joint opens, and half of the milling machine on 100 mm elements in steps "
+        "of a minute; $\\mu = 0.1$. Both solve the gap equations to rounding. Shown is the worst "
+        "step and place, relative to the largest value of the run.",
+    ),
+    Group(
+        "Errors in the time step",
+        marching.splitting_checks,
+        "The bars of iron and steel under heat, from 0.2 MPa, so that the conductance grows a "
+        "hundredfold. *Staggered less iterated*: difference of the two couplings at the same step. "
+        "*March in dt*: difference of marches with one step length and with half of it. Steps of "
+        "2, 1 and 0.5 s, compared at 48 s; the order is that between the two finest.",
     ),
 )
 

@@ -1,0 +1,370 @@
+"""The gap equations in machine code: the method of `fesim.gap` for the joint laws known by name.
+
+Same residual, tangent, line search and tolerance. What differs is the linear algebra of a Newton
+step. With T0, the tangent of a joint at its preload that sticks, and J0 = I - C A (T0 + k), made
+once, the tangent is J = J0 (I - F dT) with F = J0^-1 C A and dT = T - T0, which is nonzero only in
+the pressure of a contact element and in the shear of one that slides. So the system to be solved
+has as many unknowns as there are such tractions, not three for each contact element.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from fesim.gap import (
+    MAX_FULL_STEPS,
+    MAX_ITERATIONS,
+    SHORTEST_STEP,
+    TOLERANCE,
+    Equilibrium,
+    singular,
+    stalled,
+    unconverged,
+)
+from fesim.joint_law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+
+Array = NDArray[np.float64]
+
+#: Columns of the table of laws, one row for each contact element.
+_KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
+_SURFACE, _BACK_BURDEKIN = 0.0, 1.0
+_SOLVED, _STALLED, _UNCONVERGED = range(3)
+
+
+@dataclass(frozen=True)
+class CompiledGap:
+    """The gap equations of one machine, with dense matrices made once.
+
+    Attributes
+    ----------
+    force_compliance : ndarray, shape (3 m, 3 m)
+        C A, m/Pa.
+    reference : ndarray, shape (3 m,)
+        k, Pa/m.
+    laws : ndarray, shape (m, 7)
+        What the law of each contact element needs.
+    at_rest : ndarray, shape (m,)
+        Slope of the pressure at the preload, Pa/m: with sticking, T0.
+    settled : ndarray, shape (3 m, 3 m)
+        J0^-1.
+    settled_compliance : ndarray, shape (3 m, 3 m)
+        F = J0^-1 C A, m/Pa.
+    """
+
+    force_compliance: Array
+    reference: Array
+    laws: Array
+    at_rest: Array
+    settled: Array
+    settled_compliance: Array
+
+    def solve(
+        self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
+    ) -> Equilibrium:
+        """Find the gaps in equilibrium with a thermal gap; see `fesim.gap.solve_gap`."""
+        gap, value, moved, tangent = _storage(guess)
+        try:
+            outcome, size, iterations = _solve(
+                self.force_compliance,
+                self.reference,
+                self.laws,
+                self.at_rest,
+                self.settled,
+                self.settled_compliance,
+                thermal_gap,
+                slip,
+                tolerance,
+                gap,
+                value,
+                moved,
+                tangent,
+            )
+        except np.linalg.LinAlgError as error:
+            raise singular() from error
+        if outcome == _STALLED:
+            raise stalled(size)
+        if outcome == _UNCONVERGED:
+            raise unconverged(size, tolerance)
+        return Equilibrium(gap, Traction(value, _full(tangent), moved), size, iterations)
+
+
+def compile_gap(
+    force_compliance: Array, reference: Array, laws: Sequence[tuple[JointLaw, int]]
+) -> CompiledGap | None:
+    """Prepare the gap equations, or return None if a law is not one of those known by name.
+
+    Parameters
+    ----------
+    force_compliance : ndarray, shape (3 m, 3 m)
+        C A, m/Pa.
+    reference : ndarray, shape (3 m,)
+        k, Pa/m.
+    laws : sequence of (JointLaw, int)
+        The law of each joint and how many contact elements it has.
+
+    Raises
+    ------
+    ConvergenceError
+        A body hangs on the joint alone, which cannot hold it.
+    """
+    rows = []
+    for law, count in laws:
+        row = _row(law)
+        if row is None:
+            return None
+        rows.append(np.tile(row, (count, 1)))
+    table = np.concatenate([np.empty((0, 7)), *rows])
+    at_rest = np.concatenate(
+        [np.empty(0), *(np.full(n, law.normal.slope(np.zeros(1))[0]) for law, n in laws)]
+    )
+    sticking = np.concatenate([at_rest, -table[:, _STIFFNESS], -table[:, _STIFFNESS]])
+    tangent = np.eye(len(reference)) - force_compliance * (sticking + reference)
+    try:
+        settled = np.asarray(np.linalg.inv(tangent), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise singular() from error
+    return CompiledGap(
+        np.ascontiguousarray(force_compliance),
+        reference,
+        table,
+        at_rest,
+        settled,
+        settled @ force_compliance,
+    )
+
+
+def _row(law: JointLaw) -> list[float] | None:
+    friction = [law.friction.coefficient, law.friction.stiffness]
+    # Not isinstance: a law that is derived from these may say something else.
+    match law.normal:
+        case SurfaceNormalLaw() as surface if type(surface) is SurfaceNormalLaw:
+            scale, shape, start = surface.hardness, surface.roughness, surface.separation
+            return [_SURFACE, scale, shape, start, law.preload, *friction]
+        case BackBurdekinLaw() as power if type(power) is BackBurdekinLaw:
+            scale, shape = power.coefficient, power.exponent
+            start = scale * power.preload**shape
+            return [_BACK_BURDEKIN, scale, shape, start, law.preload, *friction]
+    return None
+
+
+def _storage(guess: Array) -> tuple[Array, Array, Array, Array]:
+    count = guess.shape[1]
+    return np.array(guess), np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
+
+
+def _full(tangent: Array) -> Array:
+    """The tangent (3, 3, m) from its six entries 00, 10, 20, 11, 12, 22."""
+    normal, first, second, along, cross, across = tangent
+    nothing = np.zeros_like(normal)
+    return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
+
+
+@njit(cache=True, error_model="numpy")
+def _pressure(law: Array, opening: float) -> tuple[float, float]:
+    """Pressure (Pa) and its slope (Pa/m), as `SurfaceNormalLaw` and `BackBurdekinLaw` say."""
+    if law[_KIND] == _SURFACE:
+        scaled = (law[_START] + opening) / (math.sqrt(2.0) * law[_SHAPE])
+        bell = math.exp(-min(scaled * scaled, 700.0))
+        slope = -law[_SCALE] * bell / (math.sqrt(2.0 * math.pi) * law[_SHAPE])
+        return 0.5 * law[_SCALE] * math.erfc(scaled), slope
+    approach = max(law[_START] - opening, 0.0) / law[_SCALE]
+    power = 1.0 / law[_SHAPE]
+    return approach**power, -power / law[_SCALE] * approach ** (power - 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _evaluate(
+    laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
+) -> None:
+    """`fesim.joint_law.evaluate` into `value`, `moved` and `tangent` (6, m)."""
+    for e in range(laws.shape[0]):
+        law = laws[e]
+        pressure, slope = _pressure(law, gap[0, e])
+        stiffness = law[_STIFFNESS]
+        first = -stiffness * (gap[1, e] - slip[0, e])
+        second = -stiffness * (gap[2, e] - slip[1, e])
+        size, bound = math.hypot(first, second), law[_FRICTION] * pressure
+        value[0, e] = pressure - law[_PRELOAD]
+        tangent[0, e] = slope
+        if size <= bound and bound > 0.0:
+            value[1, e], value[2, e] = first, second
+            moved[0, e], moved[1, e] = slip[0, e], slip[1, e]
+            tangent[1, e] = tangent[2, e] = tangent[4, e] = 0.0
+            tangent[3, e] = tangent[5, e] = -stiffness
+            continue
+        along = across = ratio = 0.0
+        if size > 0.0:
+            along, across, ratio = first / size, second / size, bound / size
+        value[1, e], value[2, e] = bound * along, bound * across
+        moved[0, e] = gap[1, e] + value[1, e] / stiffness
+        moved[1, e] = gap[2, e] + value[2, e] / stiffness
+        tangent[1, e] = law[_FRICTION] * slope * along
+        tangent[2, e] = law[_FRICTION] * slope * across
+        tangent[3, e] = -stiffness * ratio * (1.0 - along * along)
+        tangent[4, e] = stiffness * ratio * along * across
+        tangent[5, e] = -stiffness * ratio * (1.0 - across * across)
+
+
+@njit(cache=True, error_model="numpy")
+def _residual(
+    force_compliance: Array,
+    reference: Array,
+    thermal_gap: Array,
+    gap: Array,
+    value: Array,
+    remainder: Array,
+    residual: Array,
+) -> None:
+    """r(g) into `residual`; `remainder` is storage."""
+    count = gap.shape[1]
+    for i in range(3):
+        for e in range(count):
+            remainder[i * count + e] = value[i, e] + reference[i * count + e] * gap[i, e]
+    np.dot(force_compliance, remainder, residual)
+    for i in range(3):
+        for e in range(count):
+            at = i * count + e
+            residual[at] = gap[i, e] - thermal_gap[at] - residual[at]
+
+
+@njit(cache=True, error_model="numpy")
+def _newton_step(
+    laws: Array,
+    at_rest: Array,
+    settled: Array,
+    settled_compliance: Array,
+    tangent: Array,
+    residual: Array,
+    step: Array,
+    rows: NDArray[np.int64],
+    system: Array,
+    forces: Array,
+) -> None:
+    """-J^-1 r into `step` (3 m,); `rows`, `system` and `forces` are storage.
+
+    With y = dT step, the tractions that T0 lacks: (I - dT F) y = -dT J0^-1 r on the rows of dT
+    that are not zero, and step = F y - J0^-1 r.
+    """
+    count = at_rest.size
+    np.dot(settled, residual, step)
+    step *= -1.0
+    size = count
+    for e in range(count):
+        rows[e] = e
+    for e in range(count):
+        if tangent[3, e] != -laws[e, _STIFFNESS] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
+            rows[size], rows[size + 1] = count + e, 2 * count + e
+            size += 2
+    matrix, right_side = system[: size * size].reshape(size, size), forces[:size]
+    for k in range(size):
+        part, e = divmod(rows[k], count)
+        if part == 0:
+            normal, along, across = tangent[0, e] - at_rest[e], 0.0, 0.0
+        elif part == 1:
+            normal, across = tangent[1, e], tangent[4, e]
+            along = tangent[3, e] + laws[e, _STIFFNESS]
+        else:
+            normal, along = tangent[2, e], tangent[4, e]
+            across = tangent[5, e] + laws[e, _STIFFNESS]
+        first, second = count + e, 2 * count + e
+        right_side[k] = normal * step[e] + along * step[first] + across * step[second]
+        for j in range(size):
+            column = rows[j]
+            matrix[k, j] = -normal * settled_compliance[e, column]
+            if part > 0:
+                matrix[k, j] -= (
+                    along * settled_compliance[first, column]
+                    + across * settled_compliance[second, column]
+                )
+        matrix[k, k] += 1.0
+    found = np.linalg.solve(matrix, right_side)
+    for i in range(3 * count):
+        total = 0.0
+        for k in range(size):
+            total += settled_compliance[i, rows[k]] * found[k]
+        step[i] += total
+
+
+@njit(cache=True, error_model="numpy")
+def _largest(values: Array) -> float:
+    """The largest magnitude; NaN if there is one, which must not look like convergence."""
+    largest = 0.0
+    for value in values.flat:
+        if math.isnan(value):
+            return math.nan
+        largest = max(largest, abs(value))
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(
+    force_compliance: Array,
+    reference: Array,
+    laws: Array,
+    at_rest: Array,
+    settled: Array,
+    settled_compliance: Array,
+    thermal_gap: Array,
+    slip: Array,
+    tolerance: float,
+    gap: Array,
+    value: Array,
+    moved: Array,
+    tangent: Array,
+) -> tuple[int, float, int]:
+    """Newton's method from `gap`, in place; return the outcome, the residual and the iterations."""
+    count = at_rest.size
+    unknowns = 3 * count
+    remainder, residual, step = np.empty(unknowns), np.empty(unknowns), np.empty(unknowns)
+    rows, forces = np.empty(unknowns, dtype=np.int64), np.empty(unknowns)
+    system = np.empty(unknowns * unknowns)
+    before = np.empty_like(gap)
+
+    _evaluate(laws, gap, slip, value, moved, tangent)
+    _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+    full_steps, size = MAX_FULL_STEPS, _largest(residual)
+    for iteration in range(MAX_ITERATIONS):
+        if size <= tolerance and np.spacing(_largest(gap)) <= tolerance:
+            return _SOLVED, size, iteration
+        _newton_step(
+            laws,
+            at_rest,
+            settled,
+            settled_compliance,
+            tangent,
+            residual,
+            step,
+            rows,
+            system,
+            forces,
+        )
+        before[:] = gap
+        norm, length = math.sqrt(residual @ residual), 1.0
+        while True:
+            for i in range(3):
+                for e in range(count):
+                    gap[i, e] = before[i, e] + length * step[i * count + e]
+            _evaluate(laws, gap, slip, value, moved, tangent)
+            _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+            if math.sqrt(residual @ residual) <= (1.0 - 1e-4 * length) * norm:
+                break
+            length /= 2.0
+            if length < SHORTEST_STEP:
+                # On a kink of the law a full step leads away (`fesim.gap.solve_gap`).
+                if full_steps == 0:
+                    return _STALLED, size, iteration
+                full_steps -= 1
+                for i in range(3):
+                    for e in range(count):
+                        gap[i, e] = before[i, e] + step[i * count + e]
+                _evaluate(laws, gap, slip, value, moved, tangent)
+                _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+                break
+        size = _largest(residual)
+    return _UNCONVERGED, size, MAX_ITERATIONS

@@ -1,0 +1,34 @@
+"""STEP files as a CAD system exports them: solids with names, in mm."""
+
+import json
+import re
+import subprocess
+import sys
+
+# In a process of its own: Open CASCADE numbers the files of a process, and keeps the unit that the
+# last import asked for.
+_SCRIPT = """
+import json, sys
+import gmsh
+gmsh.initialize(interruptible=False)
+gmsh.option.setNumber("General.Terminal", 0)
+for kind, *numbers in json.loads(sys.argv[2]):
+    getattr(gmsh.model.occ, kind)(*numbers)
+gmsh.model.occ.synchronize()
+gmsh.write(sys.argv[1])
+gmsh.finalize()
+"""
+
+
+def write_step(path, solids):
+    """Write solids, each (name, kind, numbers...) with a kind of ``gmsh.model.occ``."""
+    shapes = json.dumps([solid[1:] for solid in solids])
+    arguments = [sys.executable, "-c", _SCRIPT, str(path), shapes]
+    subprocess.run(arguments, check=True, capture_output=True)
+    text = path.read_text()
+    for number, (name, *_) in enumerate(solids, start=1):
+        text, found = re.subn(
+            rf"(Open CASCADE STEP translator [\d.]+ 1)\.{number}'", f"{name}'", text
+        )
+        assert found
+    path.write_text(text)

@@ -1,0 +1,229 @@
+"""The march against a plain assembly that condenses nothing, and its errors in the time step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array, kron
+
+from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
+from fesim.elasticity import ElasticOperators, elastic_operators
+from fesim.heat import HeatOperators, HeatSource, heat_operators
+from fesim.joint_law import Friction, JointLaw
+from fesim.joint_operators import JointOperators, joint_operators
+from fesim.march import Advance, CondensedMachine, Inputs, iterated, march, staggered
+from fesim.materials import Material
+from fesim.setup import reference_springs
+from fesim.spaces import make_spaces, probe_rows
+from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
+from meshes.pairing import PairedJoint, pair_joint
+from meshes.structure import Probe, Structure
+from verification.check import Check
+from verification.manufactured import WITHIN
+from verification.plain_march import plain_march
+from verification.series import law_at
+from verification.structures import IRON, LEFT, SECTION, STEEL, bars
+
+Array = NDArray[np.float64]
+
+#: Largest gap residual, m: far below the march's, so that nothing but the method is compared.
+RESIDUAL = 1e-17
+TOLERANCE = 1e-9
+
+#: Coupled steps of each comparison; input after so many of them; rise of the ambient in one, K.
+COUNT = 10
+HISTORY = np.array([[0.0, 6.0, 8.0], [0.0, 1.0, -2.0]])
+WARMING = 0.1
+
+#: Step lengths, s, and the time at which marches of different step length are compared, s.
+STEPS, TIME = (2.0, 1.0, 0.5), 48.0
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """A structure's operators as they are assembled, and the machine condensed from them.
+
+    Attributes
+    ----------
+    heat, elastic, joints
+        Operators of the whole structure.
+    probes : scipy.sparse.csr_array, shape (k, n)
+        Rows of the displacement probes.
+    machine : CondensedMachine
+        What marches.
+    field : DisplacementField
+        Displacements from its results.
+    """
+
+    heat: HeatOperators
+    elastic: ElasticOperators
+    joints: JointOperators
+    probes: csr_array
+    machine: CondensedMachine
+    field: DisplacementField
+
+
+def assemble(
+    structure: Structure,
+    joint: PairedJoint,
+    materials: dict[str, Material],
+    law: JointLaw,
+    step: float,
+    films: dict[str, float],
+    source: HeatSource,
+    fixed: list[str],
+    rollers: dict[str, str],
+    probe: Probe,
+) -> Assembled:
+    """Assemble a structure with one joint, and condense it."""
+    spaces = make_spaces(structure.mesh)
+    joints = joint_operators([joint], spaces)
+    heat = heat_operators(structure, spaces.heat, materials, films, [source])
+    elastic = elastic_operators(structure, spaces, materials, fixed, rollers)
+    scalar = probe_rows(spaces.elastic, structure, {"probe": probe})
+    probes = csr_array(kron(scalar, eye_array(3)))
+    springs = reference_springs(structure, materials, [joint])
+    condensed, field = condense_elasticity(elastic, joints, springs, probes)
+    laws = [(law, len(joints.area))]
+    thermal = condense_heat(heat, joints, step)
+    machine = CondensedMachine(thermal, condensed, laws, RESIDUAL)
+    return Assembled(heat, elastic, joints, probes, machine, field)
+
+
+def heated_bars(kind: str, law: JointLaw, power: float, step: float) -> Assembled:
+    """Return bars of iron and steel between two walls whose meshes do not match.
+
+    Heat on one side and air on the other turn the joint; the unlike expansion makes it slide.
+    """
+    structure = bars(kind, (2, 3, 1), (2, 2, 2))
+    return assemble(
+        structure,
+        pair_joint(structure, "joint", 3, 2),
+        {"left": IRON, "right": STEEL},
+        law,
+        step,
+        {"y0": 50.0},
+        HeatSource(power, surface="y1"),
+        ["x0", "x1"],
+        {"z0": "z"},
+        Probe((LEFT, *SECTION), "left"),
+    )
+
+
+def coarse_machine(law: JointLaw, power: float, step: float) -> Assembled:
+    """Return half of the reference milling machine on elements of 100 mm."""
+    structure = box_milling_machine(MillingMachineDimensions(), element_size=0.1)
+    materials = {"column": IRON, "table": IRON}
+    materials["screw"] = replace(IRON, youngs_modulus=2940e9)
+    return assemble(
+        structure,
+        pair_joint(structure, "knee", 9, 3),
+        materials,
+        law,
+        step,
+        {"exterior": 6.0},
+        HeatSource(power / structure.symmetry_factor, surface="bearings"),
+        ["column_base", "screw_foot"],
+        {"symmetry": "z"},
+        structure.probes["A"],
+    )
+
+
+def condensed_checks() -> Iterator[Check]:
+    """Both marches side by side."""
+    law = replace(law_at(4.41e6), friction=Friction(0.1, 1e12))
+    for name, made in (
+        ("bars, hexahedra", heated_bars("hexahedra", law, 2000.0, 2.0)),
+        ("bars, tetrahedra", heated_bars("tetrahedra", law, 2000.0, 2.0)),
+        ("milling machine", coarse_machine(law, 2000.0, 60.0)),
+    ):
+        yield from compared(f"condensed march, {name}", made)
+
+
+def driven(made: Assembled) -> Inputs:
+    """Return heat and ambient of `made` at a time, s."""
+
+    def inputs(time: float) -> Array:
+        steps = time / made.machine.thermal.step
+        return np.array([np.interp(steps, *HISTORY), WARMING * steps])
+
+    return inputs
+
+
+def compared(name: str, made: Assembled) -> Iterator[Check]:
+    """Check each quantity at its worst step and place, relative to its largest value in the run."""
+    inputs = driven(made)
+    plain = plain_march(made.heat, made.elastic, made.joints, made.machine, inputs)
+    condensed = march(made.machine, inputs, staggered)
+    found: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
+    for theirs, step in islice(zip(plain, condensed, strict=False), COUNT):
+        state = step.state
+        for key, ours, reference in (
+            (("temperature", "K"), state.temperature, theirs.temperature),
+            (
+                ("displacement", "m"),
+                made.field.solve(state.temperature, step.remainder),
+                theirs.displacement,
+            ),
+            (("probed displacement", "m"), step.displacement, made.probes @ theirs.displacement),
+            (("pressure", "Pa"), state.pressure, theirs.pressure),
+            (("gap", "m"), state.gap.ravel(), made.joints.gap @ theirs.displacement),
+            (("slip", "m"), state.slip.ravel(), theirs.slip.ravel()),
+        ):
+            found.setdefault(key, []).append((reference, ours))
+    for (quantity, unit), pairs in found.items():
+        reference, ours = (np.array(side) for side in zip(*pairs, strict=True))
+        at = np.unravel_index(int(np.argmax(np.abs(ours - reference))), ours.shape)
+        yield Check(
+            name=f"{name}: {quantity}",
+            quantity=quantity,
+            unit=unit,
+            reference=float(reference[at]),
+            computed=float(ours[at]),
+            tolerance=TOLERANCE,
+            source="plain assembly",
+            scale=float(np.abs(reference).max()),
+        )
+
+
+def splitting_checks() -> Iterator[Check]:
+    """Orders in the time step, between the two finest of three."""
+    law = replace(law_at(0.2e6), friction=Friction(0.3, 1e12))
+    made = heated_bars("hexahedra", law, 600.0, STEPS[0])
+    ends = {
+        advance: [end_of(made, step, advance) for step in STEPS]
+        for advance in (staggered, iterated)
+    }
+    for quantity, at in (("temperature", 0), ("pressure", 1)):
+        loose, tight = ([end[at] for end in ends[advance]] for advance in (staggered, iterated))
+        apart = [np.abs(one - other).max() for one, other in zip(loose, tight, strict=True)]
+        yield order(f"splitting, staggered less iterated: order of the {quantity}", apart)
+        for how, series in (("staggered", loose), ("iterated", tight)):
+            steps = [np.abs(one - other).max() for one, other in pairwise(series)]
+            yield order(f"splitting, {how} march in dt: order of the {quantity}", steps)
+
+
+def end_of(made: Assembled, step: float, advance: Advance) -> tuple[Array, Array]:
+    """Temperature and pressure at `TIME` by steps of a length, s."""
+    machine = replace(made.machine, thermal=condense_heat(made.heat, made.joints, step))
+    inputs = np.array([1.0, 0.0])
+    steps = march(machine, lambda _: inputs, advance)
+    state = next(islice(steps, round(TIME / step) - 1, None)).state
+    return state.temperature, state.pressure
+
+
+def order(name: str, errors: list[float]) -> Check:
+    """Check an order of one by the last two errors; each belongs to half the step before."""
+    return Check(
+        name=name,
+        quantity=name.split(": ")[1],
+        unit="1",
+        reference=1.0,
+        computed=float(np.log2(errors[-2] / errors[-1])),
+        tolerance=WITHIN,
+        source="theory; difference of orders",
+    )
