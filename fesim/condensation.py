@@ -232,26 +232,41 @@ def condense_elasticity(
     solver : str, optional
         See `fesim.linear_solver.factorise`.
     """
+    field = displacement_field(elastic, joints, reference, solver)
+    return condense_field(field, reference, probes), field
+
+
+def displacement_field(
+    elastic: ElasticOperators, joints: JointOperators, reference: Array, solver: str | None = None
+) -> DisplacementField:
+    """Factorise the elastic structure with its reference springs; as for `condense_elasticity`."""
     free = elastic.free
     gap = csr_array(joints.gap[:, free])
     area = np.tile(joints.area, 3)
     springs = gap.T @ diags_array(area * reference) @ gap
     factor = factorise(elastic.stiffness[free][:, free] + springs, "stiffness", solver)
-    rows = probes[:, free]
+    return DisplacementField(factor, elastic, joints.gap, area)
+
+
+def condense_field(
+    field: DisplacementField, reference: Array, probes: csr_array
+) -> ElasticCondensation:
+    """Condense the factorised structure on the joints; as for `condense_elasticity`."""
+    elastic = field.operators
+    gap, rows = csr_array(field.gap[:, elastic.free]), probes[:, elastic.free]
     outputs = np.vstack([gap.toarray(), rows.toarray()])
-    influence = checked_solve(factor, outputs.T, "elastic condensation")
-    load = elastic.thermal_load[free]
+    influence = checked_solve(field.factor, outputs.T, "elastic condensation")
+    load = elastic.thermal_load[elastic.free]
     thermal = (load.T @ influence).T
     count = gap.shape[0]
     joint_influence = influence[:, :count]
     compliance = gap @ joint_influence
-    condensed = ElasticCondensation(
+    return ElasticCondensation(
         # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.
         compliance=0.5 * (compliance + compliance.T),
         thermal_gap=np.ascontiguousarray(thermal[:count]),
         probe_compliance=rows @ joint_influence,
         probe_thermal=np.ascontiguousarray(thermal[count:]),
         reference=reference,
-        area=area,
+        area=field.area,
     )
-    return condensed, DisplacementField(factor, elastic, joints.gap, area)

@@ -107,7 +107,7 @@ def thermal_modes(
         csr_array(system[free][:, free]),
         np.hstack([drives, flows])[free],
         outputs[:, free],
-        min(step, SHORTEST),
+        shortest(step),
         LONGEST,
         solver,
     )
@@ -115,6 +115,11 @@ def thermal_modes(
     basis[free, : found.rates.size] = found.basis
     basis[:, found.rates.size :] = surfaces
     return ThermalModes(basis, found.rates, found.error)
+
+
+def shortest(step: float) -> float:
+    """Return the shortest time (s) that the modes of a march with some step (s) resolve."""
+    return min(step, SHORTEST)
 
 
 def project_heat(

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from artefacts.errors import InputError, unknown_name
+from fesim.cache import remembered
 from fesim.case import CandidatesSection, Case, MillingMachineSection
 from fesim.case_law import element_means, joint_laws
-from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
+from fesim.condensation import (
+    DisplacementField,
+    ElasticCondensation,
+    condense_field,
+    condense_heat,
+    displacement_field,
+)
 from fesim.elasticity import DIRECTIONS, elastic_operators
 from fesim.heat import by_cell, heat_operators
 from fesim.joint_operators import joint_operators
@@ -24,8 +32,10 @@ from fesim.reduced_march import (
     ThermalModes,
     project_elasticity,
     project_heat,
+    shortest,
     thermal_modes,
 )
+from fesim.sharing import elasticity_key
 from fesim.spaces import Spaces, make_spaces, probe_rows
 from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
@@ -72,8 +82,8 @@ class Setup:
         In the order of the contact elements.
     machine : CondensedMachine
         What marches; its displacement probes are the relative displacement along x, y and z.
-    field : DisplacementField
-        Full displacements on demand.
+    make_field : callable
+        Gives `field`; it is only factorised when somebody asks.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
     probe_rows : scipy.sparse.csr_array or ndarray, shape (probes, n_heat)
@@ -86,10 +96,15 @@ class Setup:
     spaces: Spaces
     joints: tuple[PairedJoint, ...]
     machine: CondensedMachine
-    field: DisplacementField
+    make_field: Callable[[], DisplacementField]
     probes: dict[str, Probe]
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
+
+    @property
+    def field(self) -> DisplacementField:
+        """Full displacements on demand."""
+        return self.make_field()
 
     def nodal_temperature(self, state: State) -> NDArray[np.float64]:
         """Temperature above the initial ambient at every unknown of `spaces.heat`, K."""
@@ -104,7 +119,10 @@ def set_up(case: Case) -> Setup:
     InputError
         A name does not exist in the structure, or parts do not fit.
     """
+    before = elasticity_key(case)
     parts = make_parts(case)
+    # A mesh file that somebody writes just now is not to be taken for the one before.
+    key = before if elasticity_key(case) == before else None
     structure, joints = parts.structure, parts.joints
     materials = body_materials(case, structure)
     spaces = make_spaces(structure.mesh)
@@ -121,31 +139,41 @@ def set_up(case: Case) -> Setup:
         heat_sources(case, structure),
         list(case.held_temperatures),
     )
-    elastic = elastic_operators(
-        structure,
-        spaces,
-        materials,
-        case.supports.fixed,
-        dict(case.supports.symmetry),
-        spring_stiffnesses(case, structure),
-    )
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
-    condensed, field = condense_elasticity(elastic, operators, springs, relative, solver)
+
+    @cache
+    def field() -> DisplacementField:
+        elastic = elastic_operators(
+            structure,
+            spaces,
+            materials,
+            case.supports.fixed,
+            dict(case.supports.symmetry),
+            spring_stiffnesses(case, structure),
+        )
+        return displacement_field(elastic, operators, springs, solver)
+
+    condensed = remembered(
+        ElasticCondensation, key, lambda: condense_field(field(), springs, relative)
+    )
     modes = None
     if case.march.thermal == "reduced":
-        modes = thermal_modes(heat, operators, condensed, rows, step, solver)
+        modes = remembered(
+            ThermalModes,
+            None if key is None else f"{key} from {shortest(step)!r} s",
+            lambda: thermal_modes(heat, operators, condensed, rows, step, solver),
+        )
         thermal = project_heat(heat, operators, step, modes)
-        condensed = project_elasticity(condensed, modes)
+        machine = CondensedMachine(thermal, project_elasticity(condensed, modes), laws)
     else:
-        thermal = condense_heat(heat, operators, step, solver)
-    machine = CondensedMachine(thermal, condensed, laws)
+        machine = CondensedMachine(condense_heat(heat, operators, step, solver), condensed, laws)
     return Setup(
         structure=structure,
         spaces=spaces,
         joints=joints,
         machine=machine,
-        field=field,
+        make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
         modes=modes,

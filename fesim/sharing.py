@@ -11,6 +11,7 @@ from typing import Any
 
 from artefacts.errors import InputError
 from fesim.case import Case
+from fesim.linear_solver import default_solver
 
 #: What enters only the joint's law (`fesim.setup.with_laws`) or the loads, or is only recorded.
 #: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
@@ -74,6 +75,24 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     case, digest
         As for `case_id`.
     """
+    return _hash(_with_digests(_condensed(case), digest))
+
+
+def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
+    """Return the digest of what the elastic condensation follows from, for `fesim.cache`.
+
+    Parameters
+    ----------
+    case, digest
+        As for `case_id`.
+    """
+    data = _condensed(case)
+    data["march"] = {"solver": case.march.solver or default_solver()}
+    return _hash(_with_digests(data, digest))
+
+
+def _condensed(case: Case) -> dict[str, Any]:
+    """What enters `set_up` except loads and joint laws."""
     data = case.model_dump(mode="json", exclude=_LOADS)
     data["march"] = _without(data["march"], _MARCH)
     # Lists of pairs where the order is that of the condensed rows and columns.
@@ -81,7 +100,7 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
     data["held_temperatures"] = list(data["held_temperatures"])
     data["probes"] = list(data["probes"].items())
-    return _hash(_with_digests(data, digest))
+    return data
 
 
 def _without(section: dict[str, Any], keys: set[str]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Fixtures that several test files share."""
 
+import os
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +19,9 @@ from calibrate.regularisation import choose_regularisation
 from fesim.case import case_from_data
 from fesim.setup import set_up
 from fesim.simulate import simulate
+
+# No test finds what another run has left, nor leaves anything.
+os.environ["THERMOJOINT_CACHE"] = "off"
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,143 @@
+"""Condensations kept on disk from one run to the next, each found by all that it follows from.
+
+An entry is one file, called after a digest of its ingredients: the case without loads and joint
+laws, the content of its mesh, this program's source and the numerical libraries' versions. What
+follows from other ingredients has another name, so that nothing stale is ever found. An entry is
+written whole or not at all and never changed, so that any number of processes may read and write
+at once. Reading checks it (zip files carry checksums); a damaged one counts as missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+
+from artefacts.files import whole_file
+
+#: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
+VARIABLE = "THERMOJOINT_CACHE"
+
+#: A file that a killed process was writing stays at most this long, s.
+ABANDONED = 86_400.0
+
+#: When all entries together are larger, those go that were not used for the longest time, bytes.
+LIMIT = 10_000_000_000
+
+_LIBRARIES = ("numpy", "scipy", "scikit-fem")
+_SOURCES = ("artefacts", "meshes", "fesim")
+
+T = TypeVar("T")
+Arrays = dict[str, NDArray[np.float64]]
+
+
+def remembered(kind: type[T], key: str | None, make: Callable[[], T]) -> T:
+    """Return a dataclass of arrays and numbers: the one stored under a key, or a new one.
+
+    Parameters
+    ----------
+    kind : type
+        The dataclass.
+    key : str or None
+        Says all that it follows from, but for the program; None if nothing is to be kept.
+    make : callable
+        Makes it.
+    """
+    if key is None:
+        return make()
+    name = f"{kind.__name__} {key}"
+    found = load(name)
+    if found is not None:
+        return kind(
+            **{field: array if array.ndim else array.item() for field, array in found.items()}
+        )
+    made = make()
+    store(name, {field: np.asarray(value) for field, value in vars(made).items()})
+    return made
+
+
+def folder() -> Path | None:
+    """Return the folder of the entries, or None if nothing is to be kept."""
+    given = os.environ.get(VARIABLE, "")
+    if given.lower() == "off":
+        return None
+    return Path(given) if given else user_cache_path("thermojoint", appauthor=False)
+
+
+def load(key: str) -> Arrays | None:
+    """Return what was stored under a key, or None."""
+    place = folder()
+    if place is None:
+        return None
+    path = _path(place, key)
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = dict(content)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+        return None
+    with suppress(OSError):
+        os.utime(path)  # It is the one used last.
+    return arrays
+
+
+def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+    """Keep arrays under a key, where there is a place for them.
+
+    A folder that cannot be written, or a full disk, costs the next run its time and nothing else.
+    """
+    place = folder()
+    if place is None:
+        return
+    with suppress(OSError):
+        with whole_file(_path(place, key)) as part, part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        _trim(place)
+
+
+@cache
+def program() -> str:
+    """Return a digest of what computes: this program's source, and its libraries' versions."""
+    found = hashlib.sha256()
+    for name in _LIBRARIES:
+        found.update(f"{name} {version(name)}\n".encode())
+    root = Path(__file__).parents[1]
+    for package in _SOURCES:
+        for path in sorted((root / package).rglob("*.py")):
+            found.update(f"{path.relative_to(root).as_posix()}\n".encode())
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def _path(place: Path, key: str) -> Path:
+    return place / f"{hashlib.sha256(f'{program()} {key}'.encode()).hexdigest()}.npz"
+
+
+def _trim(place: Path) -> None:
+    for path in place.glob(".*.npz"):
+        with suppress(OSError):
+            if path.stat().st_mtime < time.time() - ABANDONED:
+                path.unlink()
+    entries = []
+    for path in place.glob("[!.]*.npz"):
+        with suppress(OSError):  # another process may take it away
+            status = path.stat()
+            entries.append((status.st_mtime, status.st_size, path))
+    size = sum(entry[1] for entry in entries)
+    for _, taken, path in sorted(entries)[:-1]:
+        if size <= LIMIT:
+            return
+        with suppress(OSError):
+            path.unlink()
+        size -= taken

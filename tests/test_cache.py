@@ -1,0 +1,279 @@
+"""The cache of condensations: the same results sooner, nothing stale, nothing damaged."""
+
+import copy
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fesim import cache
+from fesim.case import case_from_data
+from fesim.setup import set_up
+from fesim.sharing import elasticity_key
+from fesim.simulate import simulate
+from meshes.exchange import write_structure
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Something worth keeping."""
+
+    numbers: np.ndarray
+    factor: float
+
+
+def pair(key="key", made=None):
+    def make():
+        if made is not None:
+            made.append(key)
+        return Pair(np.arange(1000.0), 0.1)
+
+    return cache.remembered(Pair, key, make)
+
+
+@pytest.fixture
+def reduced(coarse_data):
+    data = copy.deepcopy(coarse_data)
+    data["march"]["thermal"] = "reduced"
+    return data
+
+
+def case_of(data):
+    return case_from_data(data, "case", Path())
+
+
+def test_a_set_up_from_the_cache_is_the_same_to_the_last_bit(folder, reduced, monkeypatch):
+    case = case_of(reduced)
+    fresh = set_up(case)
+
+    def factorise(*given):
+        raise AssertionError("there is nothing to factorise")
+
+    with monkeypatch.context() as within:
+        for module in ("fesim.condensation", "fesim.reduction"):
+            within.setattr(f"{module}.factorise", factorise)
+        stored = set_up(case)
+        one, other = (simulate(case, setup=setup).response for setup in (fresh, stored))
+    assert one.identical(other)
+    assert len(list(folder.glob("*.npz"))) == 2
+
+
+def test_displacement_fields_are_there_without_their_condensation(folder, reduced):
+    case = case_of(reduced)
+    fresh, stored = set_up(case), set_up(case)
+    rng = np.random.default_rng(1)
+    temperature = rng.normal(size=fresh.spaces.heat.N)
+    remainder = 1e6 * rng.normal(size=3 * fresh.machine.contacts)
+    np.testing.assert_array_equal(
+        stored.field.solve(temperature, remainder), fresh.field.solve(temperature, remainder)
+    )
+
+
+def test_the_full_thermal_model_shares_the_elastic_condensation(folder, coarse_data, reduced):
+    set_up(case_of(coarse_data))
+    (entry,) = folder.glob("*.npz")
+    set_up(case_of(reduced))
+    assert entry in folder.glob("*.npz")
+    assert len(list(folder.glob("*.npz"))) == 2
+
+
+def test_any_step_from_a_second_on_is_served_by_the_same_modes(folder, reduced):
+    steps = (2.0, 5.0, 60.0)
+    ranks = {set_up(case_of(with_step(reduced, step))).modes.rates.size for step in steps}
+    assert len(list(folder.glob("*.npz"))) == 2
+    assert len(ranks) == 1
+    set_up(case_of(with_step(reduced, 0.25)))
+    assert len(list(folder.glob("*.npz"))) == 3
+
+
+def with_step(data, step):
+    changed = copy.deepcopy(data)
+    changed["march"]["step_s"] = step
+    return changed
+
+
+CHANGES = {
+    "a modulus": ("materials", "cast_iron", "youngs_modulus_GPa"),
+    "an expansion": ("materials", "cast_iron", "expansion_1_K"),
+    "a conductivity": ("materials", "cast_iron", "conductivity_W_mK"),
+    "a film": ("convection_W_m2K", "exterior"),
+    "an element size": ("structure", "element_size_mm"),
+    "a number of contact elements": ("joints", "knee", "along"),
+}
+NO_CHANGES = {
+    "a preload": ("joints", "knee", "preload_MPa"),
+    "a friction coefficient": ("joints", "knee", "friction_coefficient"),
+    "a power": ("sources", None, "reference_power_W"),
+    "a duration": ("march", "duration_min"),
+    "a step": ("march", "step_s"),
+}
+
+
+def changed(data, place):
+    made = copy.deepcopy(data)
+    section = made
+    for key in place[:-1]:
+        section = section[key if key is not None else next(iter(section))]
+    section[place[-1]] += 1
+    return case_of(made)
+
+
+@pytest.mark.parametrize("place", CHANGES.values(), ids=CHANGES)
+def test_what_enters_the_condensation_makes_another_entry(coarse_data, place):
+    assert elasticity_key(changed(coarse_data, place)) != elasticity_key(case_of(coarse_data))
+
+
+@pytest.mark.parametrize("place", NO_CHANGES.values(), ids=NO_CHANGES)
+def test_what_does_not_enter_it_makes_none(coarse_data, place):
+    assert elasticity_key(changed(coarse_data, place)) == elasticity_key(case_of(coarse_data))
+
+
+def test_another_program_or_library_finds_nothing(folder, monkeypatch):
+    made = []
+    pair(made=made)
+    pair(made=made)
+    assert len(made) == 1
+    monkeypatch.setattr(cache, "program", lambda: "another")
+    pair(made=made)
+    assert len(made) == 2
+
+
+def test_the_program_is_its_source_and_its_libraries(monkeypatch):
+    before = cache.program.__wrapped__()
+    assert before == cache.program()
+    monkeypatch.setattr(cache, "version", lambda name: "0.0")
+    assert cache.program.__wrapped__() != before
+    monkeypatch.undo()
+    monkeypatch.setattr(cache, "_SOURCES", ("fesim",))
+    assert cache.program.__wrapped__() != before
+
+
+def test_a_mesh_that_is_written_while_it_is_read_is_not_kept(
+    folder, coarse_data, coarse_setup, tmp_path, monkeypatch
+):
+    data = copy.deepcopy(coarse_data)
+    path = tmp_path / "machine.vtu"
+    write_structure(coarse_setup.structure, path)
+    data["structure"] = {"kind": "mesh", "file": str(path), "symmetry_factor": 2.0}
+    data["probes"] = {"T1": coarse_data["probes"]["T1"]}
+    real = set_up.__globals__["make_parts"]
+
+    def disturbed(case):
+        parts = real(case)
+        with path.open("a") as file:
+            file.write("\n")
+        return parts
+
+    monkeypatch.setattr("fesim.setup.make_parts", disturbed)
+    set_up(case_of(data))
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "no zip"])
+def test_a_damaged_entry_is_made_again(folder, damage):
+    made = []
+    pair(made=made)
+    (entry,) = folder.iterdir()
+    content = bytearray(entry.read_bytes())
+    if damage == "flipped":
+        content[len(content) // 2] ^= 0x10
+    ends = {"cut": len(content) // 2, "empty": 0}
+    entry.write_bytes(b"no zip" if damage == "no zip" else content[: ends.get(damage)])
+    found = pair(made=made)
+    assert len(made) == 2
+    np.testing.assert_array_equal(found.numbers, np.arange(1000.0))
+    pair(made=made)
+    assert len(made) == 2
+
+
+def test_off_means_off(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, "off")
+    monkeypatch.chdir(tmp_path)
+    made = []
+    pair(made=made)
+    pair(made=made)
+    assert len(made) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_costs_time_only(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "file"))
+    made = []
+    assert pair(made=made).factor == pair(made=made).factor == 0.1
+    assert len(made) == 2
+
+
+def test_what_was_not_used_for_the_longest_time_goes_first(folder, monkeypatch):
+    pair("one")
+    (entry,) = folder.iterdir()
+    monkeypatch.setattr(cache, "LIMIT", int(2.5 * entry.stat().st_size))
+    now = time.time()
+    made = []
+    os.utime(entry, (now - 100, now - 100))
+    pair("two")
+    os.utime(newest(folder), (now - 50, now - 50))
+    pair("one")  # used: now the other one is the oldest
+    pair("three")
+    pair("one", made)
+    pair("three", made)
+    assert made == []
+    pair("two", made)
+    assert made == ["two"]
+
+
+def newest(folder):
+    return max(folder.iterdir(), key=lambda path: path.stat().st_mtime)
+
+
+def test_what_a_killed_process_left_goes_after_a_day(folder):
+    folder.mkdir()
+    for name, age in ((".old.x.npz", 2.0), (".new.x.npz", 0.5)):
+        (folder / name).write_text("half")
+        then = time.time() - age * cache.ABANDONED
+        os.utime(folder / name, (then, then))
+    pair()
+    assert [path.name for path in folder.glob(".*")] == [".new.x.npz"]
+
+
+MANY = """
+import sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from dataclasses import dataclass
+from fesim.cache import remembered
+
+@dataclass(frozen=True)
+class Pair:
+    numbers: np.ndarray
+    factor: float
+
+for turn in range(200):
+    key = turn % 5
+    found = remembered(Pair, str(key), lambda: Pair(np.full(20_000, float(key)), key + 0.5))
+    assert found.factor == key + 0.5
+    assert (found.numbers == key).all()
+"""
+
+
+def test_many_processes_at_once_do_not_disturb_each_other(folder):
+    root = str(Path(__file__).parents[1])
+    running = [
+        subprocess.Popen([sys.executable, "-c", MANY, root], stderr=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
+    for process in running:
+        assert process.communicate(timeout=120)[1] == ""
+        assert process.returncode == 0
+    assert len(list(folder.iterdir())) == 5
