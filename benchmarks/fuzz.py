@@ -4,8 +4,8 @@ Case files, meshes and histories are mutated at random (from a seed) and given t
 ``thermojoint simulate``. An input passes if the command ends in time, with exit code 0 and a whole
 response, or with exit code 2, one line on standard error and no file left behind.
 
-Run: ``python benchmarks/fuzz.py --count 2000 --seed 1``. Failing inputs are kept in the folder that
-``--keep`` names; the exit code is 1 if there are any.
+Run: ``python benchmarks/fuzz.py --count 2200 [--seed N] [--markdown docs/damaged-inputs.md]``.
+Failing inputs are kept in the folder that ``--keep`` names; the exit code is 1 if there are any.
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ from rich.console import Console
 from rich.table import Table
 from skfem import MeshHex
 
+from artefacts.files import write_text
 from artefacts.response import read_response
 from meshes.exchange import write_structure
 from meshes.milling_machine import box_milling_machine
 from meshes.structure import Probe, Structure
 from thermojoint.cli import main as thermojoint
 
+HEADER = ["damage", "result", "refused in one line", "failed"]
 #: An input that takes longer than this is a hang, s; the unharmed ones take about one.
 LIMIT_S = 60.0
 #: Address space of one run: a case that asks for more must have been refused, bytes.
@@ -326,6 +328,41 @@ def verdict(folder: Path, given: Files, code: int | None) -> str:
     return "refused" if not left else f"files left: {sorted(left)}"
 
 
+def rows(outcomes: Counter[tuple[str, str]]) -> list[list[str]]:
+    """Cells of the table, a row for each kind of damage and one for all."""
+    kinds = ("result", "refused", "failed")
+    made = [
+        [damage, *(str(outcomes[damage, kind]) for kind in kinds)]
+        for damage in sorted({damage for damage, _ in outcomes})
+    ]
+    sums = [str(sum(n for (_, found), n in outcomes.items() if found == kind)) for kind in kinds]
+    return [*made, ["all", *sums]]
+
+
+def page(counted: list[list[str]], count: int, seed: int) -> str:
+    """The docs page."""
+    table = [HEADER, ["---"] * len(HEADER), *counted]
+    return "\n".join(
+        [
+            "# Damaged inputs",
+            "",
+            "Case files, meshes and histories, damaged at random, given to `thermojoint simulate`. "
+            "Each input must end in a whole response, or in one line that says what is wrong, with "
+            "exit code 2 and no file left behind; a traceback, a hang or part of a file is a "
+            "failure. Many kinds of damage leave a valid input: a changed number, a lost line. "
+            "Written by",
+            "",
+            "```sh",
+            f"python benchmarks/fuzz.py --count {count} --seed {seed} --markdown "
+            "docs/damaged-inputs.md",
+            "```",
+            "",
+            *(f"| {' | '.join(cells)} |" for cells in table),
+            "",
+        ]
+    )
+
+
 def main() -> int:
     """Run the fuzz and print what came of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -333,7 +370,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"))
+    parser.add_argument("--markdown", type=Path)
     asked = parser.parse_args()
+    os.environ["THERMOJOINT_CACHE"] = "off"
     context = multiprocessing.get_context("fork")
     outcomes: Counter[tuple[str, str]] = Counter()
     failures: list[str] = []
@@ -379,16 +418,13 @@ def main() -> int:
             collect(block=False)
         collect(block=True)
 
-    table = Table("damage", "result", "refused in one line", "failed", title=f"seed {asked.seed}")
-    for kind in sorted({kind for kind, _ in outcomes}):
-        counts = [str(outcomes[kind, what]) for what in ("result", "refused", "failed")]
-        table.add_row(kind, *counts)
-    sums = [
-        str(sum(n for (_, found), n in outcomes.items() if found == what))
-        for what in ("result", "refused", "failed")
-    ]
-    table.add_row("all", *sums)
+    counted = rows(outcomes)
+    table = Table(*HEADER, title=f"seed {asked.seed}")
+    for row in counted:
+        table.add_row(*row)
     Console(width=100).print(table)
+    if asked.markdown:
+        write_text(asked.markdown, page(counted, asked.count, asked.seed))
     for failure in failures:
         print(failure)
     return 1 if failures else 0

@@ -259,7 +259,7 @@ class Case(_Section):
     structure: Annotated[MillingMachineSection | MeshSection, Field(discriminator="kind")]
     materials: dict[str, MaterialSection]
     bodies: dict[str, str]
-    joints: dict[str, JointSection]
+    joints: dict[str, JointSection] = {}
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
     sources: dict[str, SourceSection] = {}

@@ -39,6 +39,10 @@ class JointOperators:
 
 def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOperators:
     """Assemble B and G for the paired `joints`."""
+    if not joints:
+        return JointOperators(
+            csr_array((0, spaces.heat.N)), csr_array((0, spaces.displacement_size)), np.empty(0)
+        )
     area = np.concatenate([joint.area for joint in joints])
     jump = vstack([-_means(joint, spaces.heat) for joint in joints], format="csr")
     by_direction: list[csr_array] = []

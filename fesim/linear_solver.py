@@ -87,6 +87,8 @@ def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
 
 def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
     """Solve and raise ConvergenceError if the residual exceeds `RESIDUAL_LIMIT`."""
+    if not right_side.size:
+        return np.zeros(right_side.shape)
     solution = factor.solve(right_side)
     residual = _relative_residual(factor, solution, right_side)
     # Written so that NaN fails too.

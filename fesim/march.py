@@ -26,6 +26,8 @@ Settle = Callable[[Array, Array, Array], Equilibrium]
 
 #: A step is halved this many times at most before it is given up.
 MAX_CUTS = 10
+#: Heat flows below this part of the heat held, in each step, are none.
+AT_REST = 1e-6
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
 MAX_SWEEPS = 100
@@ -87,12 +89,14 @@ class CondensedMachine:
 
     def conductance(self, pressure: Array) -> Array:
         """Eq. 11 at every contact element, W/(m2 K)."""
-        return np.concatenate([law.conductance(pressure[at]) for law, at in self._slices()])
+        parts = [law.conductance(pressure[at]) for law, at in self._slices()]
+        return np.concatenate([np.empty(0), *parts])
 
     @cached_property
     def preload(self) -> Array:
         """Preload of every contact element, Pa."""
-        return np.concatenate([np.full(count, law.preload) for law, count in self.laws])
+        parts = [np.full(count, law.preload) for law, count in self.laws]
+        return np.concatenate([np.empty(0), *parts])
 
 
 def gap_solver(
@@ -250,7 +254,7 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         step = _step_with(machine, state, inputs, machine.conductance(pressure))
         iterations += step.iterations
         cuts += step.cuts
-        change = float(np.abs((step.state.pressure - pressure) / machine.preload).max())
+        change = float(np.abs((step.state.pressure - pressure) / machine.preload).max(initial=0.0))
         if change <= PRESSURE_TOLERANCE:
             return replace(step, iterations=iterations, cuts=cuts)
         if change > last_change:
@@ -303,7 +307,9 @@ def heat_balance(
     """(in - stored - convected) over one step, relative to the largest of the three.
 
     What enters at one held surface and leaves at another counts as entering, and what one part of
-    the structure stores at the cost of another counts as stored: neither counts as nothing.
+    the structure stores at the cost of another counts as stored: neither counts as nothing. Where
+    everything has come to rest all three are rounding: then it is relative to `AT_REST` of the heat
+    that the structure holds, in each step.
     """
     sums, step = thermal.balance, thermal.step
     held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
@@ -311,8 +317,8 @@ def heat_balance(
     change = (after - before) / step
     stored = float(sums.stored @ change)
     convected = float(sums.convected @ after)
-    moved = float(np.abs(sums.stored) @ np.abs(change))
-    largest = max(abs(given), float(np.abs(held).sum()), moved, abs(convected))
+    moved, holding = (float(np.abs(sums.stored) @ np.abs(part)) for part in (change, after / step))
+    largest = max(abs(given), float(np.abs(held).sum()), moved, abs(convected), AT_REST * holding)
     return (given + float(held.sum()) - stored - convected) / largest if largest > 0.0 else 0.0
 
 

@@ -148,9 +148,11 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "heat_flow": np.array([step.heat_flow for step in steps]),
         "opening": np.array([step.state.gap[0] for step in steps]),
         "slip": np.array([step.state.slip.T for step in steps]),
-        "contact_position": np.concatenate([joint.centre for joint in setup.joints]),
-        "contact_area": np.concatenate([joint.area for joint in setup.joints]),
-        "contact_joint": np.array(names),
+        "contact_position": np.concatenate(
+            [np.empty((0, 3)), *(joint.centre for joint in setup.joints)]
+        ),
+        "contact_area": np.concatenate([np.empty(0), *(joint.area for joint in setup.joints)]),
+        "contact_joint": np.array(names, dtype=str),
         "gap_residual": np.array([step.residual for step in steps]),
         "iterations": np.array([step.iterations for step in steps]),
         "cuts": np.array([step.cuts for step in steps]),

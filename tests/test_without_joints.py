@@ -1,0 +1,69 @@
+"""A structure without joints: plain linear thermoelasticity by the same march."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from skfem import MeshHex
+
+from meshes.exchange import write_structure
+from meshes.structure import Structure
+from thermojoint.cli import app
+
+LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
+
+
+@pytest.fixture(scope="module")
+def bar(tmp_path_factory):
+    """A bar on rollers."""
+    ends = (LENGTH, 8), (SIDE, 2), (SIDE, 2)
+    mesh = MeshHex.init_tensor(*(np.linspace(0.0, end, n + 1) for end, n in ends))
+    outside = mesh.boundary_facets()
+    x, y, z = mesh.p[:, mesh.facets[:, outside]].mean(axis=1)
+    faces = {"foot": x, "bottom": y, "back": z}
+    structure = Structure(
+        mesh=mesh,
+        bodies={"bar": np.arange(mesh.nelements)},
+        surfaces={name: outside[away < 1e-9] for name, away in faces.items()},
+        joints={},
+    )
+    path = tmp_path_factory.mktemp("bar") / "bar.vtu"
+    write_structure(structure, path)
+    return path
+
+
+def case_text(path, thermal):
+    return f"""
+title = "A bar"
+structure = {{ kind = "mesh", file = "{path}" }}
+bodies = {{ bar = "iron" }}
+supports = {{ symmetry = {{ foot = "x", bottom = "y", back = "z" }} }}
+march = {{ step_s = 60.0, duration_min = 600.0, thermal = "{thermal}" }}
+displacement = {{ point = "end" }}
+held_temperatures = {{ foot = {{ rise_K = {RISE} }} }}
+probes = {{ end = {{ position_mm = [200.0, 0.0, 0.0] }} }}
+[materials.iron]
+conductivity_W_mK = 50.0
+density_kg_m3 = 7200.0
+heat_capacity_J_kgK = 500.0
+youngs_modulus_GPa = 110.0
+poisson_ratio = 0.25
+expansion_1_K = {EXPANSION}
+"""
+
+
+@pytest.mark.parametrize("thermal", ["full", "reduced"])
+def test_a_bar_without_joints_grows_as_its_temperature_says(bar, thermal, tmp_path):
+    """Warmed through from its foot, it is free of stress and longer by alpha T L."""
+    (tmp_path / "case.toml").write_text(case_text(bar, thermal))
+    out = tmp_path / "bar.nc"
+    app(["simulate", str(tmp_path / "case.toml"), "--out", str(out)], standalone_mode=False)
+    with xr.open_dataset(out) as response:
+        assert response.sizes["contact"] == 0
+        track = response["displacement"].sel(axis="x").to_numpy()
+        temperature = response["temperature"].to_numpy()[:, 0]
+        balance = response["heat_balance"].to_numpy()
+    assert temperature[-1] == pytest.approx(RISE, rel=1e-6)
+    assert track[-1] == pytest.approx(EXPANSION * RISE * LENGTH, rel=1e-6)
+    # The tip is the last to be warm: on the way the bar is longer than its tip is hot.
+    assert (track[1:-300] > EXPANSION * temperature[1:-300] * LENGTH).all()
+    assert np.abs(balance).max() < 1e-8
