@@ -13,6 +13,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from artefacts.errors import InputError, unknown_name
+from artefacts.validation import refusal
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -337,12 +338,7 @@ def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
         return unknown_name(
             "key", place[-1], _known_keys(place[:-1]), ".".join([where, *place[:-1]])
         )
-    if first["type"] == "missing":
-        return InputError(f"{at} is missing; add it")
-    message = first["msg"].removeprefix("Value error, ")
-    given = first.get("input")
-    shown = f" (given: {given!r})" if isinstance(given, str | int | float) else ""
-    return InputError(f"{at}: {message[0].lower()}{message[1:]}{shown}; change it")
+    return refusal(first, at)
 
 
 #: Names that pydantic puts into a location to tell which member of a union it tried.

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.stats import qmc
 
 from artefacts.errors import InputError, unknown_name
+from artefacts.validation import refusal
 from fesim.batch.paths import known_paths, with_values
 from fesim.case import Case, case_from_data, parse_case
 from fesim.loads import thermal_inputs
@@ -326,9 +327,4 @@ def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
     if first["type"] == "extra_forbidden":
         section = tuple(part for part in place[:-1] if isinstance(part, str))
         return unknown_name("key", str(place[-1]), _KEYS[section], at.rpartition(".")[0])
-    if first["type"] == "missing":
-        return InputError(f"{at} is missing; add it")
-    message = first["msg"].removeprefix("Value error, ")
-    given = first.get("input")
-    given_shown = f" (given: {given!r})" if isinstance(given, str | int | float) else ""
-    return InputError(f"{at}: {message[0].lower()}{message[1:]}{given_shown}; change it")
+    return refusal(first, at)
