@@ -93,7 +93,7 @@ def thermal_modes(
     usual = np.full(heat.inputs.shape[1], USUAL_POWER)
     usual[heat.inputs.shape[1] - surfaces.shape[1] - 1 :] = USUAL_RISE
     drives = usual * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
-    flows = USUAL_POWER / len(joints.area) * joints.jump.toarray().T
+    flows = USUAL_POWER / max(len(joints.area), 1) * joints.jump.toarray().T
     outputs = np.vstack(
         [
             joints.jump.toarray() / TEMPERATURE_ERROR,

@@ -27,6 +27,11 @@ Array = NDArray[np.float64]
 SHIFTS = (20, 28, 40)
 #: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at first.
 CUT = 3e-4
+#: ... and those below this part of the responses themselves always: they are rounding.
+ROUNDING = 1e-13
+#: Responses are solved to this part of the largest output at best: what gives off no heat gets very
+#: hot at the slowest shifts, and no tolerance below that can be checked.
+SOLVED = 1e-9
 #: The transfer is checked at about this many shifts, the march over this many steps, each this many
 #: times the shortest time: errors of real shifts alone would be too small by far.
 CHECKED, STEPS, STEP = 4, 200, 2.0
@@ -152,17 +157,25 @@ def _march_error(exact: Array, reduced: tuple[Array, Array, Array], step: float)
     powers = (1.0 + step * rates) ** -np.arange(1, STEPS + 1)[:, None]
     # The sum of the first n powers, also where the rate is zero.
     states = step * np.cumsum(powers, axis=0)[:, :, None] * _together(drives)
-    return float(np.abs(exact - outputs @ states).max())
+    return _largest(exact, outputs @ states)
 
 
 def _transfer_error(exact: Array, reduced: tuple[Array, Array, Array], shift: float) -> float:
     outputs, rates, drives = reduced
-    return float(np.abs(exact - (outputs / (rates + shift)) @ drives).max())
+    return _largest(exact, (outputs / (rates + shift)) @ drives)
+
+
+def _largest(exact: Array, found: Array) -> float:
+    """Largest error in units of its tolerance, or of `SOLVED` where outputs are huge."""
+    return float(np.abs(exact - found).max() / (1.0 + SOLVED * np.abs(exact).max()))
 
 
 def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
-    """Directions of `block` that `basis` lacks by more than `cut`, orthonormal."""
+    """Directions of `block` that `basis` lacks by more than `cut` and rounding, orthonormal."""
     rest = block - basis @ (basis.T @ block)
     rest -= basis @ (basis.T @ rest)
     vectors, sizes, _ = np.linalg.svd(rest, full_matrices=False)
-    return np.asarray(vectors[:, sizes > cut])
+    found = vectors[:, sizes > max(cut, ROUNDING * float(np.linalg.norm(block)))]
+    # A small direction of a large block holds a little of the basis: one more time for the few.
+    found = found - basis @ (basis.T @ found)
+    return np.asarray(np.linalg.qr(found)[0])

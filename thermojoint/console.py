@@ -162,7 +162,7 @@ def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> 
 
 
 def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
-    """Print the solver's figures of each response."""
+    """Print the solver's figures of each response, then the thermal model they had."""
     table = Table()
     title = "Solver"
     table.add_column("response")
@@ -179,6 +179,9 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
             str(row.cuts),
         )
     _titled(console, title, table)
+    # Responses of one run mostly share one set-up: one line then, not one for each.
+    for model in dict.fromkeys(row.thermal_model for row in rows.values()):
+        console.print(f"Thermal model: {model}.")
 
 
 def show_share(console: Console, share: PressureShare) -> None:

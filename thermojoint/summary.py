@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from artefacts.errors import InputError
+from fesim.reduced_march import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
 
 #: A contact pressure that moves by less than this part of the largest change has no share.
 _STILL = 1e-3
@@ -31,6 +32,10 @@ class Convergence:
         How often a step was cut, in all.
     steps : int
         Steps of the march.
+    modes : int
+        Of the reduced thermal model; 0 if the march had the full one.
+    reduction_error : float
+        Largest error found in an output of the reduced model, relative to what is allowed.
     """
 
     gap_residual: float
@@ -39,6 +44,18 @@ class Convergence:
     most_iterations: int
     cuts: int
     steps: int
+    modes: int
+    reduction_error: float
+
+    @property
+    def thermal_model(self) -> str:
+        """The thermal model in words, with its error if it is the reduced one."""
+        if not self.modes:
+            return "full"
+        return (
+            f"reduced to {self.modes} modes, error {self.reduction_error:.2g} of the allowed "
+            f"{1e3 * TEMPERATURE_ERROR:g} mK and {1e9 * DISPLACEMENT_ERROR:g} nm"
+        )
 
 
 @dataclass(frozen=True)
@@ -110,6 +127,8 @@ def convergence(response: xr.Dataset) -> Convergence:
         most_iterations=int(iterations.max()),
         cuts=int(response["cuts"].sum()),
         steps=int(np.count_nonzero(response["time"].to_numpy() > 0.0)),
+        modes=int(response.attrs.get("thermal_modes", 0)),
+        reduction_error=float(response.attrs.get("reduction_error", 0.0)),
     )
 
 

@@ -1,0 +1,184 @@
+"""The reduced thermal model against the full one: size, error, time, over meshes and joints.
+
+Printed for each mesh and number of contact elements: full and reduced unknowns, the error that the
+build found (relative to what is allowed), its time, and over the validation cases the largest
+differences from the full march and the time of a step of both (medians; recording included). The
+whole table takes about 10 minutes; both options may be repeated.
+
+    python benchmarks/reduction.py --mesh reference --contacts 27 --contacts 192
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from fesim.case import Case, parse_case
+from fesim.heat import heat_operators
+from fesim.joint_operators import joint_operators
+from fesim.loads import heat_sources
+from fesim.march import CondensedMachine, Step
+from fesim.reduced_march import ThermalModes, project_elasticity, project_heat, thermal_modes
+from fesim.setup import Setup, body_materials, set_up
+from fesim.simulate import simulate
+from thermojoint.study import VALIDATION
+
+#: Name -> largest element edge in general and at the joint, mm.
+MESHES = {"coarse": (100.0, 100.0), "reference": (50.0, 25.0), "fine": (33.0, 16.7)}
+#: Contact elements -> along and across.
+CONTACTS = {27: (9, 3), 75: (15, 5), 192: (24, 8)}
+#: The whole fields are compared at every such step.
+EVERY = 25
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Largest differences of the reduced march from the full one.
+
+    Attributes
+    ----------
+    displacement, probe, field : float
+        Of the recorded displacement, m; of the candidates' temperatures and of all nodes', K.
+    pressure : float
+        Of the contact pressures, relative to the largest of them.
+    """
+
+    displacement: float
+    probe: float
+    field: float
+    pressure: float
+
+
+def case_of(mesh: str, contacts: int) -> Case:
+    """The reference case on another mesh, with other contact elements, of the full order."""
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    data = parse_case(text, "reference.toml", Path()).model_dump()
+    size, joint_size = MESHES[mesh]
+    data["structure"] |= {"element_size_mm": size, "joint_element_size_mm": joint_size}
+    data["joints"]["knee"] |= dict(zip(("along", "across"), CONTACTS[contacts], strict=True))
+    data["march"] |= {"thermal": "full"}
+    return Case.model_validate(data)
+
+
+def reduced(case: Case, full: Setup) -> tuple[Setup, ThermalModes, float]:
+    """Reduce a set-up of the full order; return it, its modes and how long that took, s."""
+    structure, thermal, elastic = full.structure, full.machine.thermal, full.machine.elastic
+    heat = heat_operators(
+        structure,
+        full.spaces.heat,
+        body_materials(case, structure),
+        case.convection_W_m2K,
+        heat_sources(case, structure),
+    )
+    operators = joint_operators(full.joints, full.spaces)
+    begun = time.perf_counter()
+    modes = thermal_modes(heat, operators, elastic, full.probe_rows, thermal.step)
+    machine = CondensedMachine(
+        project_heat(heat, operators, thermal.step, modes),
+        project_elasticity(elastic, modes),
+        full.machine.laws,
+    )
+    rows = full.probe_rows @ modes.basis
+    took = time.perf_counter() - begun
+    return replace(full, machine=machine, probe_rows=rows, modes=modes), modes, took
+
+
+def marched(case: Case, setup: Setup) -> tuple[dict[str, np.ndarray], float]:
+    """Run a case; return what is compared and the time of a step, s."""
+    fields: list[np.ndarray] = []
+    begun = time.perf_counter()
+    response = simulate(case, setup=setup, on_step=_keeping(setup, fields)).response
+    took = (time.perf_counter() - begun) / (response.sizes["time"] - 1)
+    names = ("displacement", "temperature", "pressure")
+    values = {name: response[name].to_numpy() for name in names}
+    return values | {"field": np.array(fields)}, took
+
+
+def _keeping(setup: Setup, fields: list[np.ndarray]) -> Callable[[Step], None]:
+    def keep(step: Step) -> None:
+        if step.state.index % EVERY == 0:
+            fields.append(setup.nodal_temperature(step.state))
+
+    return keep
+
+
+def differences(full: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> Differences:
+    """Compare two runs of one case."""
+    largest = {name: float(np.abs(value - other[name]).max()) for name, value in full.items()}
+    return Differences(
+        largest["displacement"],
+        largest["temperature"],
+        largest["field"],
+        largest["pressure"] / float(full["pressure"].max()),
+    )
+
+
+def row(mesh: str, contacts: int) -> list[str]:
+    """One line of the table."""
+    case = case_of(mesh, contacts)
+    full = set_up(case)
+    other, modes, building = reduced(case, full)
+    found, steps_full, steps_reduced = [], [], []
+    for heat_input in VALIDATION.values():
+        run = case.model_copy(update={"heat_input": heat_input})
+        (one, slow), (two, fast) = marched(run, full), marched(run, other)
+        found.append(differences(one, two))
+        steps_full.append(slow)
+        steps_reduced.append(fast)
+    worst = {name: max(getattr(d, name) for d in found) for name in vars(found[0])}
+    return [
+        mesh,
+        str(full.machine.contacts),
+        str(full.spaces.heat.N),
+        str(modes.rates.size),
+        f"{modes.error:.2f}",
+        f"{building:.1f}",
+        f"{1e6 * worst['displacement']:.1e}",
+        f"{1e3 * worst['probe']:.3f}",
+        f"{1e3 * worst['field']:.3f}",
+        f"{worst['pressure']:.1e}",
+        f"{1e3 * median(steps_full):.2f}",
+        f"{1e3 * median(steps_reduced):.2f}",
+    ]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mesh", action="append", choices=list(MESHES))
+    parser.add_argument("--contacts", action="append", type=int, choices=list(CONTACTS))
+    given = parser.parse_args()
+    table = Table(
+        "mesh",
+        "contacts",
+        "unknowns",
+        "modes",
+        "error",
+        "build, s",
+        "δ, µm",
+        "probes, mK",
+        "field, mK",
+        "pressure / peak",
+        "full step, ms",
+        "reduced step, ms",
+    )
+    console = Console(width=150)
+    for mesh in given.mesh or MESHES:
+        for contacts in given.contacts or CONTACTS:
+            line = row(mesh, contacts)
+            print(" | ".join(line), flush=True)
+            table.add_row(*line)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
