@@ -22,6 +22,10 @@ types: $(INSTALLED)
 
 check: lint types test
 
+# Half an hour to an hour; alone on the machine, or both sides wait for others.
+bench: $(INSTALLED)
+	$(BIN)/python -m benchmarks.performance --out bench.json
+
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,gmsh,dask,dev]'

@@ -51,6 +51,20 @@ def basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarra
         ``slopes[:, j, k]`` is the derivative of column j by the logarithm of rate k; zero for
         j != k, since each column has a rate of its own.
     """
+    columns, own = own_basis(t, rates)
+    slopes = np.zeros((*own.shape, own.shape[-1]))
+    index = np.arange(own.shape[-1])
+    slopes[:, index, index] = own
+    return columns, slopes
+
+
+def own_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns of `basis` and the derivative of each by the logarithm of its own rate.
+
+    Returns
+    -------
+    columns, own : ndarray, shape (n, p)
+    """
     rate = check_rates(rates)
     phase = np.multiply.outer(np.asarray(t, dtype=float), rate)
     decay = np.exp(-phase)
@@ -61,10 +75,7 @@ def basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarra
     own[:, first] = phase[:, first] * decay[:, first]
     columns[:, second] = phase[:, second] / rate[second] * decay[:, second]
     own[:, second] = -phase[:, second] * columns[:, second]
-    slopes = np.zeros((*phase.shape, rate.size))
-    index = np.arange(rate.size)
-    slopes[:, index, index] = own
-    return columns, slopes
+    return columns, own
 
 
 def _flattening(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

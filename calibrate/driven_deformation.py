@@ -12,8 +12,11 @@ The strengths come in as data; what estimated them is not known here.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy.signal import fftconvolve, lfilter
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import lfilter
 
 from artefacts.errors import InputError
 from calibrate.fit_result import Fit
@@ -77,9 +80,26 @@ def driven_response(shape: np.ndarray, strengths: np.ndarray) -> np.ndarray:
     ndarray, shape (n, ...)
         Response at the samples.
     """
-    increments = np.diff(shape, axis=0, prepend=np.zeros((1, *shape.shape[1:])))
-    wide = strengths.reshape((-1,) + (1,) * (shape.ndim - 1))
-    return np.asarray(fftconvolve(increments, wide, axes=0)[: len(strengths)])
+    (driven,) = driver(strengths[None])(shape.reshape(len(shape), -1))
+    return np.asarray(driven.reshape(shape.shape))
+
+
+def driver(strengths: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what turns step responses (n, p) into `driven_response` (inputs, n, p) at all inputs.
+
+    The strengths, shape (inputs, n), are transformed once, and so is a step response for all of
+    them.
+    """
+    samples = strengths.shape[1]
+    size = next_fast_len(2 * samples - 1, real=True)
+    spectra = rfft(strengths, size)
+
+    def respond(shape: np.ndarray) -> np.ndarray:
+        increments = np.diff(shape.T, prepend=0.0)
+        driven = irfft(spectra[:, None] * rfft(increments, size), size)
+        return np.asarray(driven[:, :, :samples].transpose(0, 2, 1))
+
+    return respond
 
 
 def fit_driven_deformation(
@@ -118,8 +138,7 @@ def fit_driven_deformation(
     if not np.allclose(intervals, intervals[0], rtol=1e-6):
         raise InputError("fictitious sources: sample the calibration responses evenly in time")
     after = intervals[0] * np.arange(1, t.size + 1)
-    problem = eq18_problem(
-        after, deviations, sources, lambda i, k, shape: driven_response(shape, strengths[i, k])
-    )
+    drivers = [driver(one) for one in strengths]
+    problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
     found = fit(problem, starts=starts, seed=seed)
     return eq18_models(found, sources), found

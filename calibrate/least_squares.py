@@ -107,16 +107,15 @@ def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.
     scaled_slopes = scaled_slopes - unit[:, :, None] * np.einsum(
         "np,npk->pk", unit, scaled_slopes
     ) / float(n)
-    out = np.empty((n + p, part.residual.shape[1], slopes.shape[2]))
-    for k in range(slopes.shape[2]):
-        slope = scaled_slopes[:, :, k]
-        moved = np.vstack([slope @ part.scaled, np.zeros((p, part.scaled.shape[1]))])
-        inside = part.orthogonal.T @ moved
-        back = solve_triangular(
-            part.triangle, slope.T @ part.residual[:n], trans="T", check_finite=False
-        )
-        out[:, :, k] = -(moved - part.orthogonal @ inside) - part.orthogonal @ back
-    return out
+    # All parameters in one go: first n rows of d(columns) @ coefficients, (n, m k).
+    m, k = part.residual.shape[1], slopes.shape[2]
+    moved = np.tensordot(scaled_slopes, part.scaled, axes=(1, 0)).transpose(0, 2, 1)
+    moved = moved.reshape(n, m * k)
+    seen = np.tensordot(scaled_slopes, part.residual[:n], axes=(0, 0)).transpose(0, 2, 1)
+    back = solve_triangular(part.triangle, seen.reshape(p, m * k), trans="T", check_finite=False)
+    out = part.orthogonal @ (part.orthogonal[:n].T @ moved - back)
+    out[:n] -= moved
+    return out.reshape(n + p, m, k)
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,13 @@ def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
 
 
 def fit_ring(
-    t: np.ndarray, data: np.ndarray, r0: float = RING_RADIUS, *, starts: int = 16, seed: int = 0
+    t: np.ndarray,
+    data: np.ndarray,
+    r0: float = RING_RADIUS,
+    *,
+    starts: int = 16,
+    polished: int = 3,
+    seed: int = 0,
 ) -> tuple[RingModel, Fit]:
     """Return Eq. 2 fitted to a step response of temperature.
 
@@ -96,7 +102,7 @@ def fit_ring(
         Temperature, K per unit heat input.
     r0 : float
         Radius of the ring, m, chosen rather than fitted.
-    starts, seed : int
+    starts, polished, seed : int
         Of the search (`least_squares.fit`).
     """
     if not r0 > 0.0:
@@ -106,6 +112,7 @@ def fit_ring(
         ring_problem(t, data, r0),
         coarse=ring_problem(t[thin], data[thin], r0),
         starts=starts,
+        polished=polished,
         seed=seed,
     )
     value = found.values

@@ -18,8 +18,8 @@ from calibrate.least_squares import Separable, fit
 from calibrate.linear import rate_bounds
 from calibrate.model import DeformationModel
 
-#: (source, input, what Eq. 18 does after a unit step (n, ...)) to what it does there.
-Respond = Callable[[int, int, np.ndarray], np.ndarray]
+#: (source, what happens after its unit step (n, p)) to what happens at every input (inputs, n, p).
+Respond = Callable[[int, np.ndarray], np.ndarray]
 
 
 def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond) -> Separable:
@@ -34,7 +34,7 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
     sources : int
         Number of sources.
     respond : callable
-        How a source's step response is driven at an input.
+        How a source's step responses are driven at the inputs.
     """
     inputs = len(data)
     bounds = rate_bounds(t)
@@ -43,11 +43,11 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
         columns = np.empty((inputs, t.size, sources, 4))
         slopes = np.zeros((inputs, t.size, sources, 4, 4 * sources))
         for i in range(sources):
-            own = slice(4 * i, 4 * i + 4)
-            shape, by_rate = deformation.basis(t, theta[own])
-            for k in range(inputs):
-                columns[k, :, i] = respond(i, k, shape)
-                slopes[k, :, i, :, own] = respond(i, k, by_rate)
+            rates = np.arange(4 * i, 4 * i + 4)
+            shapes = deformation.own_basis(t, theta[rates])
+            driven = respond(i, np.hstack(shapes))
+            columns[:, :, i] = driven[:, :, :4]
+            slopes[:, :, i, range(4), rates] = driven[:, :, 4:]
         rows = inputs * t.size
         return columns.reshape(rows, -1), slopes.reshape(rows, 4 * sources, -1)
 
@@ -75,7 +75,9 @@ def eq18_models(found: Fit, sources: int) -> tuple[DeformationModel, ...]:
 
 def _step_problem(t: np.ndarray, data: np.ndarray, strengths: np.ndarray) -> Separable:
     """Eq. 18 driven by steps of `strengths`, shape (sources, inputs)."""
-    return eq18_problem(t, data, len(strengths), lambda i, k, shape: strengths[i, k] * shape)
+    return eq18_problem(
+        t, data, len(strengths), lambda i, shapes: strengths[i, :, None, None] * shapes
+    )
 
 
 def fit_source_deformation(

@@ -189,7 +189,7 @@ def choose_heat_pair(
     found: list[HeatPair] = []
     for _, i, j, size, off in shortlist[:SHORTLIST]:
         try:
-            ring, fit = fit_ring(t, one[:, i] - one[:, j], RING_RADIUS, starts=6)
+            ring, fit = fit_ring(t, one[:, i] - one[:, j], RING_RADIUS, starts=6, polished=1)
             regularisation = choose_regularisation(ring, interval)
             inverse = inverse_bank(
                 [[ring]], [regularisation], interval, float(t[-1]), _SCREENING, "candidate pair"

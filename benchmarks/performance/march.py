@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from importlib.resources import files
-from pathlib import Path
+from importlib.util import find_spec
 from statistics import median
 
 import numpy as np
-from pypardiso import PyPardisoSolver
 from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 
 from artefacts.errors import ConvergenceError
-from benchmarks.performance.timing import Row, seconds
-from fesim.case import Case, StepInput, parse_case
+from benchmarks.performance.cases import reference_case
+from benchmarks.performance.timing import Row, Skipped, seconds
+from fesim.case import Case
 from fesim.case_law import joint_law
 from fesim.elasticity import elastic_operators
 from fesim.heat import heat_operators
@@ -30,15 +29,6 @@ from meshes.pairing import pair_joint
 #: Steps of a full run, and how many the slow side is measured on.
 STEPS, MEASURED = 1050, 6
 REPEATS = 3
-
-
-def reference_case(level: float = 3.0) -> Case:
-    """The reference machine, with two sensors instead of its 238 candidates."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
-    case = parse_case(text, "reference.toml", Path())
-    probes = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
-    plain = case.model_dump() | {"candidates": [], "probes": probes}
-    return Case.model_validate(plain | {"heat_input": StepInput(kind="step", level=level)})
 
 
 class Refactoring:
@@ -71,6 +61,8 @@ class Refactoring:
 
     def run(self, count: int) -> np.ndarray:
         """March; return the pressures at the end, Pa."""
+        from pypardiso import PyPardisoSolver
+
         heat, jump, free = self.heat, self.operators.jump, self.elastic.free
         gap = csr_array(self.operators.gap[:, free])
         stiffness = csr_array(self.elastic.stiffness[free][:, free])
@@ -109,8 +101,12 @@ class Refactoring:
         return pressure
 
 
-def rows() -> Iterator[Row]:
+def rows() -> Iterator[Row | Skipped]:
     """Yield march-vs-refactor."""
+    if find_spec("pypardiso") is None:
+        reason = "pypardiso is not installed; install the extra thermojoint[pardiso]"
+        yield Skipped("march-vs-refactor", reason)
+        return
     case = reference_case()
     found: dict[str, np.ndarray] = {}
 

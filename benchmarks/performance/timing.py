@@ -38,6 +38,14 @@ class Row:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Skipped:
+    """A row that cannot be measured on this machine, and why."""
+
+    name: str
+    reason: str
+
+
 def seconds(call: Callable[[], object]) -> float:
     """Wall time of one call, s."""
     begun = time.perf_counter()
@@ -55,3 +63,8 @@ def paired(
         median(two for _, two in pairs),
         median(two / one for one, two in pairs),
     )
+
+
+def taken(call: Callable[[], object], repeats: int) -> float:
+    """Median wall time of repeated calls, s."""
+    return median(seconds(call) for _ in range(repeats))

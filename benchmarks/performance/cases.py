@@ -1,0 +1,114 @@
+"""The cases that are measured, and what several groups of rows need of them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
+
+import xarray as xr
+
+from artefacts.errors import InputError
+from fesim.cache import VARIABLE
+from fesim.case import Case, StepInput, parse_case
+from thermojoint import study
+from thermojoint.placement import with_roles
+
+REFERENCE = "step-1.0"
+
+
+def reference_text() -> str:
+    """Return the case file of the reference machine."""
+    return files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+
+
+def reference_machine() -> Case:
+    """Return the reference machine with all its possible sensors, as `thermojoint reproduce`."""
+    return parse_case(reference_text(), "reference.toml", Path())
+
+
+def reference_case(level: float = 3.0) -> Case:
+    """Return the reference machine with two sensors instead of its 238 candidates."""
+    return with_two_sensors(reference_machine(), level)
+
+
+def with_two_sensors(case: Case, level: float) -> Case:
+    """Return a case with two sensors instead of its candidates, and a step of heat."""
+    probes = {
+        f"T{i}": {"position_mm": [625.0, height, 87.5], "body": "column"}
+        for i, height in ((1, 450.0), (2, 700.0))
+    }
+    plain = case.model_dump() | {"candidates": [], "probes": probes}
+    return Case.model_validate(plain | {"heat_input": StepInput(kind="step", level=level)})
+
+
+def coarse_text() -> str:
+    """Return the case file of the reference machine on elements of 100 mm."""
+    text = re.sub(r"joint_element_size_mm.*", "", reference_text())
+    return text.replace("size_mm = 50.0", "size_mm = 100.0")
+
+
+def coarse_case() -> Case:
+    """Return the reference machine on elements of 100 mm, with two sensors."""
+    return with_two_sensors(parse_case(coarse_text(), "coarse.toml", Path()), 3.0)
+
+
+def with_elements(case: Case, size: float, joint_size: float | None) -> Case:
+    """Return a case on other elements, mm; `joint_size` in and next to the joint."""
+    sizes = {"element_size_mm": size, "joint_element_size_mm": joint_size}
+    return case.model_copy(update={"structure": case.structure.model_copy(update=sizes)})
+
+
+def with_contacts(case: Case, along: int, across: int) -> Case:
+    """Return a case with other numbers of contact elements."""
+    joints = {
+        name: joint.model_copy(update={"along": along, "across": across})
+        for name, joint in case.joints.items()
+    }
+    return case.model_copy(update={"joints": joints})
+
+
+@contextmanager
+def condensations(place: str) -> Iterator[None]:
+    """Let set-ups keep their condensations in a folder, or nowhere if `place` is "off"."""
+    with patch.dict(os.environ, {VARIABLE: place}):
+        yield
+
+
+@contextmanager
+def fresh_condensations() -> Iterator[None]:
+    """Let set-ups keep their condensations in a folder that is empty at first."""
+    with TemporaryDirectory() as name, condensations(name):
+        yield
+
+
+@cache
+def calibration_responses() -> dict[str, xr.Dataset]:
+    """Return the responses that `thermojoint reproduce` calibrates with."""
+    return study.simulate_inputs(reference_machine(), study.CALIBRATION)
+
+
+def others(responses: dict[str, xr.Dataset]) -> dict[float, xr.Dataset]:
+    """Return all but the reference, by heat input, as calibration takes them."""
+    return {
+        float(response["heat_input"][-1]): response
+        for name, response in responses.items()
+        if name != REFERENCE
+    }
+
+
+@cache
+def calibrated() -> tuple[study.Calibrated, dict[str, xr.Dataset]]:
+    """Return the calibrated reference machine, and the responses with their sensors named."""
+    responses = calibration_responses()
+    found = study.calibrate_responses(responses[REFERENCE], others(responses))
+    if found.placement is None:
+        raise InputError("benchmarks: the reference machine names its sensors; remove [probes]")
+    roles = found.placement.roles
+    return found, {name: with_roles(response, roles) for name, response in responses.items()}

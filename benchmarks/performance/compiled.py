@@ -1,0 +1,56 @@
+"""The gap equations in machine code against the plain version in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.performance.cases import reference_case, with_contacts
+from benchmarks.performance.timing import Row, paired
+from fesim.case import Case
+from fesim.gap import solve_gap
+from fesim.setup import Setup, set_up
+from fesim.simulate import simulate
+
+#: Along and across.
+GRIDS = ((9, 3), (24, 8))
+REPEATS = 3
+
+
+def plain_solver(setup: Setup) -> Setup:
+    """Return the same set-up with `fesim.gap.solve_gap` instead of machine code."""
+    machine = replace(setup.machine)
+    # Where a cached property keeps its value.
+    vars(machine)["settle"] = partial(
+        solve_gap, machine.gap_problem, tolerance=machine.gap_tolerance
+    )
+    return replace(setup, machine=machine)
+
+
+def rows() -> Iterator[Row]:
+    """Yield compiled-vs-plain for few and for many contact elements."""
+    for along, across in GRIDS:
+        yield compared(with_contacts(reference_case(), along, across), REPEATS)
+
+
+def compared(case: Case, repeats: int) -> Row:
+    """Return the row of one case."""
+    compiled = set_up(case)
+    plain = plain_solver(compiled)
+    first = simulate(case, setup=compiled).response
+    second = simulate(case, setup=plain).response
+    difference = np.abs(first["displacement"] - second["displacement"]).max().item()
+    contacts = compiled.machine.contacts
+    times = paired(
+        lambda: simulate(case, setup=compiled), lambda: simulate(case, setup=plain), repeats
+    )
+    return Row(
+        f"compiled-vs-plain-{contacts}",
+        *times,
+        "s",
+        f"{first.sizes['time'] - 1} steps with {contacts} contact elements, set up before; largest "
+        f"difference in displacement {difference:.1e} m; median of {repeats}",
+    )

@@ -1,0 +1,195 @@
+"""The streaming estimator against convolution with the whole history (Eq. 5), and many machines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from statistics import median
+from time import perf_counter_ns
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.performance.cases import calibrated
+from benchmarks.performance.convolution import Blocks, Collapsed
+from benchmarks.performance.timing import Row, paired
+from estimator.fchs import Estimator, initial_state, run, start, step
+from estimator.fleet import assemble_fleet, initial_states, step_fleet
+from estimator.validation import readings
+from thermojoint.measured import roles_in
+
+Array = NDArray[np.float64]
+Sample = Callable[[int], object]
+
+#: Sampling interval and the two lengths of a run, s.
+INTERVAL, SHORT, LONG = 2.0, 2100.0, 86400.0
+#: Error of the pole fit of the long run; the usual one needs more poles there than are tried.
+LONG_TOLERANCE = 1e-5
+REPEATS, MACHINES = 20, 50
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the sensors say, one row for each sample: delta T, T1, T2 ..., K."""
+
+    values: Array
+
+    def row(self, index: int) -> list[float]:
+        """Sample `index` (from 0); the last one holds on for ever."""
+        found: list[float] = self.values[min(index, len(self.values) - 1)].tolist()
+        return found
+
+
+def rows() -> Iterator[Row]:
+    """Yield the rows of the estimator, with the calibrated reference machine."""
+    found, responses = calibrated()
+    model, response = found.model, responses["step-2.0"]
+    seen = readings(response, model, roles_in(response, model))
+    measured = Measured(np.column_stack((seen.delta_T, seen.temperatures))[1:])
+    short = start(model, INTERVAL, SHORT)
+    yield from per_sample(short, measured, round(SHORT / INTERVAL), REPEATS)
+    long = start(model, INTERVAL, LONG, LONG_TOLERANCE)
+    yield from growth(short, long, measured, REPEATS)
+    yield fleet(short, measured, MACHINES, REPEATS)
+
+
+def per_sample(estimator: Estimator, measured: Measured, count: int, repeats: int) -> Iterator[Row]:
+    """Yield mean and 99.9th percentile of a sample, against convolution with `count` samples."""
+    samples = [measured.row(i) for i in range(count)]
+    given = np.array(samples)
+    times = INTERVAL * np.arange(1, count + 1)
+    exact = run(estimator, times, given[:, 0], given[:, 1:])[0].total[-1]
+    blocks, collapsed = Blocks(estimator, count), Collapsed(estimator, count)
+    errors = []
+    for other in (blocks, collapsed):
+        for row in samples:
+            linear, nonlinear = other.sample(row[0], row[1:])
+        errors.append(float(np.abs((linear + nonlinear) / exact - 1.0).max()))
+    mine: list[Array] = []
+    theirs: list[Array] = []
+    least: list[Array] = []
+    for _ in range(repeats):
+        mine.append(stream_times(estimator, measured, count)[1:])
+        for other, found in ((blocks, theirs), (collapsed, least)):
+            found.append(_last_sample_times(other, samples[-1], count, count))
+    minutes = INTERVAL * count / 60.0
+    note = (
+        f"a sample of the stream ({estimator.n_state} states), matrix of the interval made before, "
+        f"against {{}} at t = {minutes:g} min ({count} samples); displacements agree to {{:.0e}}; "
+        f"{repeats} runs"
+    )
+    by_blocks = note.format("convolution block by block, kernels tabulated", errors[0])
+    at_once = note.format("one convolution kernel for all blocks together", errors[1])
+    for name, of in (("per-sample", np.mean), ("percentile", _percentile)):
+        text = by_blocks + ("; 99.9th percentile of all" if of is _percentile else "; means")
+        yield _row(f"estimator-{name}", of, mine, theirs, text)
+    yield _row("estimator-collapsed", np.mean, mine, least, at_once + "; means")
+
+
+def _row(
+    name: str, of: Callable[[Array], np.floating], ours: list[Array], other: list[Array], note: str
+) -> Row:
+    if of is _percentile:  # a run has too few samples for it
+        first, second = float(of(np.concatenate(ours))), float(of(np.concatenate(other)))
+        return Row(name, first, second, second / first, "µs", note)
+    pairs = [(float(of(one)), float(of(two))) for one, two in zip(ours, other, strict=True)]
+    return Row(
+        name,
+        median(one for one, _ in pairs),
+        median(two for _, two in pairs),
+        median(two / one for one, two in pairs),
+        "µs",
+        note,
+    )
+
+
+def growth(short: Estimator, long: Estimator, measured: Measured, repeats: int) -> Iterator[Row]:
+    """Yield a sample at the end of a long run against one of a short run, and a convolution."""
+    few, many = round(SHORT / INTERVAL), round(LONG / INTERVAL)
+    ends, starts, convolved = [], [], []
+    blocks = Blocks(long, many)
+    for _ in range(repeats):
+        ends.append(stream_times(long, measured, many)[-few:])
+        starts.append(stream_times(short, measured, few)[1:])
+        convolved.append(_last_sample_times(blocks, measured.row(many), many, few))
+    yield _row(
+        "estimator-growth",
+        np.mean,
+        ends,
+        starts,
+        f"a sample at the end of {LONG / 3600.0:g} h ({many} samples, {long.n_state} states, poles "
+        f"fitted to {LONG_TOLERANCE:g}) against one within {SHORT / 60.0:g} min ({short.n_state} "
+        f"states); means; {repeats} runs",
+    )
+    yield _row(
+        "estimator-24-hours",
+        np.mean,
+        ends,
+        convolved,
+        f"the same against convolution block by block at t = {LONG / 3600.0:g} h; means; {repeats} "
+        "runs",
+    )
+
+
+def fleet(estimator: Estimator, measured: Measured, machines: int, repeats: int) -> Row:
+    """Return the row of many machines in a block against one after the other."""
+    together = assemble_fleet([replace(estimator) for _ in range(machines)])
+    first, second = np.array(measured.row(100)), np.array(measured.row(101))
+
+    def sample(row: Array) -> tuple[Array, Array]:
+        return np.full(machines, row[0]), np.tile(row[1:], (machines, 1))
+
+    states, _ = step_fleet(together, initial_states(together), INTERVAL, *sample(first))
+    alone = [
+        step(one, initial_state(one), INTERVAL, *first.tolist())[0] for one in together.estimators
+    ]
+    block, values = sample(second), second.tolist()
+
+    def in_a_loop() -> None:
+        for one, state in zip(together.estimators, alone, strict=True):
+            step(one, state, 2.0 * INTERVAL, *values)
+
+    def in_a_block() -> None:
+        step_fleet(together, states, 2.0 * INTERVAL, *block)
+
+    in_a_loop()
+    in_a_block()
+    ours, other, ratio = paired(in_a_block, in_a_loop, 10 * repeats)
+    return Row(
+        "estimator-fleet",
+        1e6 * ours / machines,
+        1e6 * other / machines,
+        ratio,
+        "µs",
+        f"a sample of one of {machines} machines, each with matrices of its own, in one block "
+        f"against one after the other; median of {10 * repeats}",
+    )
+
+
+def stream_times(estimator: Estimator, measured: Measured, count: int) -> Array:
+    """Return the time of each of `count` samples, µs."""
+    state = initial_state(estimator)
+    found = np.empty(count)
+    for i in range(count):
+        row, time = measured.row(i), INTERVAL * (i + 1)
+        begun = perf_counter_ns()
+        state, _ = step(estimator, state, time, *row)
+        found[i] = perf_counter_ns() - begun
+    return 1e-3 * found
+
+
+def _last_sample_times(
+    other: Blocks | Collapsed, row: list[float], count: int, calls: int
+) -> Array:
+    """Return the times of sample `count`, taken again and again, µs."""
+    found = np.empty(calls)
+    for i in range(calls):
+        other.count = count - 1
+        begun = perf_counter_ns()
+        other.sample(row[0], row[1:])
+        found[i] = perf_counter_ns() - begun
+    return 1e-3 * found
+
+
+def _percentile(times: Array) -> np.floating:
+    return np.percentile(times, 99.9)
