@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from calibrate.model import (
     DeformationModel,
@@ -19,6 +20,11 @@ from calibrate.regularisation import choose_regularisation
 from fesim.case import case_from_data
 from fesim.setup import set_up
 from fesim.simulate import simulate
+
+# Test processes share the cores: threads of their linear algebra would wait for each other. The
+# variable is for what is loaded later and for processes that tests start, the call for the rest.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+threadpool_limits(limits=1)
 
 # No test finds what another run has left, nor leaves anything.
 os.environ["THERMOJOINT_CACHE"] = "off"
