@@ -17,6 +17,10 @@ class InputError(ThermojointError, ValueError):
     """
 
 
+class UnreadableError(InputError):
+    """A file cannot be read, or is not what it was; another time, or elsewhere, it may be."""
+
+
 class ConvergenceError(ThermojointError, ArithmeticError):
     """A solver did not reach its tolerance, even after its step was cut."""
 

@@ -4,9 +4,23 @@ from __future__ import annotations
 
 import os
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+#: What reading a damaged or foreign NPZ file raises: zip files fail in many ways.
+DAMAGED_ARCHIVE = (
+    OSError,
+    EOFError,
+    ValueError,
+    AttributeError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 @contextmanager
@@ -14,7 +28,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; move it there only if the block succeeds.
 
     The rename is atomic on one file system, so a reader sees the old file, the new file, or none,
-    and a failed or killed writer leaves nothing under the final name.
+    and a failed or killed writer leaves nothing under the final name. The content is on the disk
+    before the name is, so not even a power cut leaves an empty file.
 
     Parameters
     ----------
@@ -37,6 +52,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         part.chmod(0o666 & ~umask)
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

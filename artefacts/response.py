@@ -24,7 +24,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "source_power": (("time", "source"), "W", "heat of each source of the whole structure"),
     "ambient": (("time",), "K", "ambient temperature above its initial value"),
     "temperature": (("time", "probe"), "K", "temperature above the initial ambient"),
-    "displacement": (("time", "axis"), "m", "displacement of A relative to B"),
+    "displacement": (("time", "axis"), "m", "relative displacement (attribute displacement_of)"),
     "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
     "pressure": (("time", "contact"), "Pa", "mean normal contact pressure"),
     "conductance": (("time", "contact"), "W m-2 K-1", "contact conductance (Eq. 11)"),
@@ -35,7 +35,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_area": (("contact",), "m2", "area of the contact elements"),
     "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),
     "gap_residual": (("time",), "m", "largest residual of the gap equations"),
-    "iterations": (("time",), "1", "Newton iterations of the step, cuts included"),
+    "iterations": (("time",), "1", "Newton iterations of the solves that succeeded"),
     "cuts": (("time",), "1", "how often the step was cut"),
     "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
 }
@@ -55,8 +55,8 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     Raises
     ------
     InputError
-        A variable or dimension is missing, a unit differs, a value is not finite, or time does not
-        increase.
+        A variable, a dimension or ``time`` is missing, a unit differs, a value is not finite, or
+        time does not increase.
     """
     for name in REQUIRED:
         if name not in response:
@@ -73,10 +73,25 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
             raise InputError(f"{where}: {name!r} is in {found!r}, expected {unit!r}; convert it")
         if variable.dtype.kind == "f" and not bool(np.isfinite(variable).all()):
             raise InputError(f"{where}: {name!r} has values that are not finite; remove them")
-    time = response["time"].to_numpy()
+    time = _checked_time(response, where)
     if time.size < 2 or not bool((np.diff(time) > 0.0).all()):
         raise InputError(f"{where}: time must increase strictly and have two samples or more")
     return response
+
+
+def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
+    """Return the times of a response, in s."""
+    if "time" not in response.coords:
+        raise InputError(f"{where}: coordinate 'time' is missing; give the time of each sample, s")
+    time = response["time"]
+    # Of dates and durations xarray makes other types, and keeps their unit elsewhere.
+    unit = time.attrs.get("units", time.encoding.get("units", "no unit"))
+    if unit != "s" or time.dtype.kind not in "fi":
+        found = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
+        raise InputError(f"{where}: 'time' is in {found}, expected 's' as numbers; convert it")
+    if not bool(np.isfinite(time).all()):
+        raise InputError(f"{where}: 'time' has values that are not finite; remove them")
+    return time.to_numpy()
 
 
 def make_response(

@@ -12,20 +12,18 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
-from artefacts.files import whole_file
+from artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 #: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
 VARIABLE = "THERMOJOINT_CACHE"
@@ -36,8 +34,11 @@ ABANDONED = 86_400.0
 #: When all entries together are larger, those go that were not used for the longest time, bytes.
 LIMIT = 10_000_000_000
 
-_LIBRARIES = ("numpy", "scipy", "scikit-fem")
+_LIBRARIES = ("numpy", "scipy", "scikit-fem", "meshio")
 _SOURCES = ("artefacts", "meshes", "fesim")
+
+#: What entries are called: other files in the folder are left alone.
+_NAME = 64 * "[0-9a-f]"
 
 T = TypeVar("T")
 Arrays = dict[str, NDArray[np.float64]]
@@ -85,7 +86,7 @@ def load(key: str) -> Arrays | None:
     try:
         with np.load(path, allow_pickle=False) as content:
             arrays = dict(content)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+    except DAMAGED_ARCHIVE:
         return None
     with suppress(OSError):
         os.utime(path)  # It is the one used last.
@@ -100,9 +101,10 @@ def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
     place = folder()
     if place is None:
         return
+    contents: dict[str, Any] = dict(arrays)
     with suppress(OSError):
         with whole_file(_path(place, key)) as part, part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, **contents)
         _trim(place)
 
 
@@ -125,12 +127,12 @@ def _path(place: Path, key: str) -> Path:
 
 
 def _trim(place: Path) -> None:
-    for path in place.glob(".*.npz"):
+    for path in place.glob(f".{_NAME}.*.npz"):
         with suppress(OSError):
             if path.stat().st_mtime < time.time() - ABANDONED:
                 path.unlink()
     entries = []
-    for path in place.glob("[!.]*.npz"):
+    for path in place.glob(f"{_NAME}.npz"):
         with suppress(OSError):  # another process may take it away
             status = path.stat()
             entries.append((status.st_mtime, status.st_size, path))

@@ -5,7 +5,9 @@ Units stand in the key names; everything is turned into SI by `fesim.setup`.
 
 from __future__ import annotations
 
+import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +26,8 @@ Point = tuple[Finite, Finite, Finite]
 #: More steps than this in one run, or contact elements in one joint, are a slip: the response, or
 #: the dense matrices of the joint, would not fit into any memory.
 MOST_STEPS = 10_000_000
+#: A time may lie after a step by this fraction of the step and still be that step.
+TIME_SLACK = 1e-6
 MOST_CONTACTS = 1_000
 
 
@@ -224,6 +228,16 @@ class MarchSection(_Section):
         return self
 
 
+def step_count(march: MarchSection) -> int:
+    """Steps of a whole march: its last one ends at, or first after, the duration."""
+    return first_step_at(60.0 * march.duration_min, march.step_s)
+
+
+def first_step_at(time: float, length: float) -> int:
+    """Index of the first step of `length` (s) that ends at or after `time` (s)."""
+    return max(1, math.ceil(time / length - TIME_SLACK))
+
+
 class ProbeSection(_Section):
     """``[probes.NAME]``."""
 
@@ -282,6 +296,17 @@ class Case(_Section):
                 raise ValueError(f"source {name!r} has no heat input: add [heat_input]")
         return self
 
+    @model_validator(mode="after")
+    def _snapshots_in_the_march(self) -> Case:
+        end = self.march.step_s * step_count(self.march)
+        for time in self.output.snapshots_s:
+            if time > end:
+                raise ValueError(
+                    f"output.snapshots_s: {time:g} s is after the end at {end:g} s; leave it out "
+                    "or make march.duration_min longer"
+                )
+        return self
+
 
 def read_case(path: Path) -> Case:
     """Read and validate a case file; relative file names in it are relative to its folder.
@@ -311,21 +336,46 @@ def parse_case(text: str, where: str, folder: Path) -> Case:
 def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
     """Validate a case given as nested dictionaries; see `read_case`."""
     try:
-        return Case.model_validate(_with_files_in(folder, data))
+        # Absolute: a worker of a batch may stand in another folder.
+        return Case.model_validate(with_files(data, lambda name: str((folder / name).absolute())))
     except pydantic.ValidationError as error:
         raise _one_line(error, where) from error
 
 
-def _with_files_in(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
-    """Return the data with every ``file`` in it taken as relative to `folder`."""
-    return {
-        key: _with_files_in(folder, value)
-        if isinstance(value, dict)
-        else str(folder / value)
-        if key == "file" and isinstance(value, str)
-        else value
-        for key, value in data.items()
-    }
+#: Sections that may name a ``file``; ``*`` stands for any name. Elsewhere ``file`` is a name like
+#: any other, e.g. of a body.
+_FILE_SECTIONS = (
+    ("structure",),
+    ("heat_input",),
+    ("sources", "*", "heat_input"),
+    ("ambient",),
+    ("held_temperatures", "*"),
+)
+
+
+def with_files(data: dict[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """Return a case's data with every file name in it changed.
+
+    Parameters
+    ----------
+    data : dict
+        As read from TOML, valid or not, or dumped from a `Case`; sections may be missing.
+    change : callable
+        File name to what stands in its place.
+    """
+    for place in _FILE_SECTIONS:
+        data = _with_file_at(place, data, change)
+    return data
+
+
+def _with_file_at(place: tuple[str, ...], data: Any, change: Callable[[str], str]) -> Any:  # noqa: ANN401
+    if not isinstance(data, dict):
+        return data
+    if not place:
+        name = data.get("file")
+        return data | {"file": change(name)} if isinstance(name, str) else data
+    keys = [key for key in data if place[0] in ("*", key)]
+    return data | {key: _with_file_at(place[1:], data[key], change) for key in keys}
 
 
 def _one_line(error: pydantic.ValidationError, where: str) -> InputError:

@@ -173,7 +173,9 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
         bell = math.exp(-min(scaled * scaled, 700.0))
         slope = -law[_SCALE] * bell / (math.sqrt(2.0 * math.pi) * law[_SHAPE])
         return 0.5 * law[_SCALE] * math.erfc(scaled), slope
-    approach = max(law[_START] - opening, 0.0) / law[_SCALE]
+    approach = (law[_START] - opening) / law[_SCALE]
+    if approach <= 0.0:
+        return 0.0, 0.0
     power = 1.0 / law[_SHAPE]
     return approach**power, -power / law[_SCALE] * approach ** (power - 1.0)
 

@@ -145,7 +145,8 @@ def solve_gap(
 def stalled(residual: float) -> ConvergenceError:
     """Return the error of a line search that finds no descent any more."""
     return ConvergenceError(
-        f"gap equations: the line search stalled at a residual of {residual:.1e} m"
+        f"gap equations: the line search stalled at a residual of {residual:.1e} m; take a shorter "
+        "march.step_s"
     )
 
 
@@ -153,14 +154,15 @@ def unconverged(residual: float, tolerance: float) -> ConvergenceError:
     """Return the error of too many iterations."""
     return ConvergenceError(
         f"gap equations: residual {residual:.1e} m after {MAX_ITERATIONS} iterations, wanted "
-        f"{tolerance:.0e} m"
+        f"{tolerance:.0e} m; take a shorter march.step_s"
     )
 
 
 def singular() -> ConvergenceError:
     """Return the error of a tangent that has no inverse."""
     return ConvergenceError(
-        "gap equations: the tangent is singular; a body that the joint holds has come loose"
+        "gap equations: the tangent is singular: a body that the joint holds has come loose; "
+        "support the body or raise preload_MPa"
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.errors import InputError
+from artefacts.errors import InputError, UnreadableError
 
 Array = NDArray[np.float64]
 History = Callable[[Array], Array]
@@ -67,17 +67,21 @@ def read_history(path: Path, column: str = "heat_input") -> History:
 
     Raises
     ------
+    UnreadableError
+        The file is missing or cannot be opened.
     InputError
-        The file is missing, a column is missing or a value is no number.
+        It is no CSV, a column is missing or a value is no number.
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: no such history file; give a CSV with time_s,{column}")
+        raise UnreadableError(f"{path}: no such history file; give a CSV with time_s,{column}")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             rows = [(reader.line_num, row) for row in reader if row and row[0][:1] != "#"]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise UnreadableError(f"{path}: cannot be read; check its permissions") from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a readable CSV; give one with time_s,{column}") from error
     header = [name.strip() for name in rows[0][1]] if rows else []
     for wanted in ("time_s", column):

@@ -98,8 +98,9 @@ class BackBurdekinLaw:
 
     def slope(self, opening: Array) -> Array:
         """dp/d(opening), Pa/m."""
-        power = 1.0 / self.exponent
-        return -power / self.coefficient * self._approach(opening) ** (power - 1.0)
+        power, approach = 1.0 / self.exponent, self._approach(opening)
+        # 0^0 is 1: with an exponent of 1 an open joint would keep its stiffness.
+        return np.where(approach > 0.0, -power / self.coefficient * approach ** (power - 1.0), 0.0)
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,10 @@ def exact_conductance(
     def conductance(pressure: Array) -> Array:
         share = np.asarray(pressure, dtype=float) / hardness
         if bool((share >= 0.5).any()):
-            raise InputError("conductance: a pressure of half the hardness is beyond the CMY model")
+            raise InputError(
+                "conductance: a pressure of half the hardness is beyond the CMY model; take "
+                'conductance.law = "cmy-1969", or check preload_MPa and hardness_GPa'
+            )
         separation = np.sqrt(2.0) * erfcinv(2.0 * np.maximum(share, 1e-300))
         bell = np.where(share > 0.0, np.exp(-0.5 * separation**2), 0.0)
         return factor * bell / (1.0 - np.sqrt(share)) ** 1.5

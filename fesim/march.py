@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.errors import ConvergenceError
+from artefacts.errors import ConvergenceError, ThermojointError
 from fesim.compiled_gap import compile_gap
 from fesim.condensation import ElasticCondensation, ThermalCondensation
 from fesim.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
@@ -218,14 +218,16 @@ def march(
     ------
     ConvergenceError
         A step did not converge even after it was cut; nothing is yielded for it.
+    InputError
+        A pressure is beyond the conductance law.
     """
     state = start if start is not None else initial_state(machine)
     while True:
         time = (state.index + 1) * machine.thermal.step
         try:
             step = advance(machine, state, inputs(time))
-        except ConvergenceError as error:
-            raise ConvergenceError(f"step to t = {time:g} s: {error}") from error
+        except ThermojointError as error:
+            raise type(error)(f"step to t = {time:g} s: {error}") from error
         state = step.state
         yield step
 

@@ -36,7 +36,7 @@ from fesim.reduced_march import (
     thermal_modes,
 )
 from fesim.sharing import elasticity_key
-from fesim.spaces import Spaces, make_spaces, probe_rows
+from fesim.spaces import Spaces, cells_at, make_spaces, probe_rows
 from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
@@ -215,7 +215,7 @@ def check_names(case: Case, structure: Structure) -> None:
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
-    for name in _measured_points(case):
+    for name in measured_points(case):
         if name not in structure.probes:
             raise unknown_name("probe", name, structure.probes, "displacement")
 
@@ -335,11 +335,10 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
             raise InputError(
                 f"candidates: more than {MOST_CANDIDATES} lattice points; raise spacing_mm"
             )
-        corners = structure.mesh.p[:, structure.mesh.t[:, cells]]
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        for point in _lattice(section):
-            x = np.array(point)[:, None] * 1e-3
-            if bool(((x >= low - 1e-9) & (x <= high + 1e-9)).all(axis=0).any()):
+        lattice = _lattice(section)
+        at = cells_at(structure.mesh, 1e-3 * np.array(lattice), cells)
+        for point, cell in zip(lattice, at, strict=True):
+            if cell >= 0:
                 name = "s" + "_".join(f"{value:g}" for value in point)
                 found[name] = Probe(_metres(point), section.body)
     return found
@@ -367,14 +366,14 @@ def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _measured_points(case: Case) -> list[str]:
+def measured_points(case: Case) -> list[str]:
     """Return the point whose displacement is recorded and the one it is measured from, if any."""
     point, origin = case.displacement.point, case.displacement.relative_to
     return [point] if origin is None else [point, origin]
 
 
 def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
-    names = _measured_points(case)
+    names = measured_points(case)
     rows = probe_rows(spaces.elastic, structure, {name: structure.probes[name] for name in names})
     relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
     at = relative.tocoo()

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from artefacts.errors import InputError
-from fesim.case import Case
+from artefacts.errors import UnreadableError
+from fesim.case import Case, with_files
 from fesim.linear_solver import default_solver
 
 #: What enters only the joint's law (`fesim.setup.with_laws`) or the loads, or is only recorded.
@@ -41,14 +41,32 @@ def file_digest(path: Path) -> str:
 
     Raises
     ------
-    InputError
+    UnreadableError
         The file cannot be read.
     """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read; check its name") from error
+        raise UnreadableError(f"{path}: cannot be read; check its name") from error
+
+
+def with_digests(data: dict[str, Any], digest: Digest = file_digest) -> dict[str, Any]:
+    """Return a case's data with the digest of its content in place of every file.
+
+    Parameters
+    ----------
+    data : dict
+        As `Case.model_dump(mode="json")` gives it, whole or in part.
+    digest : callable
+        As for `case_id`.
+
+    Raises
+    ------
+    UnreadableError
+        A file cannot be read.
+    """
+    return with_files(data, lambda name: digest(Path(name)))
 
 
 def case_id(case: Case, digest: Digest = file_digest) -> str:
@@ -61,7 +79,7 @@ def case_id(case: Case, digest: Digest = file_digest) -> str:
     digest : callable
         Path to the digest of the file's content; give a remembering one for many cases.
     """
-    return _hash(_with_digests(case.model_dump(mode="json"), digest))[:16]
+    return _hash(with_digests(case.model_dump(mode="json"), digest))[:16]
 
 
 def condensation_key(case: Case, digest: Digest = file_digest) -> str:
@@ -75,7 +93,7 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     case, digest
         As for `case_id`.
     """
-    return _hash(_with_digests(_condensed(case), digest))
+    return _hash(with_digests(_condensed(case), digest))
 
 
 def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
@@ -88,7 +106,7 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     """
     data = _condensed(case)
     data["march"] = {"solver": case.march.solver or default_solver()}
-    return _hash(_with_digests(data, digest))
+    return _hash(with_digests(data, digest))
 
 
 def _condensed(case: Case) -> dict[str, Any]:
@@ -111,16 +129,3 @@ def _hash(data: dict[str, Any]) -> str:
     # Not sorted: the order of sources, probes and joints is part of what comes out.
     text = json.dumps(data | {"version": _VERSION})
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _with_digests(data: Any, digest: Digest) -> Any:  # noqa: ANN401 - any JSON value
-    if isinstance(data, list | tuple):
-        return [_with_digests(value, digest) for value in data]
-    if not isinstance(data, dict):
-        return data
-    return {
-        key: digest(Path(value))
-        if key == "file" and isinstance(value, str)
-        else _with_digests(value, digest)
-        for key, value in data.items()
-    }

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -14,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from fesim.case import Case
+from fesim.case import Case, case_from_data, step_count
 from fesim.elasticity import DIRECTIONS
 from fesim.linear_solver import default_solver
 from fesim.loads import heat_history, source_power, thermal_inputs
@@ -28,7 +29,7 @@ from fesim.march import (
     march,
     staggered,
 )
-from fesim.setup import Setup, set_up
+from fesim.setup import Setup, measured_points, set_up
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 
@@ -92,7 +93,7 @@ def simulate(
         )
     steps = [] if start is not None else [at_rest(ready.machine)]
     probes = [ready.probe_rows @ step.state.temperature for step in steps]
-    count = round(60.0 * case.march.duration_min / case.march.step_s) - first.index
+    count = step_count(case.march) - first.index
     if len(steps) + count < 2:
         raise InputError(
             f"march: the saved state is at {first.index * case.march.step_s:g} s already, less "
@@ -112,6 +113,30 @@ def simulate(
             if progress is not None:
                 progress(done, count)
     return Simulation(_response(case, ready, steps, np.array(probes)), state)
+
+
+def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
+    """Return the case that a simulated response carries.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Simulated or measured.
+    where : str
+        For error messages.
+    otherwise : str
+        What to say, and to do, where there is no case.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is unusable.
+    """
+    try:
+        data = json.loads(response.attrs["case"])
+    except (KeyError, ValueError, TypeError):
+        raise InputError(f"{where}: holds no case, {otherwise}") from None
+    return case_from_data(data, f"{where}, case", Path())
 
 
 def at_rest(machine: CondensedMachine) -> Step:
@@ -180,6 +205,7 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "thermal_modes": 0 if setup.modes is None else int(setup.modes.rates.size),
         "reduction_error": 0.0 if setup.modes is None else setup.modes.error,
         "displacement_unknowns": int(setup.spaces.displacement_size),
+        "displacement_of": " relative to ".join(measured_points(case)),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }
     return make_response(values, coords, attrs)

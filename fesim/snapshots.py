@@ -1,12 +1,13 @@
 """Field snapshots for ParaView and pyvista: VTU files for each time and a PVD index of them.
 
-Each snapshot has two parts: the structure with its temperature and displacement, and the joint
-faces with what happens at their contact elements. VTU knows no units: they stand in the names.
+Each snapshot has two parts: the structure with its temperature and displacement, and, if there are
+joints, their faces with what happens at the contact elements. VTU knows no units: they stand in
+the names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,16 +19,15 @@ from skfem.io.meshio import to_meshio
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
+from fesim.case import first_step_at
 from fesim.march import Step
 from fesim.setup import Setup
 from meshes.volume_cells import corner_mesh
 
 INDEX = "snapshots.pvd"
-#: A requested time may lie after a step by this fraction of the step and still be that step.
-TIME_SLACK = 1e-6
 
 
-def snapshot_writer(setup: Setup, folder: Path, times_s: Iterable[float]) -> Callable[[Step], None]:
+def snapshot_writer(setup: Setup, folder: Path, times_s: Sequence[float]) -> Callable[[Step], None]:
     """Return a function that writes the snapshots due at the step it is given.
 
     A step is due if it is the first at or after a requested time. The index lists the snapshots of
@@ -40,7 +40,7 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Iterable[float]) -> Cal
         What marches.
     folder : Path
         Where ``snapshots.pvd`` and the VTU files go; made if it is missing.
-    times_s : iterable of float
+    times_s : sequence of float
         Requested times, s (case key ``output.snapshots_s``); 0 gives the first step.
 
     Returns
@@ -53,19 +53,25 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Iterable[float]) -> Cal
     InputError
         A time is negative or not finite.
     """
+    for time in times_s:
+        if not (np.isfinite(time) and time >= 0.0):
+            raise InputError(
+                f"output.snapshots_s: {time} s is no time of the march; give 0 or more"
+            )
     folder = Path(folder)
     length = setup.machine.thermal.step
     due = {first_step_at(time, length) for time in times_s}
+    if due:
+        setup.make_field()  # the factorisation, before the march rather than within it
     written: list[tuple[float, dict[str, Path]]] = []
 
     def write(step: Step) -> None:
         index = step.state.index
         if index not in due:
             return
-        parts = {
-            "structure": structure_snapshot(setup, step),
-            "joints": joint_snapshot(setup, step),
-        }
+        parts = {"structure": structure_snapshot(setup, step)}
+        if setup.joints:
+            parts["joints"] = joint_snapshot(setup, step)
         files = {name: folder / f"{name}_{index:06d}.vtu" for name in parts}
         for name, grid in parts.items():
             with whole_file(files[name]) as part:
@@ -79,8 +85,8 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Iterable[float]) -> Cal
 def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     """Undeformed mesh with the fields of one step.
 
-    Point data ``temperature_K`` (above ambient) and ``displacement_m``, both of the mesh's nodes;
-    cell data ``body``, the number of the body in the order of ``structure.bodies``.
+    Point data ``temperature_K`` (above the initial ambient) and ``displacement_m``, both of the
+    mesh's nodes; cell data ``body``, the number of the body in the order of ``structure.bodies``.
     """
     spaces, structure = setup.spaces, setup.structure
     temperature = setup.nodal_temperature(step.state)
@@ -100,7 +106,7 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
 
 
 def joint_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
-    """Side a of all joints with the contact quantities of one step.
+    """Side a of all joints with the contact quantities of one step; there is a joint or more.
 
     Cell data ``contact`` (number of the contact element, from 1, as in the response),
     ``pressure_Pa``, ``conductance_W_m2K``, ``heat_flux_W_m2`` (from side a to side b),
@@ -137,13 +143,6 @@ def joint_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
         [("polygon", np.array([nodes for _, nodes in block])) for block in blocks],
         cell_data={name: [value[at] for at in contacts] for name, value in values.items()},
     )
-
-
-def first_step_at(time: float, length: float) -> int:
-    """Index of the first step of `length` (s) that ends at or after `time` (s)."""
-    if not (np.isfinite(time) and time >= 0.0):
-        raise InputError(f"output.snapshots_s: {time} s is no time of the march; give 0 or more")
-    return max(1, int(np.ceil(time / length - TIME_SLACK)))
 
 
 def _write_index(path: Path, written: list[tuple[float, dict[str, Path]]]) -> None:

@@ -7,6 +7,7 @@ Displacements use the scalar space for each direction; unknown 3 i + c is direct
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +26,19 @@ from skfem import (
     MeshTet2,
 )
 from skfem.element import Element
+from skfem.mapping import Mapping as CellMaps
 
 from artefacts.errors import InputError
 from meshes.structure import Probe, Structure
 
 #: A point may lie outside its cell by this much in the cell's own coordinates (0 to 1).
 LOCATE_SLACK = 1e-4
+#: A curved cell may reach beyond the box of its corners by this part of its size.
+_BULGE = 0.2
+#: Cells that are tried first for a point, those with the nearest centres.
+_NEAREST = 32
+#: Points that are looked up together: more would only take memory.
+_AT_ONCE = 1_000
 _NEWTON_STEPS = 20
 
 
@@ -119,20 +127,34 @@ def local_coordinates(
 ) -> NDArray[np.float64]:
     """Reference coordinates (3, n) of points (3, n) in the cells (n,), also of points outside them.
 
-    Newton's method, not kept inside the cell, as `locate` asks how far outside a point lies. Where
-    it does not settle (a point far outside a distorted cell) the result is not finite.
+    Newton's method, not kept inside the cell, as `cells_at` asks how far outside a point lies.
+    Where it does not settle (a point far outside a distorted cell) the result is not finite.
     """
     mapping = mesh.mapping()
     local = np.full((3, points.shape[1], 1), 0.5)
+    moving = np.arange(points.shape[1])
     for _ in range(_NEWTON_STEPS):
-        miss = points[:, :, None] - mapping.F(local, cells)
-        move = np.einsum("ijkl,jkl->ikl", mapping.invDF(local, cells), miss)
-        local = local + move
-        settled = np.abs(move).max(axis=(0, 2)) < 1e-9
-        if settled.all():
+        at, own = local[:, moving], cells[moving]
+        miss = points[:, moving, None] - mapping.F(at, own)
+        move = np.einsum("ijkl,jkl->ikl", _inverse_gradient(mapping, at, own), miss)
+        local[:, moving] += move
+        moving = moving[~(np.abs(move).max(axis=(0, 2)) < 1e-9)]
+        if moving.size == 0:
             break
-    local[:, ~settled] = np.inf
+    local[:, moving] = np.inf
     return local[:, :, 0]
+
+
+def _inverse_gradient(
+    mapping: CellMaps, local: NDArray[np.float64], cells: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Inverse gradient of the cells' maps, shape (3, 3, n, 1); NaN where a cell is flat."""
+    try:
+        return np.asarray(mapping.invDF(local, cells))
+    except Exception:  # bare: what skfem raises where a determinant is zero
+        gradient = np.moveaxis(mapping.DF(local, cells), (0, 1), (2, 3)).copy()
+        gradient[np.linalg.det(gradient) == 0.0] = np.nan
+        return np.moveaxis(np.linalg.inv(gradient), (2, 3), (0, 1))
 
 
 def shape_values(
@@ -148,39 +170,91 @@ def shape_values(
     )
 
 
-def locate(structure: Structure, name: str, probe: Probe) -> int:
-    """Return the cell that a probe lies in.
+def cells_at(
+    mesh: Mesh, points: NDArray[np.float64], cells: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return which of some cells each point lies in, -1 where none holds it.
+
+    Parameters
+    ----------
+    mesh : skfem.Mesh
+        Any mesh.
+    points : ndarray, shape (n, 3)
+        Points, m.
+    cells : ndarray of int, shape (k,)
+        The cells to look at.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        On a face between cells, one of them.
+    """
+    corners = mesh.p[:, mesh.t[:, cells]]
+    count = min(_NEAREST, len(cells))
+    _, near = cKDTree(corners.mean(axis=1).T).query(points, k=count)
+    found = np.concatenate(
+        [
+            _holding(mesh, points[part], cells[near.reshape(-1, count)[part]])
+            for part in np.array_split(np.arange(len(points)), 1 + len(points) // _AT_ONCE)
+        ]
+    )
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    slack = _BULGE * (high - low).max(axis=0)
+    for lost in np.flatnonzero(found < 0):
+        # Among small cells the centre of a large one is not near, although it holds the point.
+        x = points[lost][:, None]
+        around = ((x >= low - slack) & (x <= high + slack)).all(axis=0)
+        if around.any():
+            found[lost] = _holding(mesh, points[[lost]], cells[around][None])[0]
+    return found
+
+
+def _holding(
+    mesh: Mesh, points: NDArray[np.float64], candidates: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Which of the candidates (n, c) holds each point (n, 3), or -1, shape (n,)."""
+    each = np.repeat(points, candidates.shape[1], axis=0).T
+    local = local_coordinates(mesh, each, candidates.ravel())
+    outside = np.maximum(-local, local - 1.0).max(axis=0)
+    if mesh.t.shape[0] == 4:
+        outside = np.maximum(outside, local.sum(axis=0) - 1.0)
+    outside = outside.reshape(candidates.shape)
+    best = outside.argmin(axis=1)
+    rows = np.arange(len(points))
+    return np.where(outside[rows, best] <= LOCATE_SLACK, candidates[rows, best], -1)
+
+
+def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np.int64]:
+    """Return the cell that each probe lies in, shape (probes,).
 
     Raises
     ------
     InputError
         No cell (of the probe's body) holds the point.
     """
-    mesh = structure.mesh
-    cells = (
-        np.arange(mesh.nelements)
-        if probe.body is None
-        else structure.body(probe.body, f"probe {name!r}")
-    )
-    centres = mesh.p[:, mesh.t[:, cells]].mean(axis=1).T
-    position = np.asarray(probe.position)
-    _, near = cKDTree(centres).query(position, k=min(32, len(cells)))
-    candidates = cells[np.atleast_1d(near)]
-    local = local_coordinates(mesh, np.tile(position[:, None], (1, len(candidates))), candidates)
-    outside = np.maximum(-local, local - 1.0).max(axis=0)
-    if mesh.t.shape[0] == 4:
-        outside = np.maximum(outside, local.sum(axis=0) - 1.0)
-    best = int(np.argmin(outside))
-    if not outside[best] <= LOCATE_SLACK:
-        of = f" of body {probe.body!r}" if probe.body else ""
-        raise InputError(
-            f"probe {name!r} at {probe.position} m lies in no cell{of}; move it into the structure"
+    names = list(probes)
+    found = np.full(len(names), -1)
+    for body in dict.fromkeys(probe.body for probe in probes.values()):
+        of = [i for i, name in enumerate(names) if probes[name].body == body]
+        cells = (
+            np.arange(structure.mesh.nelements)
+            if body is None
+            else structure.body(body, f"probe {names[of[0]]!r}")
         )
-    return int(candidates[best])
+        points = np.array([probes[names[i]].position for i in of])
+        found[of] = cells_at(structure.mesh, points, cells)
+    for name, cell in zip(names, found, strict=True):
+        if cell < 0:
+            probe = probes[name]
+            where = f" of body {probe.body!r}" if probe.body else ""
+            raise InputError(
+                f"probe {name!r} at {probe.position} m lies in no cell{where}; move it into the "
+                "structure"
+            )
+    return found
 
 
-def probe_rows(basis: CellBasis, structure: Structure, probes: dict[str, Probe]) -> csr_array:
+def probe_rows(basis: CellBasis, structure: Structure, probes: Mapping[str, Probe]) -> csr_array:
     """Matrix from scalar unknowns to the values at `probes`, one row each."""
-    cells = np.array([locate(structure, name, probe) for name, probe in probes.items()])
     points = np.array([probe.position for probe in probes.values()]).T
-    return interpolation(basis, points, cells, row_count=len(probes))
+    return interpolation(basis, points, probe_cells(structure, probes), row_count=len(probes))

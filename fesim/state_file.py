@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
-import zlib
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from artefacts.errors import InputError
-from artefacts.files import whole_file
-from fesim.case import Case, MeshSection
+from artefacts.files import DAMAGED_ARCHIVE, whole_file
+from fesim.case import Case
 from fesim.march import State
+from fesim.sharing import with_digests
 
 SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 3
@@ -29,17 +28,13 @@ _ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap", "change")
 
 
 def fingerprint(case: Case) -> str:
-    """Return a digest of all that a state depends on, the content of a mesh file included."""
-    data = case.model_dump(mode="json", exclude=_RECORDING)
+    """Return a digest of all that a state depends on; files count by their content."""
+    data = with_digests(case.model_dump(mode="json", exclude=_RECORDING))
     del data["march"]["duration_min"]
+    for source in data["sources"].values():
+        del source["heat_input"]
     # Contact elements are counted joint after joint: the joints' order matters, that of others not.
     data["joints"] = list(data["joints"].items())
-    if isinstance(case.structure, MeshSection):
-        try:
-            content = case.structure.file.read_bytes()
-        except OSError as error:
-            raise InputError(f"{case.structure.file}: cannot be read; check its name") from error
-        data["structure"]["file"] = hashlib.sha256(content).hexdigest()
     data["version"] = version("thermojoint")
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
@@ -74,17 +69,7 @@ def load_state(path: Path, case: Case) -> State:
         with np.load(path, allow_pickle=False) as content:
             header = json.loads(str(content["header"]))
             arrays = {name: content[name] for name in _ARRAYS if name in content}
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except (*DAMAGED_ARCHIVE, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: not a readable state, perhaps truncated; start afresh"
         ) from error
@@ -97,8 +82,8 @@ def load_state(path: Path, case: Case) -> State:
         )
     if header.get("case") != fingerprint(case):
         raise InputError(
-            f"{path}: state of another structure, material, joint, step length or program version; "
-            "start afresh, or use the case it was saved with"
+            f"{path}: state of another structure, material, joint, ambient, step length or program "
+            "version; start afresh, or use the case it was saved with"
         )
     index: Any = header.get("index")
     model: Any = header.get("model")

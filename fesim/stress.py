@@ -42,7 +42,7 @@ def stress_at(
     points : ndarray, shape (3, k)
         Points, m.
     cells : ndarray of int, shape (k,)
-        The cell each point lies in (`fesim.spaces.locate`).
+        The cell each point lies in (`fesim.spaces.probe_cells`).
 
     Returns
     -------

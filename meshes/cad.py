@@ -1,8 +1,9 @@
 """From CAD to a mesh with names, by Gmsh (the extra ``gmsh``): STEP, IGES or BREP in, MSH out.
 
-Solids keep their names and become bodies. Where faces of two solids lie on each other they become
-the two sides of a joint, ``BODY1_BODY2.a`` and ``.b``; the solids are meshed apart, so that they
-share no node. Faces keep their names; those without one are gathered as ``BODY_outer``.
+Solids keep their names and become bodies. What faces of two solids share becomes the two sides of
+a joint, ``BODY1_BODY2.a`` and ``.b``; a face that is only partly covered is divided there, so that
+its rest still convects. The solids are meshed apart: they share no node. Faces are named by points
+on them; those without a name are gathered as ``BODY_outer``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ NEAR = 1e-4
 LEAST_OVERLAP = 1e-3
 
 Point = tuple[float, float, float]
+DimTag = tuple[int, int]
 
 
 class FaceNames(pydantic.BaseModel):
@@ -89,7 +91,8 @@ def mesh_cad(
     Raises
     ------
     InputError
-        Gmsh is not installed, the file is unreadable or has no solid, or a point lies on no face.
+        Gmsh is not installed, the file is unreadable or has no solid, a point lies on no face, or
+        Gmsh fails.
     """
     if part.suffix.lower() not in SUFFIXES:
         raise InputError(
@@ -100,32 +103,40 @@ def mesh_cad(
     if out.suffix != ".msh":
         raise InputError(f"{out}: the mesh is written as MSH; name it {out.stem}.msh")
     with _gmsh_session() as gmsh:
-        try:
+        with _in_one_line(part, "read it", "export it again"):
             gmsh.model.occ.importShapes(str(part))
             gmsh.model.occ.synchronize()
-        # Gmsh raises nothing more special.
-        except Exception as error:
-            raise InputError(f"{part}: Gmsh cannot read it ({error}); export it again") from error
-        bodies = _bodies(gmsh)
-        if not bodies:
-            raise InputError(f"{part}: holds no solid; export solids, not surfaces")
-        for name, volume in bodies.items():
-            _group(gmsh, 3, [volume], name)
-        for name, faces in _surfaces(gmsh, bodies, names or {}).items():
-            _group(gmsh, 2, faces, name)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
-        try:
+        with _in_one_line(part, "find its joints", "mend solids that overlap"):
+            bodies = _bodies(gmsh)
+            if not bodies:
+                raise InputError(f"{part}: holds no solid; export solids, not surfaces")
+            sides = _joint_sides(gmsh, bodies)
+            surfaces = _surfaces(gmsh, bodies, sides, names or {})
+        with _in_one_line(part, "mesh it", "take another element size or mend the part"):
+            for name, volume in bodies.items():
+                _group(gmsh, 3, [volume], name)
+            for name, faces in surfaces.items():
+                _group(gmsh, 2, faces, name)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
             gmsh.model.mesh.generate(3)
             gmsh.model.mesh.setOrder(order)
             if order > 1:
                 gmsh.model.mesh.optimize("HighOrderElastic")
-        except Exception as error:
-            raise InputError(
-                f"{part}: Gmsh cannot mesh it ({error}); take another element size or mend the part"
-            ) from error
-        with whole_file(out) as unfinished:
-            gmsh.write(str(unfinished))
+            with whole_file(out) as unfinished:
+                gmsh.write(str(unfinished))
+
+
+@contextmanager
+def _in_one_line(part: Path, task: str, remedy: str) -> Iterator[None]:
+    try:
+        yield
+    except (InputError, OSError, MemoryError):
+        raise
+    # Gmsh raises nothing more special.
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{part}: Gmsh cannot {task} ({said}); {remedy}") from error
 
 
 @contextmanager
@@ -134,7 +145,7 @@ def _gmsh_session() -> Iterator[Any]:
         import gmsh
     except (ImportError, OSError) as error:
         raise InputError(
-            f"Gmsh is not to be had ({error}); pip install 'thermojoint[gmsh]', and its system "
+            f"Gmsh is not to be had ({error}); pip install -e '.[gmsh]', and its system "
             "libraries (Debian: libglu1-mesa libxcursor1 libxft2 libxinerama1)"
         ) from error
     gmsh.initialize(interruptible=False)
@@ -166,33 +177,51 @@ def _bodies(gmsh: Any) -> dict[str, int]:  # noqa: ANN401
     }
 
 
+def _faces(gmsh: Any, volume: int) -> list[int]:  # noqa: ANN401
+    return [abs(tag) for _, tag in gmsh.model.getBoundary([(3, volume)], oriented=False)]
+
+
+def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]:  # noqa: ANN401
+    """Divide the solids' faces by what they share; return the faces of each joint side.
+
+    The two sides get copies of their own: a common one would glue their meshes together.
+    """
+    occ = gmsh.model.occ
+    faces = {body: _faces(gmsh, volume) for body, volume in bodies.items()}
+    patches: dict[str, dict[str, list[DimTag]]] = {body: {} for body in bodies}
+    for one, other in combinations(bodies, 2):
+        shared = [
+            patch for pair in product(faces[one], faces[other]) for patch in _shared(gmsh, *pair)
+        ]
+        if shared:
+            patches[one][f"{one}_{other}.a"] = shared
+            patches[other][f"{one}_{other}.b"] = occ.copy(shared)
+    found = {}
+    for body, sides in patches.items():
+        tools = [patch for side in sides.values() for patch in side]
+        if tools:
+            _, (_, *made) = occ.fragment([(3, bodies[body])], tools)
+            now = dict(zip(tools, made, strict=True))
+            for name, side in sides.items():
+                found[name] = sorted({tag for patch in side for _, tag in now[patch]})
+    occ.synchronize()
+    return found
+
+
 def _surfaces(
     gmsh: Any,  # noqa: ANN401
     bodies: Mapping[str, int],
+    sides: Mapping[str, list[int]],
     names: Mapping[str, Sequence[Point]],
 ) -> dict[str, list[int]]:
-    faces = {
-        body: [abs(tag) for _, tag in gmsh.model.getBoundary([(3, volume)], oriented=False)]
-        for body, volume in bodies.items()
+    found = {
+        name: sorted({_face_at(gmsh, name, point) for point in points})
+        for name, points in names.items()
     }
-    found: dict[str, list[int]] = {}
-    for name, points in names.items():
-        found[name] = sorted({_face_at(gmsh, name, point) for point in points})
-    for tags in faces.values():
-        for tag in tags:
-            label = _plain(gmsh.model.getEntityName(2, tag))
-            if label:
-                found.setdefault(label, []).append(tag)
-    for one, other in combinations(bodies, 2):
-        pairs = [
-            pair for pair in product(faces[one], faces[other]) if _lie_on_each_other(gmsh, *pair)
-        ]
-        if pairs:
-            found[f"{one}_{other}.a"] = sorted({a for a, _ in pairs})
-            found[f"{one}_{other}.b"] = sorted({b for _, b in pairs})
+    found |= sides
     taken = {tag for tags in found.values() for tag in tags}
-    for body, tags in faces.items():
-        rest = [tag for tag in tags if tag not in taken]
+    for body, volume in bodies.items():
+        rest = [tag for tag in _faces(gmsh, volume) if tag not in taken]
         if rest:
             found[f"{body}_outer"] = rest
     return found
@@ -215,19 +244,22 @@ def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
     return int(nearest)
 
 
-def _lie_on_each_other(gmsh: Any, one: int, other: int) -> bool:  # noqa: ANN401
+def _shared(gmsh: Any, one: int, other: int) -> list[DimTag]:  # noqa: ANN401
+    """Return new faces: where face `one` lies on face `other`."""
     boxes = [gmsh.model.getBoundingBox(2, tag) for tag in (one, other)]
     slack = NEAR * max(b[3 + k] - b[k] for b in boxes for k in range(3))
     if any(
         boxes[0][k] > boxes[1][3 + k] + slack or boxes[1][k] > boxes[0][3 + k] + slack
         for k in range(3)
     ):
-        return False
+        return []
     occ = gmsh.model.occ
     # Copies: faces of the solids themselves would be bound to the result.
     copies = occ.copy([(2, one), (2, other)])
-    shared, _ = occ.intersect(copies[:1], copies[1:])
-    area = sum(occ.getMass(dimension, tag) for dimension, tag in shared if dimension == 2)
-    occ.remove(shared, recursive=True)
-    smaller = min(occ.getMass(2, tag) for tag in (one, other))
-    return bool(area > LEAST_OVERLAP * smaller)
+    common, _ = occ.intersect(copies[:1], copies[1:])
+    found = [patch for patch in common if patch[0] == 2]
+    area = sum(occ.getMass(*patch) for patch in found)
+    if area > LEAST_OVERLAP * min(occ.getMass(2, tag) for tag in (one, other)):
+        return found
+    occ.remove(common, recursive=True)
+    return []

@@ -19,6 +19,7 @@ import re
 import struct
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Collection, Mapping
 from contextlib import redirect_stderr
 from io import StringIO
@@ -32,7 +33,7 @@ from numpy.typing import NDArray
 from skfem import Mesh
 from skfem.io.meshio import to_meshio
 
-from artefacts.errors import InputError
+from artefacts.errors import InputError, UnreadableError
 from artefacts.files import whole_file
 from meshes.structure import Probe, Structure
 from meshes.volume_cells import boundary_facets, volume_mesh
@@ -64,6 +65,7 @@ _DAMAGE = (
     TypeError,
     AttributeError,
     AssertionError,
+    RuntimeError,
     struct.error,
     zlib.error,
     ParseError,
@@ -88,8 +90,10 @@ def read_structure(path: Path, unit: float = 1.0) -> Structure:
 
     Raises
     ------
+    UnreadableError
+        The file is missing or cannot be opened.
     InputError
-        The file is missing, empty, truncated or of another kind; its cells are of several types,
+        It is empty, truncated or of another kind; its cells are of several types,
         folded or without a body; a surface is not on the boundary; a probe is no single point; it
         is larger than `meshes.volume_cells.LARGEST_EXTENT`.
     """
@@ -170,13 +174,18 @@ def _check_suffix(path: Path, known: Collection[str]) -> None:
 def _read(path: Path) -> meshio.Mesh:
     _check_suffix(path, _READERS)
     if not path.is_file():
-        raise InputError(f"{path}: no such mesh file; check its name")
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 256))
-        end = file.read().rstrip()
+        raise UnreadableError(f"{path}: no such mesh file; check its name")
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - 256))
+            end = file.read().rstrip()
+    except OSError as error:
+        raise UnreadableError(f"{path}: cannot be read; check its permissions") from error
     # meshio takes some truncated files for whole ones.
     if not end or not re.search(_ENDS.get(path.suffix, b""), end):
         raise InputError(f"{path}: empty or truncated mesh file; write it again")
+    if path.suffix == ".inp":
+        _check_cards(path)
     try:
         # Not meshio.read: it prints, and ends the process, when a reader fails. What the readers
         # warn of is checked below, or in `volume_mesh`.
@@ -187,6 +196,51 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path}: meshio cannot read it ({' '.join(str(error).split()) or 'damaged'}); "
             "write it again, from Gmsh with the physical groups only"
         ) from error
+
+
+def _check_cards(path: Path) -> None:
+    """Refuse Abaqus files that meshio reads without a word, but not as they are meant.
+
+    It ends a card at a comment, keeps only the last *NODE card and the last card of an element set,
+    gives sets of *ELEMENT cards to the first of these cards, and cannot join sets to a set.
+    """
+    cards: list[tuple[str, str]] = []
+    comment = False
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            if line.startswith("**"):
+                comment = True
+            elif line.startswith("*"):
+                comment = False
+                keyword, *words = line[1:].split(",")
+                given = (word.partition("=") for word in words)
+                values = {key.strip().upper(): value.strip() for key, _, value in given}
+                cards.append((keyword.strip().upper(), values.get("ELSET", "")))
+            elif cards and cards[-1][0] in ("NODE", "ELEMENT", "ELSET") and line.strip():
+                card, name = cards[-1]
+                first = line.strip().split(",")[0]
+                if comment:
+                    raise InputError(
+                        f"{path}: a comment stands inside a *{card} card; move it above the card"
+                    )
+                if card == "ELSET" and not first.isnumeric():
+                    raise InputError(
+                        f"{path}: element set {name!r} holds {first!r}, no number of an element; "
+                        "list its elements"
+                    )
+    count = Counter(card for card, _ in cards)
+    if count["NODE"] > 1 or count["INCLUDE"]:
+        raise InputError(f"{path}: several *NODE cards or an *INCLUDE; write one flat file")
+    sets = Counter(name for card, name in cards if name and card in ("ELEMENT", "ELSET"))
+    name, often = max(sets.items(), key=lambda item: item[1], default=("", 0))
+    if often > 1:
+        raise InputError(
+            f"{path}: element set {name!r} stands on {often} cards; define it by one *ELSET"
+        )
+    if len({bool(name) for card, name in cards if card == "ELEMENT"}) > 1:
+        raise InputError(
+            f"{path}: only some *ELEMENT cards have an ELSET; give every one its own, or none"
+        )
 
 
 def _blocks(raw: meshio.Mesh, dimension: int) -> list[int]:

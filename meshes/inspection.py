@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from skfem import Mesh
 
 from artefacts.errors import InputError
 from meshes.pairing import facet_corners, outward_areas, pair_joint
@@ -24,6 +25,8 @@ POOR = 0.1
 USUAL_SIZE = (0.02, 20.0)
 #: Facing facets lie this near to each other, relative to the structure's size.
 TOUCHING = 1e-4
+#: Corners are the same if they lie this near to each other, relative to the structure's size.
+SAME = 1e-8
 #: Contact elements of the pairing that measures a joint.
 ALONG, ACROSS = 9, 3
 
@@ -156,6 +159,7 @@ def inspect(structure: Structure) -> Inspection:
             *_glue_warnings(structure),
             *warnings,
             *_joint_warnings(joints),
+            *_bare_warnings(structure, joints),
             *_partner_warnings(structure),
             *_facing_warnings(structure),
         ),
@@ -216,9 +220,6 @@ def _joint(structure: Structure, name: str) -> JointFacts:
         at = cKDTree(centres).query(points.T)[1]
         normals[side] = vectors[at] / np.linalg.norm(vectors[at], axis=1, keepdims=True)
     facing = -np.einsum("qi,qi->q", normals["a"], normals["b"])
-    corners_a, corners_b = (
-        np.sort(np.round(facet_corners(mesh, f).mean(axis=1), 9), axis=0) for f in (side_a, side_b)
-    )
     return JointFacts(
         area_a=_area(structure, side_a),
         area_b=_area(structure, side_b),
@@ -226,8 +227,20 @@ def _joint(structure: Structure, name: str) -> JointFacts:
         gap=(float(gap.min()), float(gap.max())),
         misalignment=float(np.rad2deg(np.arccos(np.clip(facing.min(), -1.0, 1.0)))),
         parts=len(np.unique(np.round(joint.normal, 6), axis=0)),
-        matching=corners_a.shape == corners_b.shape and bool(np.allclose(corners_a, corners_b)),
+        matching=_match(mesh, side_a, side_b),
     )
+
+
+def _match(mesh: Mesh, side_a: NDArray[np.int64], side_b: NDArray[np.int64]) -> bool:
+    """Whether the facets of two sides have the same corners."""
+    corners_a, corners_b = mesh.facets[:, side_a], mesh.facets[:, side_b]
+    nodes = np.unique(corners_a)
+    away, at = cKDTree(mesh.p[:, nodes].T).query(mesh.p[:, corners_b.ravel()].T)
+    if away.max() > SAME * np.ptp(mesh.p, axis=1).max():
+        return False
+    as_a = nodes[at].reshape(corners_b.shape)
+    first, second = (np.unique(np.sort(c, axis=0), axis=1) for c in (corners_a, as_a))
+    return np.array_equal(first, second)
 
 
 def _size_warning(extent: tuple[float, float, float]) -> list[str]:
@@ -284,6 +297,26 @@ def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:
             found.append(
                 f"joint {name!r}: facing facets differ by {joint.misalignment:.0f} degrees"
             )
+    return found
+
+
+def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[str]:
+    """Joint sides that go on beyond their joint, and are in no surface that could convect there."""
+    sides = {side for pair in structure.joints.values() for side in pair}
+    others = [facets for name, facets in structure.surfaces.items() if name not in sides]
+    convecting = np.concatenate([np.empty(0, int), *others])
+    found = []
+    for name, joint in joints.items():
+        for letter, side, area in zip(
+            "ab", structure.joints[name], (joint.area_a, joint.area_b), strict=True
+        ):
+            alone = _area(structure, np.setdiff1d(structure.surfaces[side], convecting))
+            bare = min(alone, area - joint.overlap)
+            if bare > 0.1 * area:
+                found.append(
+                    f"joint {name!r}: side {letter} is {1e4 * bare:.4g} cm2 larger than what it "
+                    "shares, and nothing convects there: put the rest into a surface of its own"
+                )
     return found
 
 

@@ -1,9 +1,10 @@
 """Pairs the two sides of a joint, whose meshes need not match, into contact elements.
 
 Side a is divided where it has edges. A plane part is covered by a rectangular grid of contact
-elements; a curved part (a cylindrical seat) is bisected into contact elements that follow it. Each
-contact element has a plane of its own, in which facets of side a, facets of side b and, on a grid,
-the cell are clipped against each other, so that integrals over it are exact on both sides.
+elements, as far as side b lies before it; a curved part (a cylindrical seat) is bisected into
+contact elements that follow it. Each contact element has a plane of its own, in which facets of
+side a, facets of side b and, on a grid, the cell are clipped against each other, so that integrals
+over it are exact on both sides.
 """
 
 from __future__ import annotations
@@ -29,8 +30,15 @@ FLATNESS = 1e-3
 EDGE = np.deg2rad(20.0)
 #: Facets take part in a contact element if their normals are this near to its own, rad.
 FACING = np.deg2rad(60.0)
+#: A curved part whose normals are farther than this from their mean is divided by its normals, rad.
+ROUND = np.deg2rad(45.0)
+#: The grid leaves off what side b does not reach, if that is more than this part of side a. Less is
+#: the height of an arc between two meshes of the same round edge.
+UNREACHED = 0.02
 #: Overlaps smaller than this fraction of a facet are rounding, not contact.
 SLIVER = 1e-9
+#: A facet may be covered by this fraction more than its area: rounding.
+EXCESS = 1e-6
 
 
 @dataclass(frozen=True)
@@ -126,19 +134,21 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     name : str
         The joint.
     along, across : int
-        Contact elements along the longer and the shorter side of each plane part; a curved part
-        gets as many in all.
+        Contact elements along the longer and the shorter side of each plane part of side a, over
+        what side b reaches of it; a curved part gets as many in all.
 
     Raises
     ------
     InputError
-        The sides do not face each other.
+        The sides do not face each other, or in several layers; a contact element turns too far.
     """
     mesh = structure.mesh
-    side_a, side_b = (_side(mesh, structure.surfaces[side]) for side in structure.joints[name])
+    side_a, side_b = sides = tuple(
+        _side(mesh, structure.surfaces[side]) for side in structure.joints[name]
+    )
     planes, points_a, points_b, weights, owners = [], [], [], [], []
     pieces, piece_cells = [], []
-    for number, cell in enumerate(_contact_cells(mesh, side_a, along, across)):
+    for number, cell in enumerate(_contact_cells(mesh, name, sides, along, across)):
         planes.append(cell.plane)
         for i, j, overlap in _overlaps(cell, side_a, side_b):
             flat, weight = quadrature(overlap)
@@ -153,6 +163,12 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
         raise InputError(f"joint {name!r}: its sides do not face each other; check the surfaces")
     on_a, on_b = np.concatenate(points_a).T, np.concatenate(points_b).T
     weight, owner = np.concatenate(weights), np.concatenate(owners)
+    covered = np.bincount(owner[:, 0], weight, len(side_a.area)) / side_a.area
+    if covered.max() > 1.0 + EXCESS:
+        raise InputError(
+            f"joint {name!r}: several layers of side b lie before the same place of side a; make "
+            "each pair of faces a joint of its own"
+        )
     # Grid cells outside an irregular part hold nothing; number the others without gaps.
     held, piece_element = np.unique(piece_cells, return_inverse=True)
     element = np.repeat(piece_element, [len(w) for w in weights])
@@ -184,14 +200,13 @@ def _side(mesh: Mesh, facets: NDArray[np.int64]) -> _Side:
 
 def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, int, Polygon]]:
     """Yield (facet of side a, facet of side b, what they share) in a contact element's plane."""
-    normal = cell.plane.frame[2]
     flat_a = cell.plane.flat(side_a.corners[cell.facets])[..., :2]
     box = np.array([flat_a.min(axis=(0, 1)), flat_a.max(axis=(0, 1))])
-    size = float(np.ptp(side_a.corners[cell.facets].reshape(-1, 3), axis=0).max())
+    # Side b's facets on the rim of a curved contact element turn farther than side a's.
+    angle = FACING + EDGE
     if cell.window is not None:
-        box = np.array([cell.window.min(axis=0), cell.window.max(axis=0)])
-    near = np.abs((side_b.centre - cell.plane.origin) @ normal) <= size
-    facing = np.flatnonzero(near & (side_b.normal @ normal < -np.cos(FACING)))
+        box, angle = np.array([cell.window.min(axis=0), cell.window.max(axis=0)]), FACING
+    facing = _facing(cell.plane, side_a.corners[cell.facets], side_b, angle)
     flat_b = cell.plane.flat(side_b.corners[facing])[..., :2]
     inside = _touching(box, _bounds(flat_b))
     facing, polygons = facing[inside], [anticlockwise(flat_b[j]) for j in inside]
@@ -205,6 +220,15 @@ def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, 
             overlap = clip(on_cell, polygons[j])
             if len(overlap) >= 3 and signed_area(overlap) >= SLIVER * signed_area(facet):
                 yield int(cell.facets[i]), int(facing[j]), overlap
+
+
+def _facing(
+    plane: _Plane, corners: NDArray[np.float64], side: _Side, angle: float
+) -> NDArray[np.int64]:
+    """Facets of `side` that face a plane, no farther from it than its `corners` from each other."""
+    normal, reach = plane.frame[2], np.ptp(corners.reshape(-1, 3), axis=0).max()
+    near = np.abs((side.centre - plane.origin) @ normal) <= reach
+    return np.flatnonzero(near & (side.normal @ normal < -np.cos(angle)))
 
 
 def facet_corners(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -278,34 +302,84 @@ def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:
     return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
 
 
-def _contact_cells(mesh: Mesh, side: _Side, along: int, across: int) -> Iterator[_Cell]:
+def _turn(side: _Side, part: NDArray[np.int64]) -> float:
+    """Largest angle between the normal of a facet and the mean normal, rad."""
+    mean = side.area[part] @ side.normal[part]
+    length = np.linalg.norm(mean)
+    # The normals of a closed ring cancel out: what is left is rounding.
+    if length < 1e-6 * side.area[part].sum():
+        return float(np.pi)
+    return float(np.arccos(np.clip((side.normal[part] @ mean).min() / length, -1.0, 1.0)))
+
+
+def _contact_cells(
+    mesh: Mesh, name: str, sides: tuple[_Side, ...], along: int, across: int
+) -> Iterator[_Cell]:
     """Yield the contact elements of side a in their order."""
+    side, other = sides
     for part in _parts(mesh, side):
-        plane = _mean_plane(side, part)
-        local = plane.flat(side.corners[part])
-        if np.ptp(local[..., 2]) > FLATNESS * np.ptp(local[..., :2]):
+        plane = None if _turn(side, part) > FACING else _mean_plane(side, part)
+        if plane is None or _is_curved(plane.flat(side.corners[part])):
             for facets in _bisected(side, part, along * across):
+                if _turn(side, facets) > FACING:
+                    raise InputError(
+                        f"joint {name!r}: a contact element of its curved side turns through more "
+                        f"than {2 * np.rad2deg(FACING):.0f} degrees; raise along x across"
+                    )
                 yield _Cell(_mean_plane(side, facets), facets, None)
             continue
-        low, high = local[..., :2].min(axis=(0, 1)), local[..., :2].max(axis=(0, 1))
+        low, high = _reached(plane, side.corners[part], other)
         for bottom, top in pairwise(np.linspace(low[1], high[1], across + 1)):
             for left, right in pairwise(np.linspace(low[0], high[0], along + 1)):
                 window = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
                 yield _Cell(plane, part, window)
 
 
+def _is_curved(flat: NDArray[np.float64]) -> bool:
+    return bool(np.ptp(flat[..., 2]) > FLATNESS * np.ptp(flat[..., :2]))
+
+
+def _reached(plane: _Plane, corners: NDArray[np.float64], other: _Side) -> NDArray[np.float64]:
+    """Lowest and highest plane coordinates (2, 2) of what side b reaches of a plane part."""
+    flat = plane.flat(corners)[..., :2]
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+    facing = _facing(plane, corners, other, FACING)
+    boxes = _bounds(plane.flat(other.corners[facing])[..., :2])
+    boxes = boxes[_touching(np.array([low, high]), boxes)]
+    if not len(boxes):
+        return np.array([low, high])
+    least, most = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    slack = UNREACHED * (high - low)
+    return np.array(
+        [np.where(least > low + slack, least, low), np.where(most < high - slack, most, high)]
+    )
+
+
 def _bisected(side: _Side, part: NDArray[np.int64], count: int) -> Iterator[NDArray[np.int64]]:
-    """Divide facets into `count` groups of about equal area, each as compact as can be."""
+    """Divide facets into `count` groups of about equal area, each as compact as can be.
+
+    What is round is divided across its turn first: an element that turns far has no normal.
+    """
     if count == 1 or len(part) == 1:
         yield part
         return
-    centred = side.centre[part] - side.centre[part].mean(axis=0)
-    order = part[np.argsort(centred @ np.linalg.svd(centred)[2][0], kind="stable")]
+    place = _along_longest(side.centre[part])
+    if _turn(side, part) > ROUND:
+        # Facets of one normal in the order of their places.
+        order = part[np.lexsort([place, np.round(_along_longest(side.normal[part]), 6)])]
+    else:
+        order = part[np.argsort(place, kind="stable")]
     reached = np.cumsum(side.area[order]) / side.area[order].sum()
     first = count // 2
     cut = int(np.clip(np.searchsorted(reached, first / count - 1e-9) + 1, 1, len(part) - 1))
     yield from _bisected(side, order[:cut], first)
     yield from _bisected(side, order[cut:], count - first)
+
+
+def _along_longest(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coordinates of points (n, 3) along the direction in which they differ most."""
+    centred = points - points.mean(axis=0)
+    return centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
 
 
 def _bounds(polygons: NDArray[np.float64]) -> NDArray[np.float64]:

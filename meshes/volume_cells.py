@@ -63,7 +63,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     InputError
         Cells are of several types, folded, flat or repeated, or the mesh is too large.
     """
-    blocks = [block for block in raw.cells if block.dim == 3]
+    blocks = [block for block in raw.cells if block.dim == 3 and len(block.data)]
     types = sorted({block.type for block in blocks})
     if len(types) != 1 or types[0] not in _VOLUMES:
         found = " and ".join(types) or "no volume"
@@ -73,8 +73,10 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     straight, corners, between = _VOLUMES[types[0]]
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
     points = np.asarray(raw.points, dtype=float)
-    if cells.min() < 0 or cells.max() >= len(points):
-        raise InputError(f"{path}: a cell names a node that is not there; write the mesh again")
+    # Facets and vertices too: they name surfaces and probes.
+    for nodes in [block.data for block in raw.cells if len(block.data)]:
+        if nodes.min() < 0 or nodes.max() >= len(points):
+            raise InputError(f"{path}: a cell names a node that is not there; write the mesh again")
     used = np.unique(cells[:, :corners])
     renumber = np.full(len(points), -1)
     renumber[used] = np.arange(used.size)

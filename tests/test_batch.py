@@ -1,7 +1,9 @@
 """Batches end to end: nothing is lost or run twice, whatever dies; the results say what is true."""
 
+import json
 import os
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import xarray as xr
 from batch_cases import grid, levels, study_in, tally, write_study
 
 from artefacts.errors import InputError
+from artefacts.files import whole_file, write_text
 from artefacts.response import read_response
 from fesim.batch.crew import Report
 from fesim.batch.folder import locked, response_path
@@ -204,7 +207,7 @@ def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
         workers = {int(line.split()[-1].strip('}"\n')) for line in journal(out, "started")}
     before = tally(out)
     assert all(gone(worker) for worker in workers)
-    (out / "responses" / ".half.x.nc").write_text("what was being written")
+    (out / "responses" / ".half.abcd_123.nc").write_text("what was being written")
     end = run_batch(read_study(path), out, lambda: local_crew(2))
     assert (end.summary["status"] == "done").all()
     assert end.found >= 2
@@ -248,6 +251,75 @@ def test_a_record_that_was_not_written_any_more_is_made_from_the_response(tmp_pa
     end = run_batch(study, tmp_path / "out", nobody)
     assert (end.summary["status"] == "done").all()
     assert end.summary["displacement_x_final_um"].notna().all()
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_damaged_response_is_told_of_and_the_case_runs_again(tmp_path, recorded):
+    study, out = study_in(tmp_path, levels(2), 1.0), tmp_path / "out"
+    before = run_batch(study, out, here()).summary
+    lost = study.cases[1].id
+    response_path(out, lost).write_bytes(b"")
+    if recorded:
+        shutil.rmtree(out / "dataset.zarr")  # to be made from the responses
+    else:
+        (out / "records" / f"{lost}.json").unlink()
+    told = []
+    end = run_batch(study, out, here(), tell=lambda case, text: told.append((case.id, text)))
+    assert told == [(lost, "its response in the folder is damaged; it runs again")]
+    assert (end.found, end.ran) == (1, 1)
+    figures = ["status", *FIGURES]
+    pd.testing.assert_frame_equal(end.summary[figures], before[figures])
+    assert read_response(response_path(out, lost)).sizes["time"] == 31
+    assert opened(out)["displacement"].notnull().all()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"\xff\xfe", b"[]", b"3", b"{}", b'{"status": "done"}', b'{"status": []}'],
+)
+def test_a_damaged_record_is_made_again_from_the_response(tmp_path, content):
+    study, out = study_in(tmp_path, levels(1), 1.0), tmp_path / "out"
+    run_batch(study, out, here())
+    record = out / "records" / f"{study.cases[0].id}.json"
+    whole = json.loads(record.read_text())
+    record.write_bytes(content)
+    end = run_batch(study, out, nobody)
+    assert list(end.summary["status"]) == ["done"]
+    assert json.loads(record.read_text()) == whole | {"seconds": 0.0, "setup_seconds": 0.0}
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr("os.fsync", lambda number: synced.append((tmp_path / "a.json").exists()))
+    write_text(tmp_path / "a.json", "{}")
+    assert synced == [False]
+
+
+def test_only_what_a_killed_batch_left_is_cleared_away(tmp_path):
+    left = []
+    for path in ("summary.csv", "summary.parquet", "responses/0f.nc", "records/0f.json"):
+        with suppress(KeyboardInterrupt), whole_file(tmp_path / path) as part:
+            left.append(part.rename(part.with_suffix(".kept")))
+            raise KeyboardInterrupt
+        left[-1] = left[-1].rename(part)
+    (tmp_path / "dataset.zarr" / "status").mkdir(parents=True)
+    for name in (".zmetadata.0f.partial", "status/3.0f.partial"):
+        left.append(tmp_path / "dataset.zarr" / name)
+        left[-1].touch()
+    others = [tmp_path / name for name in (".env.local.bak", ".summary.old.csv", ".a.b.c")]
+    others.append(tmp_path / "dataset.zarr" / "status" / "3")
+    for path in others:
+        path.touch()
+    with locked(tmp_path):
+        assert not any(path.exists() for path in left)
+        assert all(path.exists() for path in others)
+
+
+def test_the_last_look_at_a_batch_shows_all_of_it(tmp_path):
+    study, seen = study_in(tmp_path, levels(2), 1.0), []
+    run_batch(study, tmp_path / "out", here(), watch=seen.append)
+    assert seen[0].counts == {}
+    assert (seen[-1].counts, seen[-1].working) == ({"done": 2}, {})
 
 
 def test_a_failing_case_is_reported_and_stops_no_other(tmp_path):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from importlib.metadata import PackageNotFoundError
 
 import pytest
 from batch_cases import levels, study_in, tally, write_study
@@ -13,7 +14,7 @@ from fesim.batch.run import run_batch
 
 distributed = pytest.importorskip("distributed")
 
-from fesim.batch.cluster import dask_crew  # noqa: E402 - it needs Dask
+from fesim.batch.cluster import OWN_VERSION, DaskCrew, dask_crew  # noqa: E402 - it needs Dask
 from thermojoint import batch_run  # noqa: E402 - it needs Dask
 
 
@@ -86,3 +87,42 @@ def test_a_cluster_with_another_version_is_refused(cluster, monkeypatch):
         dask_crew(cluster.scheduler_address) as crew,
     ):
         crew.members()
+
+
+class FakeClient:
+    """A cluster whose workers are named here, each with its version or what asking it raises."""
+
+    def __init__(self, **workers):
+        self.workers, self.asked = workers, []
+
+    def nthreads(self):
+        return dict.fromkeys(self.workers, 1)
+
+    def run(self, function, *arguments, workers):
+        [worker] = workers
+        self.asked.append(worker)
+        if isinstance(self.workers[worker], Exception):
+            raise self.workers[worker]
+        return {worker: self.workers[worker]}
+
+
+def test_a_worker_that_leaves_while_it_is_asked_ends_nothing():
+    client = FakeClient(a=OWN_VERSION, b=OSError("Timed out"))
+    crew = DaskCrew(client, lambda text: None)
+    assert crew.members() == ["a"]
+    client.workers["b"] = OWN_VERSION
+    assert crew.members() == crew.idle() == ["a", "b"]
+    assert client.asked == ["a", "b", "b"]
+
+
+def test_a_later_worker_of_another_version_is_told_of_once_and_gets_no_cases():
+    told = []
+    client = FakeClient(a=OWN_VERSION)
+    crew = DaskCrew(client, told.append)
+    assert crew.members() == ["a"]
+    client.workers |= {"b": "0.0.0", "c": PackageNotFoundError(), "d": OWN_VERSION}
+    for _ in range(2):
+        assert crew.members() == crew.idle() == ["a", "d"]
+    assert len(told) == 2
+    assert "worker b has thermojoint 0.0.0" in told[0]
+    assert "worker c has thermojoint not installed" in told[1]

@@ -21,7 +21,7 @@ from fesim.batch.study import (
 from fesim.batch.worker import Outcome, Task
 from fesim.case import case_from_data
 from fesim.setup import set_up, with_laws
-from fesim.sharing import case_id, condensation_key
+from fesim.sharing import case_id, condensation_key, elasticity_key
 
 CUBE = """[latin_hypercube]
 samples = 5
@@ -32,6 +32,9 @@ low = 0.5
 high = 5.0
 scale = "log"
 """
+
+
+HEAT_FILE = "values = [{kind = 'sampled', file = 'heat.csv'}]\n"
 
 
 def test_a_study_is_the_product_of_its_sections(tmp_path):
@@ -210,7 +213,29 @@ def data():
 
 
 def made(data, values):
-    return case_from_data(with_values(data, values), "case", Path())
+    base = case_from_data(data, "case", Path())
+    return case_from_data(with_values(data, values, base.model_dump(mode="json")), "case", Path())
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "point", "relative_to"),
+    [
+        ("displacement.point", "T1", "T1", "B"),
+        ("displacement.relative_to", "T1", "A", "T1"),
+        ("displacement.relative_to", None, "A", None),
+    ],
+)
+def test_one_key_of_a_missing_section_leaves_the_others_at_their_defaults(
+    data, path, value, point, relative_to
+):
+    bare = {key: section for key, section in data.items() if key != "displacement"}
+    changed = made(bare, {path: value}).displacement
+    assert (changed.point, changed.relative_to) == (point, relative_to)
+
+
+def test_a_section_that_is_there_is_not_filled_up(data):
+    alone = data | {"displacement": {"point": "A"}}
+    assert made(alone, {"displacement.point": "T1"}).displacement.relative_to is None
 
 
 @pytest.mark.parametrize("path", NOT_CONDENSED)
@@ -256,6 +281,28 @@ def test_a_file_counts_by_its_content(tmp_path, data):
     assert condensation_key(made(data, mesh)) != condensation_key(
         made(data, {"structure": {"kind": "mesh", "file": str(names[2])}})
     )
+
+
+def test_only_files_are_taken_for_files(data, tmp_path):
+    named = data | {"bodies": data["bodies"] | {"file": "cast_iron"}}
+    named["convection_W_m2K"] = {"file": 5.0}
+    named["held_temperatures"] = {"file": {"rise_K": 1.0}, "screw_foot": {"file": "oil.csv"}}
+    (tmp_path / "oil.csv").write_text("time_s,rise_K\n0,1\n")
+    case = case_from_data(named, "case", tmp_path)
+    assert case.bodies["file"] == "cast_iron"
+    assert case.held_temperatures["screw_foot"].file == tmp_path / "oil.csv"
+    before = case_id(case)
+    assert elasticity_key(case)
+    (tmp_path / "oil.csv").write_text("time_s,rise_K\n0,2\n")
+    assert case_id(case) != before
+
+
+def test_the_files_of_a_study_are_found_from_any_folder(tmp_path, monkeypatch):
+    write_study(tmp_path / "there", "[[grid]]\npath = 'heat_input'\n" + HEAT_FILE)
+    (tmp_path / "there" / "heat.csv").write_text("time_s,heat_input\n0,1\n")
+    monkeypatch.chdir(tmp_path)
+    case = read_study(Path("there/study.toml")).cases[0].case
+    assert case.heat_input.file == tmp_path / "there" / "heat.csv"
 
 
 def test_a_condensation_with_other_laws_is_that_of_the_other_case(data):

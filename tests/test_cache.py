@@ -66,7 +66,7 @@ def test_a_set_up_from_the_cache_is_the_same_to_the_last_bit(folder, reduced, mo
         stored = set_up(case)
         one, other = (simulate(case, setup=setup).response for setup in (fresh, stored))
     assert one.identical(other)
-    assert len(list(folder.glob("*.npz"))) == 2
+    assert len(list(folder.glob("[!.]*.npz"))) == 2
 
 
 def test_displacement_fields_are_there_without_their_condensation(folder, reduced):
@@ -85,13 +85,13 @@ def test_the_full_thermal_model_shares_the_elastic_condensation(folder, coarse_d
     (entry,) = folder.glob("*.npz")
     set_up(case_of(reduced))
     assert entry in folder.glob("*.npz")
-    assert len(list(folder.glob("*.npz"))) == 2
+    assert len(list(folder.glob("[!.]*.npz"))) == 2
 
 
 def test_any_step_from_a_second_on_is_served_by_the_same_modes(folder, reduced):
     steps = (2.0, 5.0, 60.0)
     ranks = {set_up(case_of(with_step(reduced, step))).modes.rates.size for step in steps}
-    assert len(list(folder.glob("*.npz"))) == 2
+    assert len(list(folder.glob("[!.]*.npz"))) == 2
     assert len(ranks) == 1
     set_up(case_of(with_step(reduced, 0.25)))
     assert len(list(folder.glob("*.npz"))) == 3
@@ -233,18 +233,31 @@ def test_what_was_not_used_for_the_longest_time_goes_first(folder, monkeypatch):
     assert made == ["two"]
 
 
+def test_files_of_others_in_the_folder_stay(folder, monkeypatch):
+    pair("one")
+    others = [folder / "state.npz", folder / ".mine.x.npz"]
+    for path in others:
+        path.write_bytes(bytes(1000))
+        os.utime(path, (0.0, 0.0))
+    monkeypatch.setattr(cache, "LIMIT", 0)
+    pair("two")
+    assert all(path.exists() for path in others)
+    assert len(list(folder.glob("[!.]*.npz"))) == 2  # the one used last stays
+
+
 def newest(folder):
     return max(folder.iterdir(), key=lambda path: path.stat().st_mtime)
 
 
 def test_what_a_killed_process_left_goes_after_a_day(folder):
     folder.mkdir()
-    for name, age in ((".old.x.npz", 2.0), (".new.x.npz", 0.5)):
+    old, new = (f".{64 * digit}.x.npz" for digit in "01")
+    for name, age in ((old, 2.0), (new, 0.5)):
         (folder / name).write_text("half")
         then = time.time() - age * cache.ABANDONED
         os.utime(folder / name, (then, then))
     pair()
-    assert [path.name for path in folder.glob(".*")] == [".new.x.npz"]
+    assert [path.name for path in folder.glob(".*")] == [new]
 
 
 MANY = """

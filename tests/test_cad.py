@@ -10,6 +10,7 @@ from artefacts.errors import InputError
 from meshes.cad import mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import inspect
+from meshes.pairing import pair_joint
 
 try:
     import gmsh
@@ -51,6 +52,51 @@ def test_faces_on_each_other_are_the_sides_of_a_joint(step, tmp_path):
     assert set(joints) == {"bed_head_stock", "bed_pin"}
     assert joints["bed_head_stock"].overlap == pytest.approx(0.04**2)
     assert joints["bed_pin"].overlap == pytest.approx(np.pi * 0.01**2, rel=0.05)
+
+
+@needs_gmsh
+def test_what_a_joint_does_not_cover_of_a_face_still_convects(step, tmp_path):
+    """The two sides are what the solids share; the rest of each face is a face of its own."""
+    mesh_cad(step, tmp_path / "part.msh", 0.02)
+    found = inspect(read_structure(tmp_path / "part.msh"))
+    foot = found.surfaces["bed_pin.b"].area
+    assert found.surfaces["bed_pin.a"].area == pytest.approx(foot)
+    top, sides, end = 0.1 * 0.04 - foot, 3 * 0.1 * 0.04, 0.04**2
+    assert found.surfaces["bed_outer"].area == pytest.approx(top + sides + end)
+    assert found.unnamed_area == 0.0
+
+
+@needs_gmsh
+def test_a_pin_through_a_longer_bore_leaves_both_their_rests(tmp_path):
+    """Round faces that close on themselves are divided as plane ones are."""
+    solids = [
+        ("house", "addBox", -30, -30, 0, 60, 60, 40),
+        ("hole", "addCylinder", 0, 0, 0, 0, 0, 40, 10),
+        ("pin", "addCylinder", 0, 0, 10, 0, 0, 60, 10),
+    ]
+    write_step(tmp_path / "part.step", solids, holes=[(1, 2)])
+    mesh_cad(tmp_path / "part.step", tmp_path / "part.msh", 0.02)
+    structure = read_structure(tmp_path / "part.msh")
+    found = inspect(structure)
+    around = 2.0 * np.pi * 0.01
+    seat, end = around * 0.03, np.pi * 0.01**2
+    assert found.joints["house_pin"].overlap == pytest.approx(seat, rel=0.02)
+    box = 4 * 0.06 * 0.04 + 2 * (0.06**2 - end)
+    assert found.surfaces["house_outer"].area == pytest.approx(box + around * 0.01, rel=0.01)
+    assert found.surfaces["pin_outer"].area == pytest.approx(around * 0.03 + 2 * end, rel=0.03)
+    joint = pair_joint(structure, "house_pin", 9, 1)
+    assert joint.area.sum() == pytest.approx(found.surfaces["house_pin.a"].area)
+
+
+@needs_gmsh
+def test_a_failure_inside_of_gmsh_is_told_in_one_line(step, tmp_path, monkeypatch):
+    def fails(*_):
+        raise Exception("Could not\n intersect")  # noqa: TRY002 - what Gmsh raises
+
+    monkeypatch.setattr(gmsh.model.occ, "intersect", fails)
+    with pytest.raises(InputError, match=r"step: Gmsh cannot find its joints \(Could not inter"):
+        mesh_cad(step, tmp_path / "part.msh", 0.02)
+    assert list(tmp_path.iterdir()) == []
 
 
 @needs_gmsh
@@ -96,7 +142,7 @@ def test_a_damaged_part_is_refused(tmp_path, content):
 def test_without_gmsh_it_is_said_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gmsh", None)
     (tmp_path / "part.step").write_text("")
-    with pytest.raises(InputError, match=r"pip install 'thermojoint\[gmsh\]'"):
+    with pytest.raises(InputError, match=r"pip install -e '.\[gmsh\]'"):
         mesh_cad(tmp_path / "part.step", tmp_path / "out.msh", 0.01)
 
 

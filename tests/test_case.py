@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from fesim.case import Case, case_from_data, parse_case, read_case
+from fesim.case import Case, case_from_data, parse_case, read_case, step_count
 
 REFERENCE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 PROBES = {
@@ -54,6 +54,19 @@ def test_the_reference_case_is_valid():
     assert case.sources["bearings"].reference_power_W == 295.0
     assert case.joints["knee"].preload_MPa == 4.41
     assert case.probes or case.candidates
+
+
+@pytest.mark.parametrize(("step", "count"), [(2.0, 1050), (9.0, 234), (1400.0, 2), (2100.0, 1)])
+def test_a_march_ends_with_the_first_step_at_or_after_its_duration(step, count):
+    case = case_from_data(changed(("march", "step_s"), step), "case", Path())
+    assert case.march.duration_min == 35.0
+    assert step_count(case.march) == count
+
+
+def test_a_snapshot_after_the_end_is_refused():
+    case_from_data(changed(("output",), {"snapshots_s": [0.0, 2100.0]}), "case", Path())
+    said = refusal(changed(("output",), {"snapshots_s": [60.0, 2101.0]}))
+    assert "2101 s is after the end at 2100 s" in said
 
 
 def test_a_case_survives_being_stored_in_a_response():

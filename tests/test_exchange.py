@@ -118,6 +118,71 @@ def test_element_sets_and_groups_of_other_programs_are_names(tmp_path, suffix, c
     assert capfd.readouterr() == ("", "")
 
 
+NODES = "*NODE\n" + "".join(
+    f"{1 + x + 3 * y + 6 * z}, {x}, {y}, {z}\n" for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)
+)
+FIRST, SECOND = "1, 1,2,5,4,7,8,11,10\n", "2, 2,3,6,5,8,9,12,11\n"
+BOTTOM, LID = "3, 1,2,5,4\n4, 2,3,6,5\n", "5, 7,8,11,10\n"
+SOLID, SHELL = "*ELEMENT, TYPE=C3D8", "*ELEMENT, TYPE=S4"
+LISTED = "*ELSET, ELSET=all\n1, 2\n*ELSET, ELSET=ends\n3, 4, 5\n"
+
+
+def deck(path, *lines):
+    """An Abaqus file: two cubes beside each other and what is said of them."""
+    path.write_text(NODES + "".join(lines))
+    return path
+
+
+def test_cards_of_elements_are_one_surface_by_a_set_that_lists_them(tmp_path):
+    """Empty cards are passed over."""
+    cards = [f"{SOLID}\n{FIRST}", f"{SOLID}\n", f"{SOLID}\n{SECOND}"]
+    cards += [f"{SHELL}\n", f"{SHELL}\n{BOTTOM}", f"{SHELL}\n{LID}"]
+    found = read_structure(deck(tmp_path / "cubes.inp", *cards, LISTED))
+    assert len(found.bodies["all"]) == 2
+    assert len(found.surfaces["ends"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            [
+                f"{SOLID}, ELSET=all\n{FIRST}{SECOND}",
+                f"{SHELL}, ELSET=ends\n{BOTTOM}",
+                f"{SHELL}, ELSET=ends\n{LID}",
+            ],
+            "element set 'ends' stands on 2 cards",
+        ),
+        (
+            [f"{SOLID}\n{FIRST}{SECOND}", LISTED, "*ELSET, ELSET=ends\n3\n"],
+            "element set 'ends' stands on 2 cards",
+        ),
+        (
+            [
+                f"{SOLID}, ELSET=all\n{FIRST}{SECOND}",
+                f"{SHELL}\n{LID}",
+                f"{SHELL}, elset = ends\n{BOTTOM}",
+            ],
+            "only some .ELEMENT cards have an ELSET",
+        ),
+        (
+            [
+                f"{SOLID}, ELSET=one\n{FIRST}",
+                f"{SOLID}, ELSET=two\n{SECOND}",
+                "*ELSET, ELSET=all\none\ntwo\n",
+            ],
+            "element set 'all' holds 'one', no number",
+        ),
+        ([NODES, f"{SOLID}, ELSET=all\n{FIRST}{SECOND}"], "several .NODE cards"),
+        ([f"{SOLID}, ELSET=all\n", "*INCLUDE, INPUT=cells.inp\n"], "or an .INCLUDE"),
+        ([f"{SOLID}, ELSET=all\n{FIRST}** the other\n{SECOND}"], "comment stands inside a .ELEM"),
+        ([f"{SOLID}, ELSET=all\n"], "no volume cells"),
+    ],
+)
+def test_abaqus_cards_that_would_be_read_as_something_else_are_refused(tmp_path, lines, said):
+    refused(deck(tmp_path / "cubes.inp", *lines), said)
+
+
 def test_a_vtk_file_with_cell_arrays_is_read(tmp_path):
     write_structure(BARS, tmp_path / "bars.vtu")
     grid = meshio.vtu.read(str(tmp_path / "bars.vtu"))
@@ -367,7 +432,8 @@ def gmsh_model(gmsh, order=1):
 
 @pytest.fixture
 def gmsh():
-    module = pytest.importorskip("gmsh")
+    # Its wheel raises OSError where system libraries are missing.
+    module = pytest.importorskip("gmsh", exc_type=(ImportError, OSError))
     module.initialize(interruptible=False)
     yield module
     module.finalize()

@@ -1,8 +1,10 @@
 """Heat conduction through bodies, films and joints against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from bars import AREA, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, level, surface_law, two_bars
+from bars import AREA, DEPTH, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, level, surface_law, two_bars
 from scipy.linalg import expm
 from skfem import FacetBasis, MeshHex, MeshTet
 
@@ -137,15 +139,24 @@ def test_two_bars_in_series_through_a_joint(mesh, pressure):
 
 
 def test_jump_is_the_mean_over_each_contact_element_also_where_they_differ_in_size():
-    """The right bar covers the first contact element and four fifths of the second."""
-    made = conduct(two_bars(right_width=0.6 * WIDTH), films={"left_end": 1.0}, grid=(3, 1))
-    np.testing.assert_allclose(made.operators.area, [AREA / 3, 0.8 * AREA / 3], rtol=1e-9)
+    """Side b lacks a quarter: half of the last contact element, a quarter of the middle one."""
+    bars = two_bars(right=(4, 2, 2))
+    side = bars.surfaces["joint.b"]
+    _, y, z = bars.mesh.p[:, bars.mesh.facets[:, side]].mean(axis=1)
+    kept = side[(y < WIDTH / 2) | (z < DEPTH / 2)]
+    made = conduct(
+        replace(bars, surfaces=bars.surfaces | {"joint.b": kept}),
+        films={"left_end": 1.0},
+        grid=(3, 1),
+    )
+    share = np.array([1.0, 0.75, 0.5])
+    np.testing.assert_allclose(made.operators.area, share * AREA / 3, rtol=1e-9)
     y = made.spaces.heat.doflocs[1]
-    middles = [WIDTH / 6, WIDTH / 3 + 0.4 * WIDTH / 3]
+    middles = WIDTH * np.array([1 / 6, (5 / 12 + 0.5 * 7 / 12) / 1.5, 5 / 6])
     left = made.left_nodes
     jump = made.operators.jump
     np.testing.assert_allclose(jump @ np.where(left, y, 0.0), middles, rtol=1e-9)
-    np.testing.assert_allclose(jump @ np.where(left, 0.0, y), -np.array(middles), rtol=1e-9)
+    np.testing.assert_allclose(jump @ np.where(left, 0.0, y), -middles, rtol=1e-9)
 
 
 def test_an_uneven_joint_conducts_where_it_is_pressed():

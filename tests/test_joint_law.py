@@ -152,6 +152,12 @@ def test_back_burdekin_approach_is_a_power_of_the_pressure(pressure, exponent):
     assert normal.pressure(np.array([approach[0] + 1e-12]))[0] == 0.0
 
 
+def test_an_open_joint_of_constant_stiffness_has_none():
+    linear = BackBurdekinLaw(1e-13, 1.0, PRELOAD)
+    openings = linear.coefficient * PRELOAD * np.array([0.5, 1.5])
+    np.testing.assert_allclose(linear.slope(openings), [-1e13, 0.0])
+
+
 # --- friction ------------------------------------------------------------------------------------
 
 

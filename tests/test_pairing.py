@@ -1,6 +1,7 @@
 """Plane geometry of a joint: clipping, quadrature, and the pairing of sides that do not match."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from artefacts.errors import InputError
 from fesim.joint_operators import joint_operators
 from fesim.march import heat_step
 from fesim.spaces import interpolation, local_coordinates, make_spaces
+from meshes.box_grid import put_side_by_side
 from meshes.milling_machine import box_milling_machine
 from meshes.pairing import pair_joint
 from meshes.polygons import anticlockwise, clip, quadrature, signed_area
@@ -169,8 +171,25 @@ def test_only_the_overlap_of_the_sides_is_joint():
     points = bars.mesh.p.copy()
     points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += WIDTH / 4
     joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
-    assert joint.area.sum() == pytest.approx(0.75 * AREA)
-    assert len(joint.area) == 3
+    assert joint.area == pytest.approx(np.full(4, 0.75 * AREA / 4))
+
+
+def test_the_grid_spans_what_the_sides_share_whichever_is_longer():
+    wide = two_bars((2, 4, 2), (2, 7, 3), right_width=10 * WIDTH)
+    turned = replace(wide, joints={"joint": ("joint.b", "joint.a")})
+    for structure in (wide, turned):
+        joint = pair_joint(structure, "joint", 4, 3)
+        assert joint.area == pytest.approx(np.full(12, AREA / 12))
+        assert np.ptp(joint.centre[:, 1]) == pytest.approx(0.75 * WIDTH)
+
+
+def test_an_edge_that_two_meshes_round_differently_does_not_move_the_grid():
+    bars = two_bars((2, 2, 2), (2, 2, 2))
+    points = bars.mesh.p.copy()
+    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += 0.01 * WIDTH
+    joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
+    assert joint.area[1:] == pytest.approx(np.full(3, AREA / 4))
+    assert joint.area[0] == pytest.approx(AREA / 4 - 0.01 * AREA)
 
 
 def test_sides_that_do_not_face_each_other_are_refused():
@@ -180,6 +199,41 @@ def test_sides_that_do_not_face_each_other_are_refused():
     apart = replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t))
     with pytest.raises(InputError, match="'joint': its sides do not face each other"):
         pair_joint(apart, "joint", 3, 1)
+
+
+def test_layers_of_plates_in_one_joint_are_refused():
+    """The lower plate of side a lies under both plates of side b: it would conduct twice."""
+    layers = [0.0, 0.01, 0.02, 0.03, 0.04]
+    mesh, cells = put_side_by_side(
+        [
+            MeshHex.init_tensor(np.linspace(0, 0.1, 3), np.linspace(0, 0.1, 3), np.array(ends))
+            for ends in pairwise(layers)
+        ]
+    )
+    facets = mesh.boundary_facets()
+    height = mesh.p[2, mesh.facets[:, facets]]
+    on = {
+        (body, level): facets[np.isin(mesh.f2t[0, facets], cells[body]) & (height == level).all(0)]
+        for body, ends in enumerate(pairwise(layers))
+        for level in ends
+    }
+    joints = {
+        "lower": (on[0, 0.01], on[1, 0.01]),
+        "upper": (on[2, 0.03], on[3, 0.03]),
+        "both": (np.hstack([on[0, 0.01], on[2, 0.03]]), np.hstack([on[1, 0.01], on[3, 0.03]])),
+    }
+    structure = Structure(
+        mesh,
+        bodies={"all": np.arange(mesh.nelements)},
+        surfaces={
+            f"{n}.{s}": f for n, pair in joints.items() for s, f in zip("ab", pair, strict=True)
+        },
+        joints={name: (f"{name}.a", f"{name}.b") for name in joints},
+    )
+    for name in ("lower", "upper"):
+        assert pair_joint(structure, name, 2, 2).area.sum() == pytest.approx(0.01)
+    with pytest.raises(InputError, match="'both': several layers of side b"):
+        pair_joint(structure, "both", 2, 2)
 
 
 def vee(angle, left=(4, 3, 2), right=(2, 5, 3)):
@@ -304,6 +358,52 @@ def test_normals_of_a_curved_joint_point_from_the_sleeve_into_the_bore():
     assert joint.area == pytest.approx(np.full(6, joint.area.mean()), rel=1e-6)
     turn = np.sort(np.arctan2(joint.centre[:, 1], joint.centre[:, 0]))
     assert turn == pytest.approx((np.arange(6) + 0.5) * np.pi / 12, abs=1e-6)
+
+
+def tube(low, high, length, around, along):
+    """A closed tube of one layer of cells."""
+    grid = MeshHex.init_tensor(*(np.linspace(0.0, 1.0, n + 1) for n in (1, around, along)))
+    radius, turn = low + (high - low) * grid.p[0], 2 * np.pi * grid.p[1]
+    bent = np.array([radius * np.cos(turn), radius * np.sin(turn), length * grid.p[2]])
+    _, first, closed = np.unique(
+        np.round(bent, 9) + 0.0, axis=1, return_index=True, return_inverse=True
+    )
+    return MeshHex(bent[:, first], closed.ravel()[grid.t])
+
+
+def long_sleeve(length, inner, outer):
+    """A tube in a tube, closed around; their meshes, each (around, along), do not match."""
+    mesh, (left, _) = put_side_by_side(
+        [tube(INNER, SEAT, length, *inner), tube(SEAT, OUTER, length, *outer)]
+    )
+    facets = mesh.boundary_facets()
+    at_seat = np.abs(np.hypot(*mesh.p[:2, mesh.facets[:, facets]]) - SEAT).max(axis=0) < 1e-9
+    on_left = np.isin(mesh.f2t[0, facets], left)
+    return Structure(
+        mesh,
+        bodies={"all": np.arange(mesh.nelements)},
+        surfaces={"joint.a": facets[at_seat & on_left], "joint.b": facets[at_seat & ~on_left]},
+        joints={"joint": ("joint.a", "joint.b")},
+    )
+
+
+@pytest.mark.parametrize("length", [0.4 * SEAT, 2.0 * SEAT, 8.0 * SEAT])
+@pytest.mark.parametrize("count", [4, 9, 27])
+def test_a_seat_all_around_a_shaft_keeps_its_area_however_long(length, count):
+    joint = pair_joint(long_sleeve(length, (24, 20), (30, 16)), "joint", count, 1)
+    facet = 2.0 * SEAT * np.sin(np.pi / 24)
+    assert joint.area.sum() == pytest.approx(24 * facet * length, rel=1e-9)
+    assert len(joint.area) == count
+    assert joint.area.max() < 1.25 * joint.area.min()
+    radial = joint.centre[:, :2] / np.hypot(*joint.centre[:, :2].T)[:, None]
+    assert np.einsum("mi,mi->m", joint.normal[:, :2], radial).min() > 0.95
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_contact_element_around_half_a_shaft_is_refused(count):
+    sleeve = long_sleeve(8.0 * SEAT, (24, 20), (30, 16))
+    with pytest.raises(InputError, match="turns through more than 120 degrees; raise along"):
+        pair_joint(sleeve, "joint", count, 1)
 
 
 def test_pairing_ten_thousand_facets_takes_seconds():

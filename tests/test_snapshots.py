@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
+from fesim.case import first_step_at
 from fesim.history import step_history
 from fesim.march import march, staggered
 from fesim.simulate import simulate
-from fesim.snapshots import first_step_at, joint_snapshot, snapshot_writer, structure_snapshot
+from fesim.snapshots import joint_snapshot, snapshot_writer, structure_snapshot
 
 
 @pytest.fixture(scope="module")

@@ -71,6 +71,10 @@ def test_what_is_only_recorded_may_differ(saved, coarse_data, tmp_path):
         "displacement": {"point": "B", "relative_to": None},
         "probes": {"a": coarse_data["probes"]["a"]},
         "bodies": dict(reversed(coarse_data["bodies"].items())),
+        "sources": {
+            "bearings": coarse_data["sources"]["bearings"]
+            | {"heat_input": {"kind": "step", "level": 2.0}}
+        },
     }
     case = case_of(other, tmp_path, march={"duration_min": 90.0})
     assert np.array_equal(load_state(saved[0], case).temperature, saved[1].temperature)
@@ -124,6 +128,17 @@ def test_a_mesh_file_counts_by_its_content(coarse_data, coarse_setup, tmp_path):
     (tmp_path / "one.vtu").unlink()
     with pytest.raises(InputError, match="cannot be read"):
         fingerprint(one)
+
+
+def test_an_ambient_history_counts_by_its_content(coarse_data, tmp_path):
+    """Temperatures are above the ambient's first value."""
+    table = tmp_path / "ambient.csv"
+    case = case_of(coarse_data | {"ambient": {"file": "ambient.csv"}}, tmp_path)
+    digests = []
+    for first in (20.0, 20.0, 21.0):
+        table.write_text(f"time_s,ambient_degC\n0,{first}\n3600,22\n")
+        digests.append(fingerprint(case))
+    assert digests[0] == digests[1] != digests[2]
 
 
 def refused(path, case, match):

@@ -7,10 +7,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from artefacts.errors import ConvergenceError
 from thermojoint import cli, verification_run
 from verification.check import Check
 from verification.hot_spot import UNBOUNDED, square_plate_stress
@@ -40,6 +42,7 @@ LOOSEST = {
     "friction, block round": 2e-3,
     "partial slip,": 1e-2,
     "condensed march,": 1e-9,
+    "reduced march,": 1e-3,
     "splitting,": 0.1,
 }
 
@@ -112,10 +115,15 @@ def example(**changes):
 
 @pytest.fixture
 def command(monkeypatch, capsys):
-    """Run `verify` on a small suite; gives exit code and standard output."""
+    """Run `verify` on a group of checks (or what yields them) and one of checks after it.
 
-    def run_on(checks, *arguments):
-        monkeypatch.setattr(verification_run, "GROUPS", (Group("Rods", lambda: checks),))
+    Gives exit code and standard output.
+    """
+
+    def run_on(checks, *arguments, after=()):
+        first = checks if callable(checks) else lambda: checks
+        groups = Group("Rods", first), Group("More rods", lambda: after)
+        monkeypatch.setattr(verification_run, "GROUPS", groups)
         monkeypatch.setattr(sys, "argv", ["thermojoint", "verify", *map(str, arguments)])
         before = signal.getsignal(signal.SIGTERM)
         try:
@@ -191,6 +199,31 @@ def test_the_series_for_the_finite_plate_converges_and_tends_to_the_unbounded_on
     # The edge's stress falls like the square of its distance.
     assert excess[0] / excess[1] == pytest.approx(4.0, rel=0.02)
     assert excess[1] / excess[2] == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ConvergenceError("march: did not converge"),
+        ValueError("zip() argument 2\nis shorter"),
+        np.linalg.LinAlgError("Singular matrix"),
+    ],
+)
+def test_a_group_that_breaks_off_fails_and_loses_no_other_check(command, tmp_path, error):
+    def breaking():
+        yield example()
+        raise error
+
+    files = ["--out", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
+    code, told = command(breaking, *files, after=[example(name="another rod")])
+    assert code == 1
+    assert "2 of 3 checks are within tolerance" in told
+    assert "out of tolerance: Rods: broken off" in told
+    cases = json.loads((tmp_path / "v.json").read_text())["cases"]
+    assert [case["name"] for case in cases] == ["a rod", "Rods: broken off", "another rod"]
+    assert cases[1]["computed"] is None
+    assert cases[1]["source"] == f"{type(error).__name__}: {' '.join(str(error).split())}"
+    assert cases[1]["source"] in (tmp_path / "v.md").read_text("utf-8")
 
 
 def test_a_group_passes_only_with_all_of_its_checks():

@@ -33,20 +33,21 @@ SHOWN_WORKERS = 8
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
     """Run a study file's batch and show how it goes."""
     study = read_study(path)
-    with stop_request() as stopped, display(study, stopped) as (watch, tell):
-        return run.run_batch(
-            study, out, crew_of(workers, scheduler), watch=watch, tell=tell, stopped=stopped
-        )
+    with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
+        crew = crew_of(workers, scheduler, say)
+        return run.run_batch(study, out, crew, watch=watch, tell=tell, stopped=stopped)
 
 
-def crew_of(workers: int, scheduler: str | None) -> Callable[[], AbstractContextManager[Crew]]:
+def crew_of(
+    workers: int, scheduler: str | None, say: Callable[[str], None]
+) -> Callable[[], AbstractContextManager[Crew]]:
     """Return what recruits the workers: processes of this machine, or those of a Dask cluster."""
     if scheduler is None:
         return lambda: local_crew(workers)
     # Here, not above: Dask is an extra.
     from fesim.batch.cluster import dask_crew
 
-    return lambda: dask_crew(scheduler)
+    return lambda: dask_crew(scheduler, say)
 
 
 @contextmanager
@@ -67,13 +68,16 @@ def stop_request() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-@contextmanager
-def display(
-    study: Study, stopped: Callable[[], bool]
-) -> Iterator[tuple[Callable[[run.Progress], None], Callable[[StudyCase, str], None]]]:
-    """Give the functions that show progress and failures, on standard error.
+Watch = Callable[[run.Progress], None]
+Tell = Callable[[StudyCase, str], None]
+Say = Callable[[str], None]
 
-    Without a terminal only failures are shown, a line each.
+
+@contextmanager
+def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, Tell, Say]]:
+    """Give the functions that show progress, what happens to a case, and else, on standard error.
+
+    Without a terminal no progress is shown, only a line for each failure.
     """
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     values = {one.id: brief(one.values) for one in study.cases}
@@ -88,7 +92,10 @@ def display(
     task = bar.add_task("cases", total=len(study.cases))
 
     def tell(case: StudyCase, text: str) -> None:
-        console.print(f"case {case.id} ({shown(case.values)}): {text}")
+        say(f"case {case.id} ({shown(case.values)}): {text}")
+
+    def say(text: str) -> None:
+        console.print(text)
 
     def watch(progress: run.Progress) -> None:
         if not console.is_terminal:
@@ -107,7 +114,7 @@ def display(
 
     live = Live(bar, console=console)
     with live if console.is_terminal else nullcontext():
-        yield watch, tell
+        yield watch, tell, say
 
 
 def lines(progress: run.Progress, values: dict[str, str], stopping: bool) -> list[str]:

@@ -24,7 +24,7 @@ from skfem import MeshHex
 
 from fesim.elasticity import elastic_operators
 from fesim.materials import Material
-from fesim.spaces import locate, make_spaces
+from fesim.spaces import make_spaces, probe_cells
 from fesim.stress import stress_at
 from meshes.structure import Probe, Structure
 from verification.check import Check
@@ -128,7 +128,6 @@ def stress_at_d(half_width: float, around: int) -> float:
     load = elastic.thermal_load @ rise
     displacement = solve_given(elastic.stiffness, load, held_unknowns, 0.0, "hot spot")
     point = Probe((RADIUS, 0.0, 0.5 * THICKNESS), "cold")
-    cell = locate(structure, "D", point)
     stress = stress_at(
         structure,
         spaces,
@@ -136,7 +135,7 @@ def stress_at_d(half_width: float, around: int) -> float:
         displacement,
         rise,
         np.array(point.position)[:, None],
-        np.array([cell]),
+        probe_cells(structure, {"D": point}),
     )
     return float(stress[0, 1, 1])
 

@@ -29,8 +29,11 @@ thermojoint verify --out verify.json --markdown docs/verification.md
 ```
 
 The command prints the same table, writes it as JSON and ends with exit code 1 if anything is out of
-tolerance. Every case runs through the operators and the march that simulations use; the cases are
-the modules of `verification/`. The error is relative to the reference unless said otherwise.
+tolerance. The cases are the modules of `verification/`. They use the simulator's own operators,
+joint laws and solver of the gap equations, and its march or heat step where time passes.
+Temperatures are those of all nodes; the reduced thermal model, a case's default
+([reduction.md](reduction.md)), has rows of its own. The error is relative to the reference unless
+said otherwise.
 """
 
 

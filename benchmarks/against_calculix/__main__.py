@@ -23,14 +23,10 @@ from artefacts.files import whole_file
 from benchmarks.against_calculix.run import PROGRAM, available
 from benchmarks.against_calculix.studies import (
     Comparison,
-    calculix_step,
     coarse_machine,
-    our_march,
     two_bars,
     two_rods,
 )
-
-STEPS = 1050
 
 
 def main() -> None:
@@ -48,28 +44,9 @@ def main() -> None:
         folder = given.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         rows = list(_shown(console, folder, fine=given.fine))
-        step, measured = calculix_step(folder)
-    ours = {coupling: our_march(STEPS, coupling) for coupling in ("staggered", "iterated")}
     console.print(_table(rows))
     console.print(_figures(rows))
-    console.print(
-        f"The machine at 100 mm: CalculiX {step:.2f} s a coupled step over {measured} steps, "
-        f"scaled to {STEPS}: {STEPS * step:.0f} s"
-    )
-    for coupling, seconds in ours.items():
-        console.print(
-            f"{STEPS} steps with set-up, {coupling}: {seconds:.2f} s, ratio "
-            f"{STEPS * step / seconds:.0f}"
-        )
-    result = {
-        "rows": [asdict(row) for row in rows],
-        "march-vs-calculix": {
-            "ours_seconds": ours,
-            "ccx_seconds_per_step": step,
-            "ccx_steps_measured": measured,
-            "steps": STEPS,
-        },
-    }
+    result = {"rows": [asdict(row) for row in rows]}
     with whole_file(given.out) as part:
         part.write_text(json.dumps(result, indent=1), encoding="utf-8")
 

@@ -17,7 +17,7 @@ from benchmarks.against_calculix.deck import Choices, write_deck
 from benchmarks.against_calculix.laws import exponential, with_law
 from benchmarks.against_calculix.problem import Problem, problem_of
 from benchmarks.against_calculix.run import Run, run_deck
-from fesim.case import Case
+from fesim.case import Case, step_count
 from fesim.condensation import condense_heat
 from fesim.heat import capacity_form, cell_field, heat_operators
 from fesim.joint_law import BackBurdekinLaw, JointLaw
@@ -110,7 +110,7 @@ def run_ours(case: Case, law: JointLaw, *, consistent: bool = False) -> Ours:
     consistent : bool
         Take the consistent heat capacity, which CalculiX has, instead of the lumped one.
     """
-    count = round(60.0 * case.march.duration_min / case.march.step_s)
+    count = step_count(case.march)
     with threadpool_limits(limits=1):
         start = time.perf_counter()
         setup = set_up(case)

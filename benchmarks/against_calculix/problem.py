@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import InputError
-from fesim.case import Case
+from fesim.case import Case, step_count
 from fesim.case_law import joint_law
 from fesim.joint_law import JointLaw
 from fesim.loads import heat_sources, thermal_inputs
@@ -82,7 +82,7 @@ def problem_of(case: Case) -> Problem:
     materials = body_materials(case, structure)
     ((name, section),) = case.joints.items()
     joint = pair_joint(structure, name, section.along, section.across)
-    steps = round(60.0 * case.march.duration_min / case.march.step_s)
+    steps = step_count(case.march)
     loads = _constant_loads(case, steps)
     fluxes: dict[str, float] = {}
     shares = heat_sources(case, structure)

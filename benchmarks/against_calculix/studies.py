@@ -35,6 +35,8 @@ TIGHT = 1e-5
 STEADY = {"march__step_s": 1e8, "march__duration_min": 40e8 / 60.0}
 #: 30 steps of a minute, for the coarse machine: the heat has passed through its elements.
 LONG = {"march__step_s": 60.0, "march__duration_min": 30.0}
+#: Twice the contact elements of the reference machine each way.
+MORE_CONTACTS = {"joints__knee__along": 18, "joints__knee__across": 6}
 #: Of a run, s.
 TIMEOUT = 1800.0
 
@@ -178,55 +180,15 @@ def coarse_machine(folder: Path, *, fine: bool) -> Iterator[Comparison]:
     yield row
     labels = (study, "100 mm, consistent capacity")
     yield compared(machine(**LONG), choices, folder, labels, consistent=True, run=run)[0]
-    case = machine(**LONG, joints__knee__along=18, joints__knee__across=6)
+    case = machine(**LONG, **MORE_CONTACTS)
     yield compared(case, choices, folder, (study, "100 mm, 18 x 6 contact elements"), run=run)[0]
     case = machine(**LONG, joints__knee__friction_coefficient=0.0)
     yield compared(case, choices, folder, (study, "100 mm, no friction"))[0]
     for size in (50.0, 25.0):
         yield ours_alone(machine(size, **LONG), (study, f"{size:g} mm, ours alone"))
     if fine:
-        yield compared(machine(50.0, **LONG), choices, folder, (study, "50 mm"))[0]
-
-
-def march_against_calculix(
-    folder: Path, steps: int = 1050, coupling: str = "staggered"
-) -> tuple[float, float, int]:
-    """Time the coarse machine, 2 s a step, on both sides in this run.
-
-    Parameters
-    ----------
-    folder : Path
-        Where CalculiX's files go.
-    steps : int
-        Steps of our march.
-    coupling : str
-        Of our march: the default of a case, or "iterated".
-
-    Returns
-    -------
-    ours_seconds : float
-        Set-up and `steps` steps.
-    ccx_seconds_per_step : float
-        A coupled step of CalculiX.
-    steps : int
-        Steps of CalculiX that were measured.
-    """
-    seconds, measured = calculix_step(folder)
-    return our_march(steps, coupling), seconds, measured
-
-
-def calculix_step(folder: Path) -> tuple[float, int]:
-    """Seconds per coupled step of CalculiX over 30 steps with its own tolerances, and their number.
-
-    Its set-up and the step that sets the preload are counted in them.
-    """
-    problem = problem_of(machine())
-    problem = replace(problem, law=comparable(problem.law))
-    run = run_theirs(problem, Choices(), folder, "timed", TIMEOUT)
-    return run.seconds / problem.steps, problem.steps
-
-
-def our_march(steps: int, coupling: str) -> float:
-    """Seconds for set-up and `steps` steps of the same machine."""
-    case = machine(march__duration_min=2.0 * steps / 60.0, march__coupling=coupling)
-    return run_ours(case, comparable(problem_of(case).law)).seconds
+        row, run = compared(machine(50.0, **LONG), choices, folder, (study, "50 mm"))
+        yield row
+        case = machine(50.0, **LONG, **MORE_CONTACTS)
+        labels = (study, "50 mm, 18 x 6 contact elements")
+        yield compared(case, choices, folder, labels, run=run)[0]

@@ -104,7 +104,7 @@ class Refactoring:
 def rows() -> Iterator[Row | Skipped]:
     """Yield march-vs-refactor."""
     if find_spec("pypardiso") is None:
-        reason = "pypardiso is not installed; install the extra thermojoint[pardiso]"
+        reason = "pypardiso is not installed; pip install -e '.[pardiso]'"
         yield Skipped("march-vs-refactor", reason)
         return
     case = reference_case()
@@ -128,7 +128,9 @@ def rows() -> Iterator[Row | Skipped]:
         theirs,
         ratio,
         "s",
-        f"{STEPS} coupled steps of the reference machine, set-up included, against assembling and "
-        f"factorising in every step with the same library, measured on {MEASURED} steps and "
-        f"scaled; pressures differ by {difference:.1e} Pa at the last of them",
+        f"{STEPS} coupled steps of the reference machine, {case.march.thermal} thermal model, "
+        "set-up included, against assembling and factorising in every step with the same library, "
+        "all nodes and a solver for unsymmetric matrices (the tangent of a joint that slides), "
+        f"measured on {MEASURED} steps and scaled; pressures differ by {difference:.1e} Pa at the "
+        "last of them",
     )

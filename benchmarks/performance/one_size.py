@@ -9,6 +9,7 @@ import argparse
 import json
 import resource
 import sys
+from pathlib import Path
 from statistics import median
 
 from benchmarks.performance.cases import (
@@ -19,6 +20,7 @@ from benchmarks.performance.cases import (
     with_elements,
 )
 from benchmarks.performance.timing import seconds
+from fesim.case import step_count
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
 
@@ -43,9 +45,9 @@ def main() -> None:
     found: list[Setup] = []
     taken = seconds(lambda: found.append(set_up(case)))
     # Set-up's peak: the march adds nothing of its size.
-    peak = MAXRSS_UNIT * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak = peak_memory()
     (setup,) = found
-    steps = round(60.0 * case.march.duration_min / case.march.step_s)
+    steps = step_count(case.march)
     march = median(seconds(lambda: simulate(case, setup=setup)) for _ in range(3))
     print(
         json.dumps(
@@ -55,11 +57,22 @@ def main() -> None:
                 "contacts": setup.machine.contacts,
                 "modes": 0 if setup.modes is None else int(setup.modes.rates.size),
                 "setup": taken,
-                "memory": 1e-9 * peak,
+                "memory": peak,
                 "step": 1e3 * march / steps,
             }
         )
     )
+
+
+def peak_memory(status: Path = Path("/proc/self/status")) -> float:
+    """Peak memory of this process, GB.
+
+    Where the system has no /proc it is ru_maxrss, which on Linux begins with that of the parent.
+    """
+    if status.exists():
+        (line,) = (one for one in status.read_text("ascii").splitlines() if one.startswith("VmHWM"))
+        return 1.024e-6 * float(line.split()[1])
+    return 1e-9 * MAXRSS_UNIT * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import xarray as xr
 
 from benchmarks.performance.cases import fresh_condensations, reference_machine
 from benchmarks.performance.timing import Row, paired
-from fesim.case import Case
+from fesim.case import Case, step_count
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.study import VALIDATION
@@ -79,7 +79,7 @@ def marches(case: Case, reduced: Setup, full: Setup, repeats: int) -> Iterator[R
     runs = [case.model_copy(update={"heat_input": heat}) for heat in VALIDATION.values()]
     steepest = runs[list(VALIDATION).index("step-3.0")]
     simulate(steepest, setup=reduced)
-    steps = round(60.0 * case.march.duration_min / case.march.step_s)
+    steps = step_count(case.march)
     yield Row(
         "reduced-vs-full",
         *paired(

@@ -49,7 +49,7 @@ def rows() -> Iterator[Row]:
     short = start(model, INTERVAL, SHORT)
     yield from per_sample(short, measured, round(SHORT / INTERVAL), REPEATS)
     long = start(model, INTERVAL, LONG, LONG_TOLERANCE)
-    yield from growth(short, long, measured, REPEATS)
+    yield from growth(long, measured, few=round(SHORT / INTERVAL), repeats=REPEATS)
     yield fleet(short, measured, MACHINES, REPEATS)
 
 
@@ -103,31 +103,38 @@ def _row(
     )
 
 
-def growth(short: Estimator, long: Estimator, measured: Measured, repeats: int) -> Iterator[Row]:
-    """Yield a sample at the end of a long run against one of a short run, and a convolution."""
-    few, many = round(SHORT / INTERVAL), round(LONG / INTERVAL)
+def growth(
+    estimator: Estimator,
+    measured: Measured,
+    few: int,
+    repeats: int,
+    many: int = round(LONG / INTERVAL),
+) -> Iterator[Row]:
+    """Yield the last `few` of `many` samples of a run against its first, and a convolution."""
     ends, starts, convolved = [], [], []
-    blocks = Blocks(long, many)
+    blocks = Blocks(estimator, many)
     for _ in range(repeats):
-        ends.append(stream_times(long, measured, many)[-few:])
-        starts.append(stream_times(short, measured, few)[1:])
+        # The first sample of all makes the matrix of the interval.
+        times = stream_times(estimator, measured, many)[1:]
+        ends.append(times[-few:])
+        starts.append(times[:few])
         convolved.append(_last_sample_times(blocks, measured.row(many), many, few))
+    hours = INTERVAL * many / 3600.0
     yield _row(
         "estimator-growth",
         np.mean,
         ends,
         starts,
-        f"a sample at the end of {LONG / 3600.0:g} h ({many} samples, {long.n_state} states, poles "
-        f"fitted to {LONG_TOLERANCE:g}) against one within {SHORT / 60.0:g} min ({short.n_state} "
-        f"states); means; {repeats} runs",
+        f"the last {few} samples of {hours:g} h ({many} samples, {estimator.n_state} states, poles "
+        f"fitted to {LONG_TOLERANCE:g}) against the first {few} of the same run; means; {repeats} "
+        "runs",
     )
     yield _row(
         "estimator-24-hours",
         np.mean,
         ends,
         convolved,
-        f"the same against convolution block by block at t = {LONG / 3600.0:g} h; means; {repeats} "
-        "runs",
+        f"the same against convolution block by block at t = {hours:g} h; means; {repeats} runs",
     )
 
 

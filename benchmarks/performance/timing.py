@@ -19,7 +19,8 @@ class Row:
     ours, other : float
         Medians, in `unit`.
     ratio : float
-        How many times less ours is; median of the ratios run by run where both were repeated.
+        How many times less ours is, or how many times more where it is a rate; median of the
+        ratios run by run where both were repeated.
     unit : str
         Of ours and other.
     note : str

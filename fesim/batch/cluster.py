@@ -1,13 +1,13 @@
 """Workers of an existing Dask cluster.
 
 Only cases and responses travel: the cluster need not see the batch's folder, but it must find the
-files that a case names (meshes, histories) under the same paths.
+files that a case names (meshes, histories) under the same absolute paths.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -35,17 +35,23 @@ OWN_VERSION = version("thermojoint")
 
 
 class DaskCrew:
-    """The workers of a cluster as they come and go; see `fesim.batch.crew.Crew`."""
+    """The workers of a cluster as they come and go; see `fesim.batch.crew.Crew`.
 
-    def __init__(self, client: Client) -> None:
+    A worker of another version ends the batch if it is there at the first look; one that comes
+    later is told of once and gets no cases.
+    """
+
+    def __init__(self, client: Client, tell: Callable[[str], None]) -> None:
         self._client = client
-        self._checked: set[str] = set()
+        self._tell = tell
+        self._versions: dict[str, str] = {}
+        self._looked = False
         self._working: dict[str, tuple[Task, Future]] = {}
         self._number = count()
         self._news = Event()
 
     def members(self) -> list[str]:
-        """Every worker: its address."""
+        """Every worker of this version: its address."""
         try:
             found = list(self._client.nthreads())
         except (OSError, TimeoutError, RuntimeError) as error:
@@ -53,10 +59,10 @@ class DaskCrew:
                 "--scheduler: the connection is lost; start the batch again, it goes on from here"
             ) from error
         for address in found:
-            if address not in self._checked:
-                _check_version(self._client, address)
-                self._checked.add(address)
-        return found
+            if address not in self._versions:
+                self._meet(address)
+        self._looked = True
+        return [address for address in found if self._versions.get(address) == OWN_VERSION]
 
     def idle(self) -> list[str]:
         """Workers without a case."""
@@ -103,10 +109,36 @@ class DaskCrew:
             future.cancel()
         self._working.clear()
 
+    def _meet(self, address: str) -> None:
+        """Ask a new worker for its version."""
+        try:
+            theirs = self._client.run(version, "thermojoint", workers=[address])[address]
+        except PackageNotFoundError:
+            theirs = "not installed"
+        except OSError:
+            return  # It has left already; if not, it is asked again.
+        self._versions[address] = theirs
+        if theirs == OWN_VERSION:
+            return
+        text = (
+            f"--scheduler: worker {address} has thermojoint {theirs}, here it is {OWN_VERSION}; "
+            "install the same version there"
+        )
+        if not self._looked:
+            raise InputError(text)
+        self._tell(f"{text}; it gets no cases")
+
 
 @contextmanager
-def dask_crew(address: str) -> Iterator[DaskCrew]:
+def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> Iterator[DaskCrew]:
     """Give the workers of the cluster at `address`, e.g. ``tcp://10.0.0.1:8786``.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler.
+    tell : callable
+        Called with one line for each worker that comes later and has another version.
 
     Raises
     ------
@@ -120,23 +152,11 @@ def dask_crew(address: str) -> Iterator[DaskCrew]:
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no Dask scheduler answers there") from error
     with client:
-        crew = DaskCrew(client)
+        crew = DaskCrew(client, tell)
         try:
             yield crew
         finally:
             crew.close()
-
-
-def _check_version(client: Client, address: str) -> None:
-    try:
-        theirs = client.run(version, "thermojoint", workers=[address])[address]
-    except PackageNotFoundError:
-        theirs = "not installed"
-    if theirs != OWN_VERSION:
-        raise InputError(
-            f"--scheduler: worker {address} has thermojoint {theirs}, here it is {OWN_VERSION}; "
-            "install the same version there"
-        )
 
 
 def _fetch(future: Future) -> Outcome | None:

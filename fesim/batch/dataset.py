@@ -1,9 +1,9 @@
 """All responses of a study in one labelled dataset: a Zarr store that xarray opens.
 
 It is laid out before the first case runs, with every case of the study in it, and each response
-fills its own chunks. A chunk is a file that is written whole, so a reader never sees half of one,
-and a killed writer spoils nothing. Where a case has no value (it is still to come, failed, is
-shorter, or has fewer probes or contact elements) there is NaN, or an empty text.
+fills its own chunks. A chunk is a file that Zarr (from 3.1.3 on) writes whole, so a reader never
+sees half of one, and a killed writer spoils nothing. Where a case has no value (it is still to
+come, failed, is shorter, or has fewer probes or contact elements) there is NaN, or an empty text.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from artefacts.errors import InputError
 from artefacts.response import VARIABLES
 from fesim.batch.study import Study, plain
+from fesim.case import first_step_at
 
 #: How a case stands, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
@@ -111,7 +112,7 @@ def _runs(study: Study) -> set[tuple[float, float]]:
 
 
 def _times(duration: float, step: float) -> NDArray[np.float64]:
-    return _rounded(step * np.arange(round(60.0 * duration / step) + 1.0))
+    return _rounded(step * np.arange(first_step_at(60.0 * duration, step) + 1.0))
 
 
 def _rounded(times: Labels) -> NDArray[np.float64]:

@@ -35,6 +35,17 @@ from fesim.batch.worker import Outcome
 
 Record = dict[str, Any]
 
+#: What a killed process was writing: the temporary names of `artefacts.files.whole_file`, and of
+#: Zarr. The folder itself may hold files of others.
+_UNFINISHED = (
+    ".summary.????????.csv",
+    ".summary.????????.parquet",
+    "responses/.*.????????.nc",
+    "records/.*.????????.json",
+    "dataset.zarr/*.partial",
+    "dataset.zarr/*/*.partial",
+)
+
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
@@ -60,9 +71,9 @@ def locked(folder: Path) -> Iterator[None]:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
         file.flush()
-        for name in ("responses", "records", "."):
-            for left in (folder / name).glob(".*.*.*"):
-                left.unlink()  # what a killed process was writing
+        for pattern in _UNFINISHED:
+            for left in folder.glob(pattern):
+                left.unlink()
         yield
 
 
@@ -88,17 +99,18 @@ def write_record(folder: Path, outcome: Outcome) -> Record:
 def read_records(folder: Path, study: Study) -> dict[str, Record]:
     """Return the records of the study's cases that need not run again, by the case's id.
 
-    Cases that broke off for a reason that may pass are left out.
+    Cases that broke off for a reason that may pass are left out, and damaged records.
     """
     found = {}
     for one in study.cases:
         path = folder / "records" / f"{one.id}.json"
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, json.JSONDecodeError):
+            status, _ = record["status"], record["reason"]
+        except (OSError, ValueError, TypeError, LookupError):
             continue
-        finished = record["status"] == "done" and response_path(folder, one.id).is_file()
-        if finished or record["status"] == "failed":
+        finished = status == "done" and response_path(folder, one.id).is_file()
+        if finished or status == "failed":
             found[one.id] = record
     return found
 

@@ -11,6 +11,7 @@ from time import monotonic
 
 import pandas as pd
 
+from artefacts.errors import InputError
 from artefacts.response import read_response
 from fesim.batch import dataset as collected
 from fesim.batch import folder as on_disk
@@ -34,8 +35,6 @@ class Progress:
 
     Attributes
     ----------
-    total : int
-        Cases of the study.
     found : int
         Cases that an earlier run had finished.
     counts : dict of str to int
@@ -46,7 +45,6 @@ class Progress:
         Workers there are.
     """
 
-    total: int
     found: int
     counts: dict[str, int]
     working: dict[str, str]
@@ -95,7 +93,7 @@ def run_batch(
     watch : callable
         Called now and then with how the batch stands.
     tell : callable
-        Called with a case and one line for each failure and each lost worker.
+        Called with a case and one line for each failure, lost worker and damaged response.
     stopped : callable
         True from the moment when no further case shall start; those at work are still finished.
 
@@ -106,6 +104,8 @@ def run_batch(
     """
     with on_disk.locked(folder):
         keeper = _Keeper(study, folder)
+        for one in keeper.damaged:
+            tell(one, "its response in the folder is damaged; it runs again")
         found = len(keeper.records)
         left = [one for one in study.cases if one.id not in keeper.records]
         try:
@@ -119,30 +119,51 @@ def run_batch(
 
 
 class _Keeper:
-    """The one who writes: dataset, records and tables of a study in its folder."""
+    """The one who writes: dataset, records and tables of a study in its folder.
+
+    Attributes
+    ----------
+    records : dict
+        What became of each case that need not run again, by its id.
+    damaged : list of StudyCase
+        Those whose responses in the folder cannot be read; they count as not run.
+    """
 
     def __init__(self, study: Study, folder: Path) -> None:
         self.study, self.folder = study, folder
         self.records = on_disk.read_records(folder, study)
+        self.damaged: list[StudyCase] = []
         self._dataset = collected.open_dataset(folder / "dataset.zarr", study)
         self._written = monotonic()
         self._recover()
 
     def _recover(self) -> None:
         """Bring records and dataset to what the responses say, after a kill or another study."""
+        stored = collected.stored_status(self._dataset)
         for one in self.study.cases:
             path = on_disk.response_path(self.folder, one.id)
-            if one.id not in self.records and path.is_file():
-                response = read_response(path)
-                figures = figures_of(response)
-                self.keep(Outcome(one.id, "done", figures=figures, response=response))
-        stored = collected.stored_status(self._dataset)
-        for case, record in self.records.items():
-            if record["status"] != stored[case]:
-                if record["status"] == "done":
-                    response = read_response(on_disk.response_path(self.folder, case))
-                    collected.store_response(self._dataset, case, response)
-                collected.store_status(self._dataset, case, record["status"])
+            unrecorded = one.id not in self.records and path.is_file()
+            if unrecorded or (self._status(one) == "done" and stored[one.id] != "done"):
+                self._take_in(one, path)
+            if self._status(one) != stored[one.id]:
+                collected.store_status(self._dataset, one.id, self._status(one))
+
+    def _status(self, one: StudyCase) -> str:
+        return str(self.records[one.id]["status"]) if one.id in self.records else "pending"
+
+    def _take_in(self, one: StudyCase, path: Path) -> None:
+        """Put a response of the folder into the dataset, and make its record if there is none."""
+        try:
+            response = read_response(path)
+        except InputError:
+            self.damaged.append(one)
+            self.records.pop(one.id, None)
+            return
+        if one.id in self.records:
+            collected.store_response(self._dataset, one.id, response)
+        else:
+            figures = figures_of(response)
+            self.keep(Outcome(one.id, "done", figures=figures, response=response))
 
     def keep(self, outcome: Outcome) -> None:
         """Write an outcome; its record comes last and makes it count."""
@@ -177,7 +198,7 @@ def _work_off(
     losses: Counter[str] = Counter()
     found = len(keeper.records)
 
-    def hand_out() -> None:
+    def hand_out() -> int:
         members = crew.members()
         queue.keep(members)
         if not stopped():
@@ -187,9 +208,12 @@ def _work_off(
                     on_disk.note(keeper.folder, "started", task.id, worker)
                     crew.hand(worker, task)
                     working[worker] = task
+        return len(members)
+
+    def show(workers: int) -> None:
         counts = Counter(record["status"] for record in keeper.records.values())
         at_work = {worker: task.id for worker, task in working.items()}
-        watch(Progress(len(keeper.study.cases), found, dict(counts), at_work, len(members)))
+        watch(Progress(found, dict(counts), at_work, workers))
 
     def settle(report: Report) -> None:
         case, worker = report.task.id, report.worker
@@ -207,7 +231,7 @@ def _work_off(
         if outcome.status != "done":
             tell(cases[case], outcome.reason)
 
-    hand_out()
+    show(hand_out())
     while working or (len(queue) and not stopped()):
         reports = crew.gather(TICK)
         for report in reports:
@@ -218,7 +242,8 @@ def _work_off(
             if report.outcome is None:
                 settle(report)
         # Before the outcomes are written, so that no worker waits for the disk.
-        hand_out()
+        workers = hand_out()
         for report in reports:
             if report.outcome is not None:
                 settle(report)
+        show(workers)

@@ -193,12 +193,13 @@ def read_study(path: Path) -> Study:
 
     digest = cache(file_digest)
     data = tomllib.loads(text)
+    whole = base.model_dump(mode="json")
     found: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
     loads: set[str] = set()
     for number, values in enumerate(combinations(given), start=1):
         where = f"{path}: case {number} ({shown(values)})"
-        case = case_from_data(with_values(data, values), where, source.parent)
+        case = case_from_data(with_values(data, values, whole), where, source.parent)
         load = case.model_dump_json(include=LOADS)
         try:
             one = StudyCase(case_id(case, digest), condensation_key(case, digest), values, case)

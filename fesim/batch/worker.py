@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -13,19 +15,21 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
-from artefacts.errors import ConvergenceError, InputError
+from artefacts.errors import ConvergenceError, InputError, UnreadableError
 from artefacts.response import write_response
 from fesim.batch.summary import Figures, figures_of
 from fesim.case import Case
 from fesim.setup import Setup, set_up, with_laws
+from fesim.sharing import case_id, condensation_key
 from fesim.simulate import simulate
 
 #: Set-ups that a worker keeps. Two: the one in use, and one to come back to.
 KEPT = 2
 
-#: What a case may fail of. The first ones follow from the case: repeating it changes nothing.
+#: What a case may break off of, and not the next time.
+PASSING = (UnreadableError, MemoryError, OSError)
+#: What else it may fail of follows from the case: repeating it changes nothing.
 LASTING = (InputError, ConvergenceError, ArithmeticError, np.linalg.LinAlgError)
-PASSING = (MemoryError, OSError)
 
 #: A process works on one case at a time, however many threads a Dask worker has: the direct
 #: solver's factors are not to be used by two.
@@ -59,7 +63,7 @@ class Outcome:
         Of the case.
     status : str
         ``"done"``, or ``"failed"`` if running it again would fail again, or ``"broken"`` if it
-        might not: out of memory, a lost worker.
+        might not: out of memory, a file that cannot be read or has changed, a lost worker.
     reason : str
         One line; empty if it is done.
     seconds, setup_seconds : float
@@ -92,34 +96,72 @@ class _Shared:
 
 def run(task: Task) -> Outcome:
     """Run one case; what may go wrong with a case comes back as its outcome."""
-    begun = perf_counter()
-    ready = begun
+    begun, condensing = perf_counter(), 0.0
     try:
         with _ONE_AT_A_TIME, np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            begun = perf_counter()
             case = Case.model_validate_json(task.case)
-            setup = with_laws(_condensed(_Shared(task.key, case)), case)
-            ready = perf_counter()
-            response = simulate(case, setup=setup).response
-    except LASTING as error:
-        return Outcome(task.id, "failed", _line(error), perf_counter() - ready, ready - begun)
-    except PASSING as error:
-        return Outcome(task.id, "broken", _line(error), perf_counter() - ready, ready - begun)
-    encoded = _encode(response)
+            with _files_as_read(task, case):
+                shared, condensing = _condensation(_Shared(task.key, case))
+                response = simulate(case, setup=with_laws(shared, case)).response
+        figures, encoded = figures_of(response), _encode(response)
+    except (*PASSING, *LASTING) as error:
+        return Outcome(
+            id=task.id,
+            status="broken" if isinstance(error, PASSING) else "failed",
+            reason=_line(error),
+            seconds=perf_counter() - begun - condensing,
+            setup_seconds=condensing,
+        )
     return Outcome(
         id=task.id,
         status="done",
-        seconds=perf_counter() - ready,
-        setup_seconds=ready - begun,
-        figures=figures_of(response),
+        seconds=perf_counter() - begun - condensing,
+        setup_seconds=condensing,
+        figures=figures,
         response=response,
         encoded=encoded,
     )
 
 
+@contextmanager
+def _files_as_read(task: Task, case: Case) -> Iterator[None]:
+    """Refuse a case whose files are not the ones its id was made of, before or after its run.
+
+    A file that is edited meanwhile, or an older copy on another machine, would else give a result
+    under the id of other input.
+    """
+    _compare(case_id(case), task.id)
+    try:
+        yield
+    finally:
+        # After an error too: a file that somebody is just writing may be its reason.
+        _compare(case_id(case), task.id)
+
+
+def _compare(found: str, expected: str) -> None:
+    if found != expected:
+        raise UnreadableError(
+            "a file of the case is not the one that the study was read with; give every worker "
+            "the same files and start the batch again"
+        )
+
+
+def _condensation(shared: _Shared) -> tuple[Setup, float]:
+    """Return a condensation and how long it took, s: 0 if it was at hand."""
+    known, begun = _condensed.cache_info().misses, perf_counter()
+    setup = _condensed(shared)
+    made = _condensed.cache_info().misses > known
+    return setup, perf_counter() - begun if made else 0.0
+
+
 @lru_cache(maxsize=KEPT)
 def _condensed(shared: _Shared) -> Setup:
     """The one place where a batch condenses; a Setup never changes, so it may be kept."""
-    return set_up(shared.case)
+    setup = set_up(shared.case)
+    # What is kept must be what the key says, whatever becomes of the mesh file later.
+    _compare(condensation_key(shared.case), shared.key)
+    return setup
 
 
 def _line(error: BaseException) -> str:

@@ -1,0 +1,121 @@
+"""One case in a worker: what comes back, whatever happens to its files and to the disk."""
+
+import numpy as np
+import pytest
+from batch_cases import levels, study_in, write_study
+
+from artefacts.errors import InputError, UnreadableError
+from fesim.batch import worker
+from fesim.batch.study import read_study
+from fesim.batch.summary import is_open
+from fesim.batch.worker import Task, run
+from fesim.case import case_from_data
+from fesim.history import read_history
+from fesim.sharing import case_id, condensation_key, file_digest
+from fesim.simulate import simulate
+from meshes.exchange import read_structure
+
+HEAT = "time_s,heat_input\n0,1\n60,2\n"
+
+
+def task_of(one):
+    return Task(one.id, one.key, one.case.model_dump_json())
+
+
+@pytest.fixture
+def sampled(tmp_path):
+    """A study of one case, whose heat stands in a file, and the file."""
+    heat = tmp_path / "heat.csv"
+    heat.write_text(HEAT)
+    varied = "[[grid]]\npath = 'heat_input'\nvalues = [{kind = 'sampled', file = 'heat.csv'}]\n"
+    return read_study(write_study(tmp_path, varied, 1.0)), heat
+
+
+@pytest.mark.parametrize("read", [file_digest, read_history, read_structure])
+def test_a_file_that_is_not_there_is_told_from_one_that_is_wrong(tmp_path, read):
+    with pytest.raises(UnreadableError, match=r"none\.vtu"):
+        read(tmp_path / "none.vtu")
+    if read is not file_digest:
+        (tmp_path / "wrong.vtu").write_bytes(b"\xff wrong")
+        with pytest.raises(InputError) as refusal:
+            read(tmp_path / "wrong.vtu")
+        assert type(refusal.value) is InputError
+
+
+def test_a_case_whose_file_is_out_of_reach_breaks_off_and_runs_when_it_is_back(sampled):
+    study, heat = sampled
+    [one] = study.cases
+    heat.unlink()
+    outcome = run(task_of(one))
+    assert (outcome.status, outcome.response) == ("broken", None)
+    assert "heat.csv: cannot be read" in outcome.reason
+    heat.write_text(HEAT)
+    assert run(task_of(one)).status == "done"
+
+
+def test_a_file_that_is_not_the_one_of_the_study_gives_no_result(sampled):
+    study, heat = sampled
+    heat.write_text(HEAT.replace("2", "3"))
+    outcome = run(task_of(study.cases[0]))
+    assert (outcome.status, outcome.response) == ("broken", None)
+    assert "not the one that the study was read with" in outcome.reason
+
+
+@pytest.mark.parametrize("half", [HEAT.replace("2", "3"), "time_s,heat_in"])
+def test_a_file_that_is_edited_during_the_run_gives_no_result(sampled, monkeypatch, half):
+    study, heat = sampled
+
+    def edited(case, *, setup):
+        heat.write_text(half)
+        return simulate(case, setup=setup)
+
+    monkeypatch.setattr(worker, "simulate", edited)
+    outcome = run(task_of(study.cases[0]))
+    assert (outcome.status, outcome.response) == ("broken", None)
+    assert "not the one that the study was read with" in outcome.reason
+
+
+def test_a_mesh_that_is_edited_while_it_is_condensed_is_not_kept(
+    coarse_data, tmp_path, monkeypatch
+):
+    mesh, condensed = tmp_path / "machine.vtu", []
+    mesh.write_text("as read")
+    data = coarse_data | {"structure": {"kind": "mesh", "file": "machine.vtu"}}
+    case = case_from_data(data, "case", tmp_path)
+    task = Task(case_id(case), condensation_key(case), case.model_dump_json())
+
+    def edited(case):
+        condensed.append(mesh.read_text())
+        mesh.write_text("edited")
+
+    monkeypatch.setattr(worker, "set_up", edited)
+    for _ in range(2):
+        mesh.write_text("as read")
+        assert run(task).status == "broken"
+    assert condensed == ["as read"] * 2
+
+
+def test_a_full_disk_breaks_a_case_off_and_does_not_end_the_worker(tmp_path, monkeypatch):
+    def full(response, path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(worker, "write_response", full)
+    study = study_in(tmp_path, levels(1), 1.0)
+    outcome = run(task_of(study.cases[0]))
+    assert (outcome.status, outcome.response) == ("broken", None)
+    assert "No space left on device" in outcome.reason
+
+
+def test_only_a_condensation_that_is_made_takes_time(tmp_path):
+    worker._condensed.cache_clear()
+    study = study_in(tmp_path, levels(2), 1.0)
+    first, second = (run(task_of(one)) for one in study.cases)
+    assert first.setup_seconds > 0.0
+    assert second.setup_seconds == 0.0
+    assert first.seconds > 0.0
+    assert second.seconds > 0.0
+
+
+def test_an_element_is_open_below_a_thousandth_of_its_own_preload():
+    pressure = np.array([[4e6, 1e5, 1e5], [4.1e3, 1.1e2, 0.0], [3.9e3, 0.9e2, 1e5]])
+    assert is_open(pressure).tolist() == [[False] * 3, [False, False, True], [True, True, False]]

@@ -1,0 +1,82 @@
+"""A response is what its schema says, or one line says what it is not."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from artefacts.errors import InputError
+from artefacts.response import SCHEMA, SCHEMA_VERSION, make_response, read_response, write_response
+
+TIMES = np.array([0.0, 2.0, 4.0])
+
+
+def good():
+    return make_response(
+        {
+            "heat_input": np.ones(3),
+            "temperature": np.zeros((3, 1)),
+            "displacement": np.zeros((3, 1)),
+        },
+        {"time": TIMES, "probe": ["a"], "axis": ["x"]},
+    )
+
+
+def test_a_response_survives_its_file(tmp_path):
+    write_response(good(), tmp_path / "good.nc")
+    xr.testing.assert_identical(read_response(tmp_path / "good.nc"), good())
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "said"),
+    [
+        (TIMES / 60.0, "min", "'time' is in 'min', expected 's'"),
+        (TIMES / 60.0, "minutes", "'time' is in 'minutes', expected 's'"),
+        (TIMES, "seconds since 2024-01-01", "'time' is in 'seconds since 2024-01-01', expected"),
+        (TIMES, None, "'time' is in 'no unit', expected 's'"),
+        (TIMES, "s", None),
+        (TIMES.astype(int), "s", None),
+        (np.array([3, 2, 1], dtype=np.uint8), "s", "'time' is in 's' as uint8, expected 's'"),
+        (np.array([0.0, 2.0, np.inf]), "s", "'time' has values that are not finite"),
+        (np.array([0.0, np.nan, 4.0]), "s", "'time' has values that are not finite"),
+        (np.array([0.0, 2.0, 2.0]), "s", "time must increase strictly"),
+    ],
+)
+def test_time_is_in_finite_seconds_or_refused(tmp_path, times, unit, said):
+    path = tmp_path / "given.nc"
+    given = good().assign_coords(time=("time", times, {"units": unit} if unit else {}))
+    given.to_netcdf(path, engine="h5netcdf")
+    if said is None:
+        assert np.array_equal(read_response(path)["time"], times)
+        return
+    with pytest.raises(InputError, match=said) as error:
+        read_response(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_samples_without_times_are_refused(tmp_path):
+    path = tmp_path / "given.nc"
+    good().drop_vars("time").to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match="coordinate 'time' is missing"):
+        read_response(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda given: given.drop_vars("displacement"), "variable 'displacement' is missing"),
+        (lambda given: given.assign(heat_input=("time", np.ones(3))), "in 'no unit', expected '1'"),
+        (lambda given: given * np.nan, "values that are not finite"),
+        (lambda given: given.isel(time=[0]), "two samples or more"),
+        (lambda given: given.assign_attrs(schema_version=99), "version 99"),
+    ],
+)
+def test_what_the_schema_does_not_allow_is_refused(tmp_path, change, said):
+    path = tmp_path / "given.nc"
+    with xr.set_options(keep_attrs=True):
+        given = change(good())
+    assert given.attrs["schema"] == SCHEMA
+    assert given.attrs["schema_version"] in (SCHEMA_VERSION, 99)
+    given.to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match=said):
+        read_response(path)
