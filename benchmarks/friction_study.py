@@ -40,7 +40,7 @@ def main() -> None:
         others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
         calibrated = study.calibrate_responses(base, others)
         judged = {name: responses[name] for name in study.VALIDATION}
-        found = study.validate_model(calibrated.model, base, judged)
+        found = study.validate_model(calibrated.model, base, judged, noisy=["triangle"])
         console.print(f"\nfriction {friction:g}", style="bold")
         console.print(str(calibrated.placement))
         show_validation(console, found.rows)

@@ -19,6 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import lfilter
 
 from artefacts.errors import InputError
+from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import fit
 from calibrate.model import DeformationModel
@@ -65,30 +66,23 @@ def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -
     return signals
 
 
-def driven_response(shape: np.ndarray, strengths: np.ndarray) -> np.ndarray:
-    """Return what a strength that is constant over each interval does.
+def driver(strengths: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what turns step responses into the responses to strengths that vary.
+
+    A strength is constant over each interval: ``strengths[:, k]`` holds over the interval that ends
+    at sample k. The strengths are transformed once for all step responses, and a step response once
+    for all of them.
 
     Parameters
     ----------
-    shape : ndarray, shape (n, ...)
-        Step responses at one, two, ... n intervals after the step.
-    strengths : ndarray, shape (n,)
-        Strength during the interval that ends at each sample.
+    strengths : ndarray, shape (inputs, n)
+        At each input.
 
     Returns
     -------
-    ndarray, shape (n, ...)
-        Response at the samples.
-    """
-    (driven,) = driver(strengths[None])(shape.reshape(len(shape), -1))
-    return np.asarray(driven.reshape(shape.shape))
-
-
-def driver(strengths: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what turns step responses (n, p) into `driven_response` (inputs, n, p) at all inputs.
-
-    The strengths, shape (inputs, n), are transformed once, and so is a step response for all of
-    them.
+    callable
+        Step responses at one, two, ... n intervals after the step, shape (n, p), to the responses
+        at the samples, shape (inputs, n, p).
     """
     samples = strengths.shape[1]
     size = next_fast_len(2 * samples - 1, real=True)
@@ -115,7 +109,7 @@ def fit_driven_deformation(
     Parameters
     ----------
     t : ndarray, shape (n,)
-        Times after the start, s, evenly spaced.
+        Times after the start, s: one, two ... n intervals.
     deviations : ndarray, shape (inputs, n)
         δ_NL at each calibration input, m; zero for an input that must do nothing.
     strengths : ndarray, shape (sources, inputs, n)
@@ -134,10 +128,7 @@ def fit_driven_deformation(
             f"fictitious sources: strengths {strengths.shape} and displacement deviations "
             f"{deviations.shape} do not fit {t.size} times; give one value per input and time"
         )
-    intervals = np.diff(t)
-    if not np.allclose(intervals, intervals[0], rtol=1e-6):
-        raise InputError("fictitious sources: sample the calibration responses evenly in time")
-    after = intervals[0] * np.arange(1, t.size + 1)
+    after = steps.even_interval(t, "fictitious sources") * np.arange(1, t.size + 1)
     drivers = [driver(one) for one in strengths]
     problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
     found = fit(problem, starts=starts, seed=seed)

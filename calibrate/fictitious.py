@@ -9,20 +9,20 @@ follow. `source_deformation` fits what the sources do to the displacement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
-from artefacts.errors import InputError
+from artefacts.errors import InputError, unknown_name
 from calibrate import source_thermal, steps
 from calibrate.fit_result import Fit
 from calibrate.linear import JOINT_SENSORS
 from calibrate.model import DeformationModel, FictitiousSource, RingModel
 from calibrate.regularisation import choose_regularisation
 from calibrate.source_deformation import fit_source_deformation, source_displacements
-from calibrate.source_thermal import Averaging, Comparison, SourceFit
+from calibrate.source_thermal import SourceFit
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,6 @@ class FictitiousCalibration:
         What was fitted.
     joint : SourceFit
         Rates and products shared by all inputs.
-    averaged : Averaging
-        The loop of Figure 4 on the same data.
-    comparison : Comparison
-        Of the two.
-    reference_input : float
-        Where every strength is 1.
     strength_condition : float
         Condition number of the matrix of strengths (rows scaled to unit length): large if the
         inputs drive the sources in nearly the same proportion, so that the displacement cannot be
@@ -78,24 +72,21 @@ class FictitiousCalibration:
     sources: tuple[FictitiousSource, ...]
     deviations: Deviations
     joint: SourceFit
-    averaged: Averaging
-    comparison: Comparison
-    reference_input: float
     strength_condition: float
     deformation_fits: dict[str, Fit]
     deformation_errors: dict[str, dict[str, float]]
 
 
-def deviations_from(
-    reference: xr.Dataset, others: dict[float, xr.Dataset], where: str = "calibration responses"
-) -> Deviations:
-    """Return ∂T_j = T_j - Q̄ T_j(1) and δ_NL = δ - Q̄ δ(1) of further steps.
+def check_steps(
+    reference: xr.Dataset, others: Mapping[float, xr.Dataset], where: str = "calibration responses"
+) -> float:
+    """Return the level of the reference step; refuse steps that do not belong to it.
 
     Parameters
     ----------
     reference : xarray.Dataset
-        Step response at the reference input; taken per unit of its level.
-    others : dict
+        Step response at the reference input.
+    others : mapping
         Heat input to the step response at it, sampled at the same times.
     where : str
         For error messages.
@@ -109,11 +100,8 @@ def deviations_from(
     base = steps.step_level(reference, f"{where}, reference")
     t = steps.times(reference)
     axes = [str(name) for name in reference["axis"].to_numpy()]
-    inputs = tuple(sorted(float(level) for level in others))
-    temperatures = np.empty((len(inputs), len(JOINT_SENSORS), t.size))
-    displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}
-    for index, named in enumerate(inputs):
-        name, response = f"{where}, input {named:g}", others[named]
+    for named, response in sorted(others.items()):
+        name = f"{where}, input {named:g}"
         level = steps.step_level(response, name)
         if abs(level - named) > 1e-9 * abs(named):
             raise InputError(f"{name}: its heat input is {level:g}; name it by its heat input")
@@ -122,6 +110,33 @@ def deviations_from(
         at = steps.times(response)
         if at.shape != t.shape or not bool(np.allclose(at, t, rtol=0.0, atol=1e-6)):
             raise InputError(f"{name}: sample times differ from the reference's; sample alike")
+        known = [str(one) for one in response["axis"].to_numpy()]
+        for axis in axes:
+            if axis not in known:
+                raise unknown_name("axis", axis, known, name)
+    return base
+
+
+def deviations_from(
+    reference: xr.Dataset,
+    others: Mapping[float, xr.Dataset],
+    where: str = "calibration responses",
+) -> Deviations:
+    """Return ∂T_j = T_j - Q̄ T_j(1) and δ_NL = δ - Q̄ δ(1) of further steps.
+
+    Parameters
+    ----------
+    reference, others, where
+        As in `check_steps`, which sees to them; the reference is taken per unit of its level.
+    """
+    base = check_steps(reference, others, where)
+    t = steps.times(reference)
+    axes = [str(name) for name in reference["axis"].to_numpy()]
+    inputs = tuple(sorted(float(level) for level in others))
+    temperatures = np.empty((len(inputs), len(JOINT_SENSORS), t.size))
+    displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}
+    for index, level in enumerate(inputs):
+        name, response = f"{where}, input {level:g}", others[level]
         factor = level / base
         for j, sensor in enumerate(JOINT_SENSORS):
             temperatures[index, j] = steps.temperature(
@@ -174,7 +189,7 @@ def strength_condition(strengths: np.ndarray) -> float:
 
 def calibrate_fictitious(
     reference: xr.Dataset,
-    others: dict[float, xr.Dataset],
+    others: Mapping[float, xr.Dataset],
     distances: Sequence[Sequence[float]],
     *,
     radii: Sequence[float] | None = None,
@@ -187,7 +202,7 @@ def calibrate_fictitious(
     ----------
     reference : xarray.Dataset
         Step response at the reference input, with probes T1 and T2.
-    others : dict
+    others : mapping
         Heat input (e.g. 0.5 and 2.0) to the step response at it.
     distances : sequence of sequences
         r_ij, m, from source i to sensor T_j; source i belongs to sensor T_i.
@@ -201,7 +216,7 @@ def calibrate_fictitious(
     Raises
     ------
     InputError
-        See `deviations_from`, `source_thermal.fit_jointly` and `gains_and_strengths`.
+        See `check_steps`, `source_thermal.fit_jointly` and `gains_and_strengths`.
     ConvergenceError
         A source has no stable inverse at its sensor.
     """
@@ -219,7 +234,6 @@ def calibrate_fictitious(
             f"{', '.join(f'{level:g}' for level in data.inputs)}"
         )
     joint = source_thermal.fit_jointly(data.t, data.temperatures, data.inputs, geometry)
-    averaged = source_thermal.fit_by_averaging(data.t, data.temperatures, data.inputs, geometry)
     gains, strengths = gains_and_strengths(joint.products, data.inputs.index(unity))
     fits: dict[str, Fit] = {}
     errors: dict[str, dict[str, float]] = {}
@@ -253,9 +267,6 @@ def calibrate_fictitious(
         sources=tuple(sources),
         deviations=data,
         joint=joint,
-        averaged=averaged,
-        comparison=source_thermal.compare(joint, averaged.result),
-        reference_input=unity,
         strength_condition=strength_condition(strengths),
         deformation_fits=fits,
         deformation_errors=errors,

@@ -22,9 +22,11 @@ class Fit:
     values : dict
         Name to value, nonlinear parameters first, SI.
     standard_errors : dict
-        Name to standard error, same units; infinite where the data do not determine it.
+        Name to standard error, same units; infinite where the data do not determine it. Parameters
+        that were given have none.
     correlation : ndarray
-        Between the estimates, in the order of `values`.
+        Between the estimates, in the order of `standard_errors`: parameters that were given are in
+        neither.
     condition_number : float
         Of the Jacobian with its columns scaled to unit length.
     max_abs_error, rms_error : float

@@ -131,12 +131,15 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
     data = problem.data / scale
 
     latest: dict[bytes, tuple[np.ndarray, np.ndarray, _Projection]] = {}
+    evaluations = 0
 
     def at(log_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Projection]:
         # Residual and Jacobian are asked for at the same point, one after the other.
+        nonlocal evaluations
         key = log_theta.tobytes()
         if key not in latest:
             latest.clear()
+            evaluations += 1
             columns, slopes = problem.basis(np.exp(log_theta))
             latest[key] = columns, slopes, _project(columns, data, ridge)
         return latest[key]
@@ -160,7 +163,7 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
         gtol=1e-14,
         max_nfev=limit,
     )
-    return _End(np.exp(found.x), float(found.cost), found.nfev + found.njev, found.message)
+    return _End(np.exp(found.x), float(found.cost), evaluations, found.message)
 
 
 def _starts(problem: Separable, count: int, seed: int) -> np.ndarray:

@@ -9,8 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -240,6 +240,41 @@ def calibrate_linear(
     ConvergenceError
         The thermal model has no stable inverse.
     """
+    displacements = calibrate_displacements(response, fit_displacement, where)
+    heat = calibrate_heat(response, displacements, r0=r0, where=where)
+    return with_direct_models(heat, response, r0=r0, where=where)
+
+
+def calibrate_displacements(
+    response: xr.Dataset,
+    fit_displacement: DeformationFit = fit_deformation,
+    where: str = "reference response",
+) -> dict[str, tuple[DeformationModel, Fit]]:
+    """Return Eq. 8 of every axis of a step response; parameters as in `calibrate_linear`."""
+    level = steps.step_level(response, where)
+    t = steps.times(response)
+    return {
+        axis: fit_displacement(t, steps.displacement(response, axis, where) / level)
+        for axis in (str(name) for name in response["axis"].to_numpy())
+    }
+
+
+def calibrate_heat(
+    response: xr.Dataset,
+    displacements: Mapping[str, tuple[DeformationModel, Fit]],
+    *,
+    r0: float = RING_RADIUS,
+    where: str = "reference response",
+) -> LinearCalibration:
+    """Return the part of Table 1 that does not depend on where T1 and T2 are.
+
+    Parameters
+    ----------
+    response, r0, where
+        As in `calibrate_linear`; of the probes only a and b are needed.
+    displacements : mapping
+        Of the same response (`calibrate_displacements`).
+    """
     level = steps.step_level(response, where)
     t = steps.times(response)
     difference = (
@@ -248,19 +283,39 @@ def calibrate_linear(
     if not bool(difference.any()):
         raise InputError(f"{where}: T_a - T_b is zero throughout; place a nearer to the source")
     thermal, thermal_fit = fit_ring(t, difference, r0)
+    interval = float(np.median(np.diff(t)))
+    shapes = {axis: shape for axis, (shape, _) in displacements.items()}
     fits = {"thermal": thermal_fit}
-    shapes = {}
-    for axis in (str(name) for name in response["axis"].to_numpy()):
-        data = steps.displacement(response, axis, where) / level
-        shapes[axis], fits[f"deformation.{axis}"] = fit_displacement(t, data)
+    fits |= {f"deformation.{axis}": found for axis, (_, found) in displacements.items()}
+    model = LinearModel(thermal, choose_regularisation(thermal, interval), shapes, {})
+    return LinearCalibration(model, fits, {})
+
+
+def with_direct_models(
+    linear: LinearCalibration,
+    response: xr.Dataset,
+    *,
+    r0: float = RING_RADIUS,
+    where: str = "reference response",
+) -> LinearCalibration:
+    """Return Table 1 with the models of T1 and T2 of a step response added.
+
+    Parameters
+    ----------
+    linear : LinearCalibration
+        From `calibrate_heat`.
+    response, r0, where
+        As in `calibrate_linear`.
+    """
+    level = steps.step_level(response, where)
+    t = steps.times(response)
     direct: dict[str, RingModel | Relaxation] = {}
     direct_errors = {}
+    fits = dict(linear.fits)
     for sensor in JOINT_SENSORS:
         data = steps.temperature(response, sensor, where) / level
         spectrum = fit_relaxation(t, data)
         direct[sensor] = spectrum
         direct_errors[sensor] = float(np.abs(relaxation_response(t, spectrum) - data).max())
         _, fits[f"direct.{sensor}"] = fit_ring(t, data, r0)
-    interval = float(np.median(np.diff(t)))
-    model = LinearModel(thermal, choose_regularisation(thermal, interval), shapes, direct)
-    return LinearCalibration(model, fits, direct_errors)
+    return LinearCalibration(replace(linear.model, direct=direct), fits, direct_errors)

@@ -89,7 +89,7 @@ class LinearModel:
     regularisation : Regularisation
         f_R of its inverse.
     deformation : dict
-        Axis name ("x", "y") to its Eq. 8 model.
+        Axis name (e.g. "x", "y") to its Eq. 8 model.
     direct : dict
         Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
     """
@@ -150,7 +150,8 @@ class Model:
     sensors : dict
         Role ("a", "b", "T1", "T2") to the position in m.
     reference_power_W : float
-        Heat per source at heat input 1, W.
+        Heat at heat input 1, W, as the reference response states it. A simulated one states the
+        case's figure: of one source by its ``reading``, per source or total; of several the sum.
     """
 
     linear: LinearModel

@@ -10,6 +10,8 @@ from artefacts.response import check_response
 
 #: Samples on which starts are compared before the full series is used.
 COARSE = 150
+#: A sample may be this far from its place in an even series, relative to the interval.
+UNEVEN = 1e-3
 
 
 def step_level(response: xr.Dataset, where: str) -> float:
@@ -20,13 +22,16 @@ def step_level(response: xr.Dataset, where: str) -> float:
     Raises
     ------
     InputError
-        The response is no valid response, time starts before 0, or the heat input is no step.
+        The response is no valid response, time starts before 0, the ambient moves, or the heat
+        input is no step.
     """
     check_response(response, where)
     time = response["time"].to_numpy()
     heat = response["heat_input"].to_numpy()
     if time[0] < 0.0:
         raise InputError(f"{where}: time starts at {time[0]:g} s; the step must start at time 0")
+    if "ambient" in response and bool(response["ambient"].any()):
+        raise InputError(f"{where}: the ambient moves; calibration needs a run where it is steady")
     level = float(heat[-1])
     held = heat if time[0] > 0.0 or heat[0] != 0.0 else heat[1:]
     off = np.abs(held - level) > 1e-9 * abs(level)
@@ -37,6 +42,33 @@ def step_level(response: xr.Dataset, where: str) -> float:
             "end; calibration needs a step, constant from time 0"
         )
     return level
+
+
+def even_interval(t: np.ndarray, where: str) -> float:
+    """Return the interval, s, of samples that are evenly spaced from the start of the step.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s; the first is 0 or one interval.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        A sample is further than `UNEVEN` intervals from its place.
+    """
+    interval = float(t[-1] - t[0]) / (t.size - 1)
+    first = 0 if t[0] < 0.5 * interval else 1
+    off = np.abs(t - interval * np.arange(first, first + t.size))
+    if off.max() > UNEVEN * interval:
+        apart = np.diff(t)
+        raise InputError(
+            f"{where}: samples are {apart.min():g} to {apart.max():g} s apart, the first at "
+            f"{t[0]:g} s; sample evenly in time, from 0 or one interval after it"
+        )
+    return interval
 
 
 def times(response: xr.Dataset) -> np.ndarray:

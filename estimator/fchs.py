@@ -95,7 +95,7 @@ def step(
     delta_T : float
         T_a - T_b, K.
     *temperatures : float
-        T1, T2, ...: rise above ambient at the joint, K.
+        T1, T2, ...: rise above the current ambient at the joint, K.
 
     Returns
     -------
@@ -108,6 +108,8 @@ def step(
     InputError
         Time does not increase, or a value is not finite or missing. The state may be used again.
     """
+    if not math.isfinite(time):
+        raise InputError(f"sample at t = {time:g} s: its time is not finite; leave the sample out")
     last = state[0]
     dt = estimator.dt_s if math.isnan(last) else time - float(last)
     if not 0.0 < dt < math.inf:

@@ -105,12 +105,14 @@ def step_fleet(
         Time does not increase, a value is infinite, or a shape is wrong.
     """
     count, sources = len(fleet.estimators), fleet.n_sources
-    measured = np.column_stack((delta_T, temperatures))
-    if measured.shape != (count, 1 + sources):
+    shapes = np.shape(states), np.shape(delta_T), np.shape(temperatures)
+    expected = (count, 1 + fleet.width), (count,), (count, sources)
+    if shapes != expected:
         raise InputError(
-            f"fleet sample at t = {time:g} s: {measured.shape[0]} rows of {measured.shape[1]} "
-            f"values, expected {count} machines with ΔT and {sources} temperatures"
+            f"fleet sample at t = {time:g} s: states, ΔT and T have shapes {shapes}, expected "
+            f"{expected}; give a row for each of the {count} machines"
         )
+    measured = np.column_stack((delta_T, temperatures))
     if bool(np.isinf(measured).any()):
         machine = int(np.flatnonzero(np.isinf(measured).any(axis=1))[0])
         raise InputError(

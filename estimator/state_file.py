@@ -31,8 +31,16 @@ def fingerprint(estimator: Estimator) -> str:
 
 
 def save_state(estimator: Estimator, state: np.ndarray, path: Path) -> None:
-    """Write `state` to `path`, whole or not at all."""
+    """Write `state` to `path`, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        A value is not finite: a sample before was too large to be a measurement.
+    """
     time = float(state[0])
+    if math.isinf(time) or not np.isfinite(state[1:]).all():
+        raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -77,6 +85,7 @@ def load_state(estimator: Estimator, path: Path) -> np.ndarray:
     usable = len(numbers) == estimator.n_state - 1 and all(
         isinstance(value, float) and math.isfinite(value) for value in numbers
     )
-    if not usable or not (time is None or isinstance(time, (int, float))):
+    fresh = time is None
+    if not usable or not (fresh or (isinstance(time, float) and math.isfinite(time))):
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    return np.array([math.nan if time is None else time, *numbers])
+    return np.array([math.nan if fresh else time, *numbers])

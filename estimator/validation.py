@@ -36,7 +36,7 @@ class Readings:
     delta_T : ndarray, shape (k,)
         T_a - T_b, K.
     temperatures : ndarray, shape (k, n)
-        T1, T2, ..., K.
+        T1, T2, ... above the current ambient, K.
     """
 
     times: np.ndarray
@@ -67,6 +67,11 @@ def sensor_noise(
     -------
     ndarray, shape (k, channels)
         K.
+
+    Raises
+    ------
+    InputError
+        There are too few samples for the filter, or they are too far apart.
     """
     interval = float(times[-1] - times[0]) / (len(times) - 1)
     white = np.random.default_rng(seed).standard_normal((len(times), channels))
@@ -91,7 +96,8 @@ def readings(
     Parameters
     ----------
     response : xarray.Dataset
-        As `artefacts.response` says.
+        As `artefacts.response` says. Its temperatures are above the initial ambient: ``ambient``,
+        if it is there, is subtracted from those at the joint.
     model : Model
         Its direct models name the roles of the sensors at the joint.
     roles : mapping, optional
@@ -119,6 +125,8 @@ def readings(
         temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
         signals[role] = temperature + added.get(role, 0.0)
     joint = np.stack([signals[role] for role in model.linear.direct], axis=1)
+    if "ambient" in response:
+        joint = joint - response["ambient"].to_numpy()[:, None]
     return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], joint)
 
 

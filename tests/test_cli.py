@@ -1,5 +1,6 @@
 """The command line: the whole chain from one command, and one line for every mistake."""
 
+import io
 import json
 import re
 import signal
@@ -14,7 +15,7 @@ import pytest
 
 from artefacts.response import read_response, write_response
 from calibrate.model_file import Provenance, read_model, write_model
-from thermojoint import cli, console, study
+from thermojoint import cli, console, paper_values, study, view
 
 CASE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 COARSE = re.sub(r"joint_element_size_mm.*", "", CASE).replace(
@@ -102,6 +103,8 @@ def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
     spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
     spoil("short-row.csv", "samples.csv", "\n20,0.1,", "\n20,")
     spoil("no-column.csv", "samples.csv", "T2_K", "T2_F")
+    spoil("open-circuit.csv", "samples.csv", "\n20,0.1,", "\n20,0.1,9.9e37,0\n21,0,")
+    spoil("stray-quote.csv", "samples.csv", "\n20,0.1,", '\n20,0.1,"' + 140_000 * "0")
     (folder / "truncated.npz").write_bytes(b"PK\x03\x04 not a state")
     return folder
 
@@ -131,6 +134,15 @@ MISTAKES = {
     "sample is a word": (["estimate", "model.json", "word.csv", "--out"], "'warm'"),
     "samples go back": (["estimate", "model.json", "backwards.csv", "--out"], "line 12: time"),
     "row too short": (["estimate", "model.json", "short-row.csv", "--out"], "line 12"),
+    "open thermocouple": (
+        ["estimate", "model.json", "open-circuit.csv", "--out"],
+        "line 12: T1_K is 9.9e+37",
+    ),
+    "stray quote": (
+        ["estimate", "model.json", "stray-quote.csv", "--out"],
+        "line 12: not readable as CSV",
+    ),
+    "a case for a case": (["inspect", "case.toml", "--case"], "give its mesh file"),
     "column missing": (["estimate", "model.json", "no-column.csv", "--out"], "T2_K"),
     "no such samples": (["estimate", "model.json", "no.csv", "--out"], "no.csv"),
     "response for a case": (["view", "truncated.nc", "--out"], "truncated"),
@@ -217,6 +229,42 @@ def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_h
     assert (code, err.count("\n")) == (2, 1)
 
 
+def test_a_folder_of_snapshots_that_cannot_be_is_refused_before_any_work(
+    command, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(cli, "set_up", None)  # would fail if it were called
+    case, taken = tmp_path / "case.toml", tmp_path / "run-snapshots"
+    case.write_text(lasting(0.1))
+    taken.write_text("a file")
+    run = ["simulate", case, "--out", tmp_path / "run.nc"]
+    code, _, err = command(*run, "--snapshots", taken)
+    assert (code, err) == (2, f"thermojoint: {taken}: is a file; give a folder\n")
+    code, _, err = command(*run, "--snapshots", taken / "below")
+    assert (code, err.count("\n")) == (2, 1)
+    case.write_text(case.read_text() + "\n[output]\nsnapshots_s = [2.0]\n")
+    code, _, err = command(*run)
+    assert (code, err) == (2, f"thermojoint: {taken}: is a file; give a folder\n")
+
+
+@pytest.mark.parametrize("show", ["curves", "pressure"])
+def test_a_picture_format_that_cannot_be_is_refused_before_any_work(
+    show, command, files_at_hand, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(view, "run_to_end", None)  # would fail if it were called
+    case = files_at_hand / "case.toml"
+    code, _, err = command("view", case, "--show", show, "--out", tmp_path / "x.xyz")
+    assert (code, err.count("\n")) == (2, 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_inspection_that_cannot_draw_writes_nothing(command, files_at_hand, tmp_path):
+    out, data = tmp_path / "machine.svg", tmp_path / "machine.json"
+    code, told, err = command("inspect", files_at_hand / "case.toml", "--json", data, "--out", out)
+    assert (code, told) == (2, "")
+    assert "name it machine.png" in err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_ctrl_c_ends_with_130_and_leaves_no_file(command, files_at_hand, tmp_path, monkeypatch):
     @contextmanager
     def interrupted():
@@ -285,18 +333,21 @@ def read_estimate(path):
 def test_an_estimate_is_the_same_from_a_response_and_from_a_csv(
     command, files_at_hand, tmp_path, coarse_response
 ):
+    """The response is above the ambient at its start, the thermometers see the ambient move."""
     temperature = {
         str(name): coarse_response["temperature"].to_numpy()[:, k]
         for k, name in enumerate(coarse_response["probe"].to_numpy())
     }
     time = coarse_response["time"].to_numpy()
-    ambient = 21.0
+    ambient, drift = 21.0, 1e-3 * time
     columns = [time, *(temperature[name] + ambient for name in ("a", "b", "T1", "T2"))]
-    rows = np.column_stack([*columns, np.full(time.size, ambient)])
+    rows = np.column_stack([*columns, ambient + drift])
     header = "time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC"
     np.savetxt(tmp_path / "read.csv", rows, "%.17g", ",", header=header, comments="")
+    moving = {"ambient": ("time", drift, coarse_response["ambient"].attrs)}
+    write_response(coarse_response.assign(moving), tmp_path / "moving.nc")
     model = files_at_hand / "model.json"
-    for source, out in ((files_at_hand / "response.nc", "one"), (tmp_path / "read.csv", "two")):
+    for source, out in ((tmp_path / "moving.nc", "one"), (tmp_path / "read.csv", "two")):
         assert command("estimate", model, source, "--out", tmp_path / out)[0] == 0
     one, two = read_estimate(tmp_path / "one"), read_estimate(tmp_path / "two")
     assert one.dtype.names == two.dtype.names
@@ -326,6 +377,59 @@ def test_an_estimate_resumed_on_the_streams_goes_on_as_if_never_stopped(
     first = stream(lines[:11], "--save-state", state)
     second = stream([lines[0], *lines[11:]], "--continue", state)
     assert first + second[1:] == whole
+
+
+def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
+    state = tmp_path / "state.json"
+    arguments = ["estimate", files_at_hand / "model.json", "-", "--out", "-", "--interval-s", "2"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "thermojoint.cli", *arguments, "--save-state", state],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as running:
+        # The logger writes its remarks in another encoding.
+        running.stdin.write(b"time_s,delta_T_K,T1_K,T2_K,21 \xb0C\n0,0,0,0,-\n2,0.1,0,0,-\n")
+        running.stdin.flush()
+        rows = [running.stdout.readline() for _ in range(3)]
+        running.send_signal(signal.SIGTERM)
+        _, err = running.communicate(timeout=60)
+    assert rows[2].startswith(b"2,")
+    assert running.returncode == 128 + signal.SIGTERM
+    assert b"Traceback" not in err
+    assert json.loads(state.read_text())["time_s"] == 2.0
+
+
+def test_a_bad_row_ends_a_stream_with_the_state_before_it(
+    command, files_at_hand, tmp_path, monkeypatch
+):
+    model = files_at_hand / "model.json"
+    lines = (files_at_hand / "samples.csv").read_text().splitlines(keepends=True)
+    given = [*lines[:11], "20,warm,0,0\n", *lines[12:]]
+
+    def estimate(part, *options):
+        monkeypatch.setattr(sys, "stdin", iter(part))
+        return command("estimate", model, "-", "--interval-s", "2", *options)
+
+    whole = estimate([*lines[:11], *lines[12:]], "--out", "-")[1].splitlines()
+    state, out = tmp_path / "state.json", tmp_path / "out.csv"
+    code, first, _ = estimate(given, "--out", "-", "--save-state", state)
+    assert code == 2
+    rest = estimate([lines[0], *lines[12:]], "--out", "-", "--continue", state)[1]
+    assert first.splitlines() + rest.splitlines()[1:] == whole
+    # A file is not written, and then there is no state to go on from either.
+    state.unlink()
+    assert estimate(given, "--out", out, "--save-state", state)[0] == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_standard_input_in_another_encoding_is_read(command, files_at_hand, monkeypatch):
+    samples = (files_at_hand / "samples.csv").read_bytes().replace(b"T2_K\n", b"T2_K,\xb0C\n", 1)
+    samples = re.sub(rb"(\d)\n", lambda end: end[1] + b",\xb0\n", samples)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(samples), encoding="utf-8"))
+    code, out, _ = command("estimate", files_at_hand / "model.json", "-", "--out", "-")
+    assert code == 0
+    assert len(out.splitlines()) == 21
 
 
 def test_tables_of_a_model_as_tables_and_as_json(command, files_at_hand):
@@ -364,6 +468,8 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
         assert "triangle" in text
         found.append(json.loads(out.read_text())["rows"])
     assert found[0] == found[1] != found[2]
+    # The noise is on every temperature: it is not the paper's case.
+    assert not {row["case"] for row in found[0]} & set(paper_values.VALIDATION_ERROR_UM)
 
 
 def test_reproduce_leaves_every_file(results):

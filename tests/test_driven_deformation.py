@@ -7,7 +7,7 @@ from artefacts.errors import InputError
 from calibrate import deformation
 from calibrate.driven_deformation import (
     UNCERTAIN_TIMES,
-    driven_response,
+    driver,
     fit_driven_deformation,
     uncertain_signals,
 )
@@ -22,21 +22,44 @@ def step_response(t):
     return deformation.step_response(t, MODEL)
 
 
+def driven_by(strength):
+    """What the model's source does when its strength follows `strength`."""
+    [[column]] = driver(strength[None])(step_response(TIMES)[:, None]).transpose(0, 2, 1)
+    return column
+
+
 def test_a_constant_strength_gives_the_step_response():
-    driven = driven_response(step_response(TIMES), np.full(TIMES.size, 3.0))
+    driven = driven_by(np.full(TIMES.size, 3.0))
     assert driven == pytest.approx(3.0 * step_response(TIMES), abs=1e-18)
+
+
+def test_a_strength_holds_over_the_interval_that_ends_at_its_sample():
+    strength = np.zeros(TIMES.size)
+    strength[3] = 2.0
+    held = driven_by(strength)
+    on, off = (np.maximum(TIMES - INTERVAL * k, 0.0) for k in (3, 4))
+    assert held == pytest.approx(2.0 * (step_response(on) - step_response(off)), abs=1e-18)
+
+
+def test_several_strengths_drive_several_shapes():
+    strengths = np.stack([np.ones(TIMES.size), np.sin(TIMES / 150.0)])
+    shapes = np.stack([step_response(TIMES), TIMES], axis=1)
+    together = driver(strengths)(shapes)
+    assert together.shape == (2, TIMES.size, 2)
+    assert together[1, :, 0] == pytest.approx(driven_by(strengths[1]), abs=1e-18)
+    assert together[0, :, 1] == pytest.approx(TIMES)
 
 
 def test_a_strength_that_changes_is_the_sum_of_its_steps():
     strength = np.where(TIMES > 400.0, -1.5, 0.5)
     late = np.maximum(TIMES - 400.0, 0.0)
     expected = 0.5 * step_response(TIMES) - 2.0 * step_response(late)
-    assert driven_response(step_response(TIMES), strength) == pytest.approx(expected, abs=1e-18)
+    assert driven_by(strength) == pytest.approx(expected, abs=1e-18)
 
 
 def test_the_displacement_of_a_known_model_is_recovered_from_varying_strengths():
     strengths = np.stack([1.0 - np.exp(-TIMES / 200.0), np.sin(TIMES / 150.0)])[None]
-    data = np.stack([driven_response(step_response(TIMES), s) for s in strengths[0]])
+    data = np.stack([driven_by(s) for s in strengths[0]])
     models, fit = fit_driven_deformation(TIMES, data, strengths)
     assert fit.max_abs_error < 1e-9
     fitted = deformation.step_response(TIMES, models[0])

@@ -190,6 +190,14 @@ def test_a_saved_state_resumes_bit_for_bit(estimator, tmp_path):
     assert np.isnan(load_state(estimator, tmp_path / "fresh.json")[0])
 
 
+def test_a_state_that_has_overflowed_is_not_saved(estimator, tmp_path):
+    with np.errstate(all="ignore"):
+        state, _ = step(estimator, initial_state(estimator), 0.0, 1e308, 1e308, 1e308)
+    with pytest.raises(InputError, match="the state is not finite"):
+        save_state(estimator, state, tmp_path / "state.json")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_state_that_does_not_belong_here_is_refused(estimator, tmp_path):
     path = tmp_path / "state.json"
     save_state(estimator, initial_state(estimator), path)
@@ -205,6 +213,8 @@ def test_a_state_that_does_not_belong_here_is_refused(estimator, tmp_path):
         ("[]", "not an estimator state"),
         (json.dumps(newer), "version 2"),
         (json.dumps(short), "damaged"),
+        (text.replace('"time_s": null', '"time_s": NaN'), "damaged"),
+        (text.replace('"time_s": null', '"time_s": Infinity'), "damaged"),
     ):
         path.write_text(content)
         with pytest.raises(InputError, match=message):
@@ -302,6 +312,14 @@ def test_after_a_refused_sample_the_stream_goes_on_as_if_it_had_not_come(estimat
         blocks.linear_part(estimator, np.array([0.0, 2.0, 2.0]), np.zeros(3))
     with pytest.raises(InputError, match="sample 1 at 2 s is not finite"):
         blocks.linear_part(estimator, np.array([0.0, 2.0, 4.0]), np.array([0.0, np.nan, 1.0]))
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
+def test_a_time_that_is_not_finite_is_refused_also_in_the_first_sample(estimator, time):
+    with pytest.raises(InputError, match="time is not finite"):
+        step(estimator, initial_state(estimator), time, 0.1, 0.2, 0.3)
+    with pytest.raises(InputError, match=r"sample 0: .*time is not finite"):
+        run(estimator, np.array([time, 2.0]), np.zeros(2), np.zeros((2, 2)))
 
 
 def test_blocks_whose_shapes_do_not_agree_are_refused(estimator):
@@ -412,6 +430,24 @@ def test_noise_on_the_joint_sensors_is_attenuated_by_the_deformation(response, r
         assert in_displacement[k] < 0.2 * in_sources * np.abs(gains).sum()
     assert np.array_equal(quiet.linear, loud.linear)
     assert len(rows) == 4
+
+
+def test_the_joint_is_read_above_the_ambient_of_the_moment(response, reference):
+    drift = 1e-3 * TIMES
+    moving = response.assign(ambient=("time", drift, {"units": "K"}))
+    still, seen = readings(response, MODEL), readings(moving, MODEL)
+    assert np.array_equal(seen.delta_T, still.delta_T)
+    assert np.array_equal(seen.temperatures, still.temperatures - drift[:, None])
+    steady = readings(response.assign(ambient=("time", 0.0 * drift, {"units": "K"})), MODEL)
+    assert np.array_equal(steady.temperatures, still.temperatures)
+
+
+def test_a_step_whose_ambient_moves_is_none(response, reference):
+    drift = {"ambient": ("time", 1e-3 * TIMES, {"units": "K"})}
+    with pytest.raises(InputError, match="the ambient moves; calibration needs"):
+        superposed(reference.assign(drift), response, "displacement")
+    steady = reference.assign({"ambient": ("time", 0.0 * TIMES, {"units": "K"})})
+    superposed(steady, response.assign(drift), "displacement")
 
 
 def test_an_unknown_probe_role_or_axis_is_named(response):

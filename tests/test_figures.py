@@ -29,7 +29,7 @@ from thermojoint.scenes import (
     structure_scene,
 )
 from thermojoint.summary import convergence, pressure_share
-from thermojoint.view import field_scenes, whole_structure
+from thermojoint.view import FIELDS, field_scene, whole_structure
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -185,8 +185,11 @@ def test_a_scene_survives_the_way_to_another_process(tmp_path, coarse_case, coar
 
 
 def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coarse_setup, tmp_path):
-    scenes = field_scenes(coarse_case, coarse_setup, at_rest(coarse_setup.machine))
-    files = {tmp_path / f"{show}.png": scene for show, scene in scenes.items()}
+    rest = at_rest(coarse_setup.machine)
+    files = {
+        tmp_path / f"{show}.png": field_scene(show, coarse_case, coarse_setup, rest)
+        for show in FIELDS
+    }
     assert set(pictures.write_pictures(files, pyvista=False).values()) == {"matplotlib"}
     assert all(path.read_bytes().startswith(PNG) for path in files)
 
@@ -198,6 +201,14 @@ def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_
     assert pictures.write_pictures({path: scene}) == {path: "matplotlib"}
     assert [file.name for file in tmp_path.iterdir()] == ["structure.png"]
     assert path.read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize("name", ["structure.svg", "structure.jpg", "structure"])
+def test_a_picture_under_a_name_that_is_no_png_is_refused(name, tmp_path):
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
+    with pytest.raises(InputError, match=r"PNG files; name it structure\.png"):
+        pictures.write_pictures({tmp_path / "good.png": scene, tmp_path / name: scene})
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_fallback_picture_says_that_it_is_one():

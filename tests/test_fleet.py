@@ -81,7 +81,7 @@ def test_a_fleet_needs_machines_of_one_kind(estimators, hand_made_model):
     ("time", "value", "shape", "message"),
     [
         (2.0, np.inf, 3, "machine 1 has an infinite value"),
-        (2.0, 0.0, 2, "expected 3 machines"),
+        (2.0, 0.0, 2, "each of the 3 machines"),
         (0.0, 0.0, 3, "time does not increase"),
         (np.nan, 0.0, 3, "time does not increase"),
     ],
@@ -93,3 +93,20 @@ def test_a_bad_sample_of_a_fleet_is_refused(estimators, time, value, shape, mess
     rows[1, 0] = value
     with pytest.raises(InputError, match=message):
         step_fleet(fleet, states, time, np.zeros(shape), rows)
+
+
+def test_shapes_that_do_not_agree_are_refused(estimators):
+    fleet = assemble_fleet(estimators)
+    good = initial_states(fleet), np.zeros(3), np.zeros((3, 2))
+    step_fleet(fleet, good[0], 1.0, *good[1:])
+    for at, other in (
+        (0, initial_states(assemble_fleet(estimators[:2]))),
+        (0, good[0][:, :-1]),
+        (1, np.zeros(4)),
+        (1, np.zeros((3, 1))),
+        (2, np.zeros((3, 3))),
+        (2, np.zeros(3)),
+    ):
+        states, delta_T, temperatures = (*good[:at], other, *good[at + 1 :])
+        with pytest.raises(InputError, match="states, ΔT and T have shapes"):
+            step_fleet(fleet, states, 1.0, delta_T, temperatures)

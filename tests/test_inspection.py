@@ -15,6 +15,7 @@ from meshes.exchange import write_structure
 from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine
 from meshes.quality import cell_quality
+from meshes.structure import Structure
 from thermojoint.inspection_report import as_json, case_skeleton
 
 
@@ -53,6 +54,28 @@ def test_volumes_areas_and_joints_are_measured(tetrahedra):
     assert found.unnamed_area == pytest.approx((LEFT + RIGHT) * WIDTH)
 
 
+@pytest.mark.parametrize("twist", [False, True])
+def test_facets_match_if_their_corners_do(twist):
+    """Triangles of the other diagonal have the same centres along every axis, but do not match."""
+    lines = [np.linspace(0.0, 1.0, 3)] * 3
+    below = MeshTet.init_tensor(*lines)
+    # Seen in a mirror, the cells cut their squares along the other diagonal.
+    above = below.p * [[1.0], [1.0], [-1.0]] + [[0.0], [0.0], [2.0]]
+    if twist:
+        above = above * [[-1.0], [1.0], [1.0]] + [[1.0], [0.0], [0.0]]
+    mesh = MeshTet(np.hstack([below.p, above]), np.hstack([below.t, below.t + below.p.shape[1]]))
+    facets = mesh.boundary_facets()
+    between = facets[(mesh.p[2, mesh.facets[:, facets]] == 1.0).all(axis=0)]
+    lower = mesh.f2t[0, between] < below.nelements
+    structure = Structure(
+        mesh,
+        bodies={"all": np.arange(mesh.nelements)},
+        surfaces={"joint.a": between[lower], "joint.b": between[~lower]},
+        joints={"joint": ("joint.a", "joint.b")},
+    )
+    assert inspect(structure).joints["joint"].matching is not twist
+
+
 def moved(structure, body, shift):
     points = structure.mesh.p.copy()
     nodes = np.unique(structure.mesh.t[:, structure.bodies[body]])
@@ -61,9 +84,15 @@ def moved(structure, body, shift):
 
 
 BARS = two_bars((2, 2, 2), (2, 2, 2))
+LONG = two_bars((2, 4, 2), (2, 7, 3), right_width=3 * WIDTH)
+LONG = replace(LONG, surfaces={n: LONG.surfaces[n] for n in ("joint.a", "joint.b")})
 FAULTS = {
     "a gap": (moved(BARS, "right", (2e-3, 0.0, 0.0)), "its sides are 2 to 2 mm apart"),
     "half beside": (moved(BARS, "right", (0.0, WIDTH / 2, 0.0)), "its sides share 12 of 24 cm2"),
+    "a long side": (
+        LONG,
+        "'joint': side b is 48 cm2 larger than what it shares, and nothing convects there",
+    ),
     "not facing": (moved(BARS, "right", (0.0, 2 * WIDTH, 0.0)), "do not face each other"),
     "millimetres": (
         replace(BARS, mesh=MeshHex(1e3 * BARS.mesh.p, BARS.mesh.t), probes={}),
@@ -90,6 +119,11 @@ def test_a_fault_is_told(fault):
     assert any(said in warning for warning in inspect(structure).warnings)
 
 
+def test_a_long_side_that_convects_is_no_fault():
+    cooled = {"cooled": LONG.surfaces["joint.b"]}
+    assert inspect(replace(LONG, surfaces=LONG.surfaces | cooled)).warnings == ()
+
+
 def test_slivers_are_told_with_their_place():
     points = BARS.mesh.p.copy()
     inner = np.flatnonzero(np.isclose(points, [[LEFT / 2], [WIDTH / 2], [DEPTH / 2]]).all(axis=0))
@@ -105,13 +139,17 @@ def test_what_was_found_is_valid_json():
 
 
 def test_the_skeleton_names_what_is_there(tmp_path):
-    """Completed by a source and a point, it is a case that fits the mesh."""
-    write_structure(BARS, tmp_path / "bars.vtu")
-    text = case_skeleton("bars.vtu", "m", inspect(BARS))
+    """Completed by a source and a point, it is a case that fits the mesh, wherever either lies."""
+    mesh, case_file = tmp_path / "meshes" / 'two "bärs".vtu', tmp_path / "cases" / "bars.toml"
+    mesh.parent.mkdir()
+    case_file.parent.mkdir()
+    write_structure(BARS, mesh)
+    text = case_skeleton(mesh, case_file, "m", inspect(BARS))
     data = tomllib.loads(text)
+    assert data["structure"]["file"] == '../meshes/two "bärs".vtu'
     assert set(data["bodies"]) == {"left", "right"}
     assert set(data["joints"]) == {"joint"}
     data["sources"]["heat"]["surface"] = "left_top"
     data["supports"]["fixed"] = ["left_end", "right_end"]
-    case = case_from_data(data, "skeleton", tmp_path)
+    case = case_from_data(data, "skeleton", case_file.parent)
     check_names(case, build_structure(case))

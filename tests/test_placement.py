@@ -12,7 +12,6 @@ from thermojoint.placement import (
     DEVIATION_UNCERTAINTY,
     PROPORTIONAL,
     SMALLEST_DIFFERENCE,
-    JointPair,
     choose_heat_pair,
     rank_joint_pairs,
     sources_for,
@@ -214,9 +213,55 @@ def test_sensors_that_are_all_too_close_give_no_pair():
     assert list(rank_joint_pairs(*at_joint(), AXES, ["low", "twin"])) == []
 
 
+def doubled(response):
+    """The response of a proportional structure to twice the heat."""
+    more = response.copy(deep=True)
+    for name in ("heat_input", "temperature", "displacement"):
+        more[name][:] = 2.0 * response[name]
+    return more
+
+
+def test_the_level_of_the_reference_step_does_not_matter(ranked):
+    base, others = near_source({"cold": 0.0 * TIMES, "hot": ring(), "far": ring(r=0.3)})
+    del others[2.0]
+    one, two = choose(base, others), choose(doubled(base), others)
+    assert (one.a, one.b, one.difference) == (two.a, two.b, two.difference)
+    # At the larger step the error is larger, and no other step is as large as the reference.
+    assert two.displacement_error == pytest.approx(2.0 * one.displacement_error)
+    base, others = at_joint()
+    assert list(rank_joint_pairs(doubled(base), others, AXES, list(PLACES))) == ranked
+
+
+def test_an_axis_that_hardly_deviates_does_not_rank_the_pairs(ranked):
+    base, others = at_joint()
+    # z moves as x does, but in proportion to the heat input, and a picometre beside it.
+    base = base.sel(axis=["x", "x"]).assign_coords(axis=["x", "z"])
+    linear = base["displacement"].to_numpy()[:, 1]
+    for level, one in others.items():
+        both = one.sel(axis=["x", "x"]).assign_coords(axis=["x", "z"]).copy(deep=True)
+        both["displacement"][:, 1] = level * linear + 1e-12 * OTHER
+        others[level] = both
+    again = list(rank_joint_pairs(base, others, ["x", "z"], list(PLACES)))
+    assert [(pair.T1, pair.T2) for pair in again] == [(pair.T1, pair.T2) for pair in ranked]
+    assert [pair.misfit for pair in again] == pytest.approx([pair.misfit for pair in ranked])
+
+
+def test_a_displacement_without_deviation_cannot_rank_pairs():
+    base, others = near_source({name: ring() for name in PLACES})
+    with pytest.raises(InputError, match="proportional to the heat input"):
+        list(rank_joint_pairs(base, others, AXES, list(PLACES)))
+
+
+def test_without_contact_elements_there_is_no_place_for_a_source():
+    base, _ = at_joint()
+    for bare in (base.drop_vars("contact_position"), base.isel(contact=slice(0))):
+        with pytest.raises(InputError, match="no contact elements"):
+            sources_for(bare, ("low", "high"))
+
+
 def test_each_source_lies_at_the_contact_element_nearest_to_its_sensor():
     base, _ = at_joint()
-    sources, distances = sources_for(base, JointPair("low", "high", 1.0, 0.0))
+    sources, distances = sources_for(base, ("low", "high"))
     assert sources == pytest.approx(np.array([[0.65, 0.37, 0.1], [0.65, 0.73, 0.1]]))
     assert distances == pytest.approx(np.array([[0.03, 0.33], [0.33, 0.03]]))
 

@@ -1,12 +1,16 @@
 """A structure without joints: plain linear thermoelasticity by the same march."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 import xarray as xr
 from skfem import MeshHex
 
+from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
+from thermojoint import pictures, view
 from thermojoint.cli import app
 
 LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
@@ -67,3 +71,43 @@ def test_a_bar_without_joints_grows_as_its_temperature_says(bar, thermal, tmp_pa
     # The tip is the last to be warm: on the way the bar is longer than its tip is hot.
     assert (track[1:-300] > EXPANSION * temperature[1:-300] * LENGTH).all()
     assert np.abs(balance).max() < 1e-8
+
+
+@pytest.fixture(scope="module")
+def simulated(bar, tmp_path_factory):
+    """A folder with the case, its response and its snapshots."""
+    folder = tmp_path_factory.mktemp("simulated")
+    (folder / "case.toml").write_text(case_text(bar, "full").replace("600.0", "2.0", 1))
+    command = ["simulate", str(folder / "case.toml"), "--out", str(folder / "bar.nc")]
+    app([*command, "--snapshots", str(folder / "fields")], standalone_mode=False)
+    return folder
+
+
+def test_a_snapshot_without_joints_is_the_structure_alone(simulated):
+    fields = simulated / "fields"
+    index = ElementTree.parse(fields / "snapshots.pvd").getroot()
+    assert [entry.get("file") for entry in index.iter("DataSet")] == ["structure_000002.vtu"]
+    assert {path.name for path in fields.iterdir()} == {"snapshots.pvd", "structure_000002.vtu"}
+
+
+@pytest.mark.parametrize("show", ["structure", "temperature", "deformation"])
+@pytest.mark.parametrize("source", ["case.toml", "bar.nc"])
+def test_what_has_no_joint_is_drawn(simulated, source, show, tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "find_spec", lambda name: None)
+    out = tmp_path / "bar.png"
+    command = ["view", str(simulated / source), "--show", show, "--out", str(out)]
+    app(command, standalone_mode=False)
+    assert out.stat().st_size > 0
+
+
+@pytest.mark.parametrize("show", ["pressure", "pressures"])
+@pytest.mark.parametrize("source", ["case.toml", "bar.nc"])
+def test_without_joints_there_is_no_pressure_to_show(
+    simulated, source, show, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(view, "run_to_end", None)  # refused before any simulation
+    out = tmp_path / "pressure.png"
+    command = ["view", str(simulated / source), "--show", show, "--out", str(out)]
+    with pytest.raises(InputError, match="no joints, so no contact pressure; use --show"):
+        app(command, standalone_mode=False)
+    assert not out.exists()

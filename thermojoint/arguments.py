@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -11,6 +13,7 @@ from typing import TextIO
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
+from calibrate.linear import JOINT_SENSORS
 
 
 def shown(path: Path) -> str:
@@ -25,24 +28,56 @@ def check_writable(*paths: Path | None) -> None:
             continue
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
-        above = next(folder for folder in path.absolute().parents if folder.exists())
-        if not above.is_dir() or not os.access(above, os.W_OK):
-            raise InputError(f"{path}: nothing can be written in {above}; choose another place")
+        _check_place(path, path.absolute().parent)
+
+
+def check_folder(path: Path) -> None:
+    """Refuse, before any work, a place where no folder can be made or written in."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file; give a folder")
+    _check_place(path, path.absolute())
+
+
+def _check_place(path: Path, folder: Path) -> None:
+    nearest = next(place for place in (folder, *folder.parents) if place.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"{path}: nothing can be written in {nearest}; choose another place")
 
 
 def level_and_file(text: str) -> tuple[float, Path]:
-    """Split ``0.5=r05.nc`` into the heat input and the file."""
+    """Split ``0.5=r05.nc`` into the heat input, finite and not zero, and the file."""
     level, _, name = text.partition("=")
     if name:
         with suppress(ValueError):
-            return float(level), Path(name)
-    raise InputError(f"--input {text}: write LEVEL=RESPONSE, e.g. 0.5=step-0.5.nc")
+            if 0.0 < abs(float(level)) < math.inf:
+                return float(level), Path(name)
+    raise InputError(
+        f"--input {text}: write LEVEL=RESPONSE with a level other than 0, e.g. 0.5=step-0.5.nc"
+    )
+
+
+def distances(text: str) -> list[list[float]]:
+    """Split ``r11,r12,r21,r22`` (mm) into r_ij, m: row i from source i, column j to sensor T_j."""
+    count = len(JOINT_SENSORS)
+    with suppress(ValueError):
+        values = [1e-3 * float(part) for part in text.split(",")]
+        if len(values) == count**2 and all(0.0 < value < math.inf for value in values):
+            return [values[count * i : count * (i + 1)] for i in range(count)]
+    raise InputError(
+        f"--distances-mm {text}: give r11,r12,r21,r22, {count**2} positive numbers: from source i "
+        "to sensor Tj"
+    )
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[TextIO | None]:
-    """Open a CSV, or standard input for ``-``; None for a response."""
+    """Open a CSV, or standard input for ``-``; None for a response.
+
+    Bytes that are no UTF-8, e.g. a logger's degree sign in another column, are replaced.
+    """
     if str(path) == "-":
+        if isinstance(sys.stdin, io.TextIOWrapper):
+            sys.stdin.reconfigure(encoding="utf-8", errors="replace")
         yield sys.stdin
     elif path.suffix == ".nc":
         yield None

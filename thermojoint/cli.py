@@ -41,7 +41,7 @@ from thermojoint import (
     study,
     verification_run,
 )
-from thermojoint.pictures import write_pictures
+from thermojoint.pictures import check_png, write_pictures
 from thermojoint.provenance import provenance_of
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes, convergence
@@ -144,13 +144,15 @@ def simulate(
     """
     arguments.check_writable(out, save)
     given = read_case(case)
+    times = given.output.snapshots_s
+    folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
+    if folder:
+        arguments.check_folder(folder)
     begin = state_file.load_state(resume, given) if resume else None
     with console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(given)
         report("setting up", 1, 1)
-        times = given.output.snapshots_s
-        folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
         finished = run_case(
             given,
             setup=setup,
@@ -175,23 +177,35 @@ def calibrate(
         typer.Option("--input", help="Another step: LEVEL=RESPONSE; give two or more."),
     ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
+    distances: Annotated[
+        str | None,
+        typer.Option(
+            "--distances-mm",
+            help="r11,r12,r21,r22 from fictitious source i to sensor Tj; measured responses need "
+            "them. Default: the sources lie at the contact elements nearest to T1 and T2.",
+        ),
+    ] = None,
 ) -> None:
     """Calibrate the generalised models: Tables 1-3.
 
     Example: [bold]thermojoint calibrate --reference r1.nc --input 0.5=r05.nc --input 2=r2.nc --out
     model.json[/bold]
+
+    Example: [bold]thermojoint calibrate --reference measured-1.nc --input 0.5=measured-05.nc
+    --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
     """
     arguments.check_writable(out)
+    apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
     others = {level: read_response(path) for level, path in map(arguments.level_and_file, given)}
     if len(others) < len(given):
         raise InputError("--input: a heat input is given twice; give each once")
     with console.progress_bars() as report:
         report("calibrating", 0, 1)
-        calibrated = study.calibrate_responses(base, others)
+        calibrated = study.calibrate_responses(base, others, apart)
         report("calibrating", 1, 1)
     case = str(base.attrs.get("case", reference.name))
-    provenance = provenance_of(calibrated.linear, calibrated.fictitious, case)
+    provenance = provenance_of(calibrated, case)
     write_model(calibrated.model, out, provenance)
     console.show_tables(console.out(), printed_tables(tables_json(calibrated.model, provenance)))
     _wrote(out)
@@ -245,10 +259,12 @@ def estimate(
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
-    The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above ambient), or time_s, a_degC,
-    b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing.
+    The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above the current ambient), or time_s,
+    a_degC, b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing.
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
+
+    With --out -, the state is saved also where a bad row or a signal ends the run.
 
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
@@ -269,11 +285,16 @@ def estimate(
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
             writer.writerow(measured.estimate_header(machine.axes, sensors))
-            for reached, result in stream(machine, samples, state):
-                state = reached
-                writer.writerow(measured.estimate_row(result))
-                target.flush()
-    if save:
+            try:
+                for reached, result in stream(machine, samples, state):
+                    state = reached
+                    writer.writerow(measured.estimate_row(result))
+                    target.flush()
+            finally:
+                # What stands on standard output is out, however a logger's pipe comes to its end.
+                if save and str(out) == "-":
+                    save_state(machine, state, save)
+    if save and str(out) != "-":
         save_state(machine, state, save)
     _wrote(None if str(out) == "-" else out, save)
 
@@ -306,8 +327,9 @@ def validate(
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")
     if noise_pp is not None:
+        # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
         given = {
-            f"{name}-noise": measured.with_noise(response, table, noise_pp, seed)
+            f"{name}, {noise_pp:g} K noise": measured.with_noise(response, table, noise_pp, seed)
             for name, response in given.items()
         }
     found = study.validate_model(table, base, given)
@@ -333,8 +355,7 @@ def reproduce(
 
     Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}: is a file; give a folder")
+    arguments.check_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
     run_all(given, out)
@@ -433,18 +454,22 @@ def inspect(
     Example: [bold]thermojoint inspect part.msh --unit mm --out part.png --case part.toml[/bold]
     """
     arguments.check_writable(out, as_json, skeleton)
+    if out:
+        check_png(out)
     if source.suffix == ".toml":
+        if skeleton:
+            raise InputError(f"--case {skeleton}: {source} is a case already; give its mesh file")
         case = read_case(source)
-        structure, where = build_structure(case), str(source)
+        structure = build_structure(case)
         check_names(case, structure)
     else:
-        structure, where = read_structure(source, UNITS[unit.value]), str(source)
+        structure = read_structure(source, UNITS[unit.value])
     found = look_over(structure)
-    inspection_report.show(console.out(), where, found)
+    inspection_report.show(console.out(), str(source), found)
     if as_json:
         write_text(as_json, inspection_report.as_json(found))
     if skeleton:
-        write_text(skeleton, inspection_report.case_skeleton(where, unit.value, found))
+        write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:
         write_pictures({out: bare_structure(structure)})
     _wrote(as_json, skeleton, out)

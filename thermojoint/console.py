@@ -120,7 +120,7 @@ def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]])
 
 def paper_claim(row: Mapping[str, str | float]) -> float | None:
     """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
-    if row["estimator"] != "fchs":
+    if row["estimator"] != "fchs" or row["axis"] not in paper_values.TABLE1_DEFORMATION:
         return None
     return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
 

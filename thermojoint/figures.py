@@ -41,9 +41,16 @@ def pressure_figure(response: xr.Dataset) -> Figure:
     ----------
     response : xarray.Dataset
         A simulated response, with ``pressure``.
+
+    Raises
+    ------
+    InputError
+        There is no pressure: the response is measured, or the structure has no joints.
     """
     if "pressure" not in response:
         raise InputError("response: variable 'pressure' is missing; give a simulated response")
+    if not response["pressure"].size:
+        raise InputError("response: no joints, so no contact pressure; use --show curves")
     minutes = response["time"].to_numpy() / 60.0
     pressure = pressure_along(response) / 1e6
     change = pressure[0] - pressure
@@ -138,7 +145,7 @@ def response_figure(response: xr.Dataset) -> Figure:
     probes = [str(name) for name in response["probe"].to_numpy()][: len(_STYLES)]
     temperature = response["temperature"].to_numpy()
     _draw(axes[1], times, {name: temperature[:, k] for k, name in enumerate(probes)}, 1.0)
-    axes[1].set_ylabel("temperature above ambient (K)")
+    axes[1].set_ylabel("temperature above the initial ambient (K)")
     names = [str(name) for name in response["axis"].to_numpy()]
     displacement = response["displacement"].to_numpy()
     _draw(axes[2], times, {name: displacement[:, k] for k, name in enumerate(names)}, 1e6)
@@ -148,19 +155,24 @@ def response_figure(response: xr.Dataset) -> Figure:
 
 
 def write_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write `figure` to `path`, whole or not at all; the suffix (.png, .svg, .pdf) is the format.
+    """Write `figure` to `path`, whole or not at all; the suffix is the format (`check_format`)."""
+    suffix = check_format(path)
+    with whole_file(Path(path)) as part:
+        figure.savefig(part, dpi=dpi, format=suffix)
+
+
+def check_format(path: Path) -> str:
+    """Return the format that the suffix of `path` (.png, .svg, .pdf) stands for.
 
     Raises
     ------
     InputError
         matplotlib does not know the suffix.
     """
-    known = figure.canvas.get_supported_filetypes()
     suffix = Path(path).suffix.lstrip(".").lower()
-    if suffix not in known:
+    if suffix not in FigureCanvasAgg.get_supported_filetypes():
         raise InputError(f"{path}: no picture format {suffix!r}; use .png, .svg or .pdf")
-    with whole_file(Path(path)) as part:
-        figure.savefig(part, dpi=dpi, format=suffix)
+    return suffix
 
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -37,8 +39,12 @@ def show(console: Console, name: str, found: Inspection) -> None:
         console.print("nothing looks wrong")
 
 
-def case_skeleton(mesh: str, unit: str, found: Inspection) -> str:
-    """Return a case file that names everything in the mesh, to be completed."""
+def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
+    """Return the text of a file `case` that names everything in `mesh`, to be completed.
+
+    A case file names other files as they are seen from its own folder.
+    """
+    seen = os.path.relpath(mesh.parent.resolve() / mesh.name, case.parent.resolve())
     sides = {side for name in found.joints for side in (f"{name}.a", f"{name}.b")}
     free = [name for name in found.surfaces if name not in sides]
     place = next(iter(found.probes), None)
@@ -47,7 +53,7 @@ def case_skeleton(mesh: str, unit: str, found: Inspection) -> str:
         "",
         "[structure]",
         'kind = "mesh"',
-        f'file = "{mesh}"',
+        f"file = {_text(Path(seen).as_posix())}",
         *([f'unit = "{unit}"'] if unit != "m" else []),
         "",
         "[materials.cast_iron]",
@@ -82,7 +88,7 @@ def case_skeleton(mesh: str, unit: str, found: Inspection) -> str:
         "level = 1.0",
         "",
         "[displacement]",
-        f'point = "{place or "P"}"',
+        f"point = {_text(place or 'P')}",
         "",
         f"[probes.{_key('P')}]",
         "position_mm = [0.0, 0.0, 0.0]",
@@ -94,7 +100,12 @@ def case_skeleton(mesh: str, unit: str, found: Inspection) -> str:
 def _key(name: str) -> str:
     """Return a name as a TOML key."""
     bare = name.replace("_", "").replace("-", "")
-    return name if bare.isascii() and bare.isalnum() else json.dumps(name)
+    return name if bare.isascii() and bare.isalnum() else _text(name)
+
+
+def _text(value: str) -> str:
+    """Return a TOML string: escaped as in JSON, but for the surrogate pairs that TOML refuses."""
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _bodies(found: Inspection) -> Table:

@@ -3,7 +3,7 @@
 A file has one of two layouts, told apart by their column names; the order is free, other columns
 are ignored:
 
-- ``time_s, delta_T_K, T1_K, T2_K``: ΔT = T_a - T_b, and T1, T2 above ambient;
+- ``time_s, delta_T_K, T1_K, T2_K``: ΔT = T_a - T_b, and T1, T2 above the current ambient;
 - ``time_s, a_degC, b_degC, T1_degC, T2_degC, ambient_degC``: as thermometers read.
 """
 
@@ -25,7 +25,9 @@ from estimator.validation import readings, sensor_noise
 _MICRO = 1e6
 #: A probe this near to a sensor of the model is that sensor, m.
 _SAME_PLACE = 1e-6
-#: Time (s), ΔT (K) and the temperatures at the joint above ambient (K).
+#: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
+_LARGEST = 5000.0
+#: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
 Sample = tuple[float, ...]
 
 
@@ -49,10 +51,11 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
     Raises
     ------
     InputError
-        A column is missing, a value is no finite number, or time does not increase.
+        The lines are no CSV, a column is missing, a value is no finite number or no temperature, or
+        time does not increase.
     """
-    reader = csv.reader(lines)
-    header = [name.strip().lstrip("\ufeff") for name in next(reader, [])]
+    rows = _rows(lines, where)
+    header = [name.strip().lstrip("\ufeff") for name in next(rows, (0, []))[1]]
     above_ambient = ["time_s", "delta_T_K", *(f"{name}_K" for name in sensors)]
     as_read = ["time_s", "a_degC", "b_degC", *(f"{name}_degC" for name in sensors), "ambient_degC"]
     if set(above_ambient) <= set(header):
@@ -66,10 +69,8 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
         )
     at = [header.index(name) for name in wanted]
     last = -math.inf
-    for row in reader:
-        if not row:
-            continue
-        line = f"{where}, line {reader.line_num}"
+    for number, row in rows:
+        line = f"{where}, line {number}"
         if len(row) != len(header):
             raise InputError(f"{line}: {len(row)} values, expected {len(header)}; mend the row")
         values = [_number(row[k], name, line) for k, name in zip(at, wanted, strict=True)]
@@ -77,12 +78,31 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
             raise InputError(
                 f"{line}: time {values[0]:g} s does not come after {last:g} s; drop or re-order it"
             )
+        for value, name in zip(values[1:], wanted[1:], strict=True):
+            if abs(value) > _LARGEST:
+                raise InputError(
+                    f"{line}: {name} is {value:g}, no temperature; leave the row out, gaps are "
+                    "allowed"
+                )
         last = values[0]
         if wanted is above_ambient:
             yield tuple(values)
         else:
             time, hot, cold, *joint, ambient = values
             yield (time, hot - cold, *(value - ambient for value in joint))
+
+
+def _rows(lines: Iterable[str], where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and values of every line of a CSV that is not empty."""
+    reader = csv.reader(lines)
+    try:
+        for row in reader:
+            if row:
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise InputError(
+            f"{where}, line {reader.line_num}: not readable as CSV ({error}); mend the file"
+        ) from error
 
 
 def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
@@ -136,6 +156,11 @@ def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: in
         Of each channel, K (`estimator.validation.sensor_noise`).
     seed : int
         The same seed gives the same noise.
+
+    Raises
+    ------
+    InputError
+        `peak_to_peak` is not positive, a sensor has no probe, or the samples do not suit the noise.
     """
     if not 0.0 < peak_to_peak < math.inf:
         raise InputError(f"noise of {peak_to_peak:g} K peak to peak; give a positive number")

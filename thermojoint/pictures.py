@@ -24,6 +24,7 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
+from artefacts.errors import InputError
 from artefacts.files import whole_file
 from thermojoint.figures import write_figure
 from thermojoint.scene_file import load_scene, save_scene
@@ -60,7 +61,14 @@ def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict
     -------
     dict
         File to the renderer that drew it: "pyvista" or "matplotlib".
+
+    Raises
+    ------
+    InputError
+        A file has another suffix than ``.png``.
     """
+    for path in pictures:
+        check_png(path)
     drawn = _with_pyvista(pictures) if pyvista and find_spec("pyvista") else {}
     used = {}
     for path, scene in pictures.items():
@@ -72,6 +80,18 @@ def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict
             write_figure(matplotlib_picture(scene), path, dpi=110)
             used[path] = "matplotlib"
     return used
+
+
+def check_png(path: Path) -> None:
+    """Refuse a name that says another format than PNG.
+
+    Raises
+    ------
+    InputError
+        The suffix is not ``.png``.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: 3-D pictures are PNG files; name it {path.stem}.png")
 
 
 def _with_pyvista(pictures: Mapping[Path, Scene]) -> dict[Path, bytes]:

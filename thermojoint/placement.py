@@ -18,7 +18,7 @@ contact element nearest to T_i, on which r_ij follow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -42,11 +42,12 @@ Array = NDArray[np.float64]
 PROPORTIONAL = 1e-3
 SMALLEST_DIFFERENCE = 4.0
 SHORTLIST = 60
-RING_RADIUS = 0.12
 #: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
 #: calibrated (`thermojoint.study`), as if a temperature deviation were known to this rms.
 DEVIATION_UNCERTAINTY = 0.12
 APART = 0.1
+#: An axis whose nonlinear displacement is below this part of the largest does not rank the pairs.
+FAINT_AXIS = 1e-3
 #: Tolerance of the rational approximations while pairs are compared.
 _SCREENING = 1e-5
 
@@ -60,7 +61,7 @@ class HeatPair:
     a, b : str
         Probe names; a is the warmer.
     difference : float
-        T_a - T_b at the end of the reference step, K.
+        T_a - T_b at the end of the reference step, K per unit of heat input.
     disproportion : float
         Largest deviation from proportionality over the calibration inputs, relative.
     ring_error : float
@@ -154,7 +155,7 @@ def choose_heat_pair(
     Parameters
     ----------
     reference : xarray.Dataset
-        Response to the reference step.
+        Response to the reference step; its level need not be 1.
     others : mapping
         Heat input to the response to it.
     deformation : mapping
@@ -169,7 +170,8 @@ def choose_heat_pair(
     """
     t = steps.times(reference)
     interval = float(np.median(np.diff(t)))
-    one = _temperatures(reference, candidates)
+    unit = steps.step_level(reference, "reference response")
+    one = _temperatures(reference, candidates) / unit
     scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
     linear = stacked([deformation_bank(model) for model in deformation.values()])
     shortlist: list[tuple[float, int, int, float, float]] = []
@@ -189,7 +191,7 @@ def choose_heat_pair(
     found: list[HeatPair] = []
     for _, i, j, size, off in shortlist[:SHORTLIST]:
         try:
-            ring, fit = fit_ring(t, one[:, i] - one[:, j], RING_RADIUS, starts=6, polished=1)
+            ring, fit = fit_ring(t, one[:, i] - one[:, j], starts=6, polished=1)
             regularisation = choose_regularisation(ring, interval)
             inverse = inverse_bank(
                 [[ring]], [regularisation], interval, float(t[-1]), _SCREENING, "candidate pair"
@@ -197,8 +199,8 @@ def choose_heat_pair(
         except ThermojointError:
             continue  # no stable inverse: the pair is out
         error = max(
-            _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * level
-            for level, s in zip((1.0, *others), (one, *scaled), strict=True)
+            _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * abs(level)
+            for level, s in zip((unit, *others), (one, *scaled), strict=True)
         )
         name = candidates[i], candidates[j]
         rise = steepest_rise(ring)[0]
@@ -225,21 +227,31 @@ def rank_joint_pairs(
         As in `choose_heat_pair`.
     axes : list of str
         Directions of the displacement that count.
+
+    Raises
+    ------
+    InputError
+        The displacement is proportional to the heat input.
     """
     t = steps.times(reference)
     interval = float(np.median(np.diff(t)))
     at = _positions(reference, candidates)
-    base = _temperatures(reference, candidates)
+    unit = steps.step_level(reference, "reference response")
+    base = _temperatures(reference, candidates) / unit
+    moved = _displacements(reference, axes) / unit
     deviations = [_temperatures(r, candidates) - q * base for q, r in others.items()]
-    targets = [
-        _displacements(r, axes) - q * _displacements(reference, axes) for q, r in others.items()
-    ]
+    targets = [_displacements(r, axes) - q * moved for q, r in others.items()]
     signals = np.max([np.abs(d).max(axis=0) for d in deviations], axis=0)
     features = np.concatenate([_filtered(d, interval) for d in deviations])
     target = np.concatenate(targets)
+    power = (target**2).sum(axis=0)
+    if not power.any():
+        raise InputError(
+            "placement: the displacement is proportional to the heat input; no joint acts on it"
+        )
+    counts = power > FAINT_AXIS**2 * power.max()
     gram = features.T @ features
     drive = features.T @ target
-    power = (target**2).sum(axis=0)
     wide = len(UNCERTAIN_TIMES)
     ridge = len(target) * DEVIATION_UNCERTAINTY**2 * np.eye(2 * wide)
     order: list[tuple[bool, float, int, int]] = []
@@ -251,7 +263,7 @@ def rank_joint_pairs(
         inner = gram[np.ix_(own, own)]
         weights = np.linalg.solve(inner + ridge, drive[own])
         left = power - 2.0 * (weights * drive[own]).sum(0) + (weights * (inner @ weights)).sum(0)
-        order.append((faint, float(np.sqrt((left / power).max())), i, j))
+        order.append((faint, float(np.sqrt((left[counts] / power[counts]).max())), i, j))
     order.sort()
     # Along the joint means along the direction in which the candidates spread most.
     along = at[:, int(np.argmax(np.ptp(at, axis=0)))]
@@ -261,12 +273,29 @@ def rank_joint_pairs(
         yield JointPair(candidates[low], candidates[high], signal, misfit)
 
 
-def sources_for(response: xr.Dataset, pair: JointPair) -> tuple[Array, Array]:
-    """Positions of the fictitious sources (2, 3) and distances r_ij (2, 2), m.
+def sources_for(response: xr.Dataset, probes: Sequence[str]) -> tuple[Array, Array]:
+    """Positions of the fictitious sources (n, 3) and distances r_ij (n, n), m.
 
     Source i lies at the centre of the contact element nearest to T_i.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        With ``probe_position`` and ``contact_position``.
+    probes : sequence of str
+        The probes that serve as T1, T2 ...
+
+    Raises
+    ------
+    InputError
+        The response has no contact elements.
     """
-    sensors = _positions(response, [pair.T1, pair.T2])
+    if "contact_position" not in response or not response["contact_position"].size:
+        raise InputError(
+            "calibration responses, reference: no contact elements to put the fictitious sources "
+            "at; name the sensors and give their distances r_ij (--distances-mm)"
+        )
+    sensors = _positions(response, list(probes))
     elements = response["contact_position"].to_numpy()
     nearest = [int(np.argmin(np.linalg.norm(elements - x, axis=1))) for x in sensors]
     sources = elements[nearest]

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
-from calibrate.fictitious import FictitiousCalibration
 from calibrate.fit_result import report
-from calibrate.linear import LinearCalibration
 from calibrate.model_file import Provenance
+from calibrate.source_thermal import compare
+from thermojoint.study import Calibrated
 
 _MICRO = 1e6
 
 
-def provenance_of(
-    linear: LinearCalibration, fictitious: FictitiousCalibration, case: str
-) -> Provenance:
+def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
     """Return errors (K, µm), fit reports and versions of a calibration.
 
     Parameters
     ----------
-    linear, fictitious : LinearCalibration, FictitiousCalibration
-        Tables 1, and 2 and 3.
+    calibrated : Calibrated
+        Tables 1-3.
     case : str
         The case (text) or the name of what was measured.
     """
+    linear, fictitious = calibrated.linear, calibrated.fictitious
     axes = [name for name in linear.fits if name.startswith("deformation.")]
     kelvin = {"thermal": linear.fits["thermal"].max_abs_error}
     kelvin |= {f"direct.{role}": error for role, error in linear.direct_errors.items()}
@@ -41,5 +40,23 @@ def provenance_of(
         versions={name: version(name) for name in ("thermojoint", "numpy", "scipy")},
         max_abs_error_K=kelvin,
         max_abs_error_um=micro,
-        reports={name: report(name, fit) for name, fit in fits.items()},
+        reports={name: report(name, fit) for name, fit in fits.items()}
+        | {"averaging": averaging_report(calibrated)},
+    )
+
+
+def averaging_report(calibrated: Calibrated) -> str:
+    """Return as text how the loop of Figure 4 ended and how well the inputs part the sources."""
+    averaging, joint = calibrated.averaging, calibrated.fictitious.joint
+    both = compare(joint, averaging.result)
+    ratio = f"differ, by up to {both.largest_ratio:.3g} times"
+    return "\n".join(
+        [
+            "averaging, the loop of Figure 4; the model uses the joint fit, sources",
+            f"  {averaging.reason}",
+            f"  a and alpha of the two {'agree within 1 %' if both.agree else ratio}",
+            f"  error: max {both.max_abs_error_averaged:.3g} K, rms {both.rms_averaged:.3g} K; "
+            f"joint fit: max {both.max_abs_error_joint:.3g} K, rms {both.rms_joint:.3g} K",
+            f"  condition number of the strengths {calibrated.fictitious.strength_condition:.2g}",
+        ]
     )

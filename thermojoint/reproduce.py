@@ -20,6 +20,7 @@ from estimator.validation import superposed
 from fesim.case import Case
 from fesim.setup import Setup, set_up
 from thermojoint import console, study
+from thermojoint.calibration_input import check_drivable, check_placeable
 from thermojoint.figures import (
     displacements_figure,
     pressure_figure,
@@ -33,7 +34,7 @@ from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
 from thermojoint.summary import compare_schemes, convergence, pressure_share
 from thermojoint.tables import printed_tables, tables_json
-from thermojoint.view import field_scenes, run_to_end, whole_structure
+from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
 
 REFERENCE = "step-1.0"
 #: The response of Figure 7, and of the field pictures.
@@ -66,7 +67,8 @@ def reproduce(case: Case, out: Path) -> None:
     Parameters
     ----------
     case : Case
-        The machine; its heat input is replaced by those of the study.
+        The machine; its heat input is replaced by those of the study. Nothing else may act on it
+        (`calibration_input.check_drivable`), and it names its sensors or has candidates for them.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``tables.json``, ``validation.json``,
         ``figures/*.png`` and ``report.html``.
@@ -78,6 +80,8 @@ def reproduce(case: Case, out: Path) -> None:
     ConvergenceError
         A march or a calibration did not converge.
     """
+    check_drivable(case)
+    check_placeable(case)
     with console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(case)
@@ -103,7 +107,9 @@ def reproduce(case: Case, out: Path) -> None:
 
         report("validating", 0, 1)
         judged = {name: responses[name] for name in study.VALIDATION}
-        validated = study.validate_model(calibrated.model, responses[REFERENCE], judged)
+        validated = study.validate_model(
+            calibrated.model, responses[REFERENCE], judged, noisy=[TRIANGLE]
+        )
         _write_json(out / "validation.json", validated.figures())
         report("validating", 1, 1)
 
@@ -234,7 +240,7 @@ def _calibrate(
     }
     calibrated = study.calibrate_responses(responses[REFERENCE], others)
     origin = case.model_dump_json()
-    return calibrated, provenance_of(calibrated.linear, calibrated.fictitious, origin)
+    return calibrated, provenance_of(calibrated, origin)
 
 
 def _draw(
@@ -248,7 +254,7 @@ def _draw(
     """Write the figures and the 3-D pictures of the end of `case`."""
     _, _, last = run_to_end(case, report, setup)
     scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
-    scenes |= {str(show): scene for show, scene in field_scenes(case, setup, last).items()}
+    scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}
     for name, figure in figures.items():
         write_figure(figure, folder / f"{name}.png")
     write_pictures({folder / f"{name}.png": scene for name, scene in scenes.items()})

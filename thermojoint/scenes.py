@@ -161,7 +161,7 @@ def structure_scene(
 
 
 def temperature_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Scene:
-    """Temperature on the surface of the structure, K above ambient, whole and cut open."""
+    """Temperature on the structure's surface, K above the initial ambient, whole and cut open."""
     at_nodes = setup.nodal_temperature(step.state)[setup.spaces.heat.nodal_dofs[0]]
     surface = _skin(setup.structure, values=at_nodes)
     panels = [Panel("outside", _whole((surface,), mirror))]
@@ -188,7 +188,7 @@ def deformed_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Sc
 
 
 def pressure_scene(setup: Setup, pressure: Array, mirror: Mirror | None = None) -> Scene:
-    """Contact pressure (Pa, shape (m,)) on every contact element, on the body that carries it."""
+    """Contact pressure (Pa, shape (m,)) on every contact element; there is a joint or more."""
     structure = setup.structure
     sides = structure.joints[setup.joints[0].name]
     holder, _ = _away_from(structure, sides[0])

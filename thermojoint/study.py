@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-import pydantic
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import ConvergenceError, InputError, ThermojointError
-from calibrate import steps
 from calibrate.driven_deformation import fit_driven_deformation, uncertain_signals
 from calibrate.fictitious import FictitiousCalibration, calibrate_fictitious
-from calibrate.linear import JOINT_SENSORS, LinearCalibration, calibrate_linear, fit_deformation
+from calibrate.linear import (
+    JOINT_SENSORS,
+    LinearCalibration,
+    calibrate_displacements,
+    calibrate_heat,
+    with_direct_models,
+)
 from calibrate.model import (
     DeformationModel,
     FictitiousSource,
@@ -23,14 +27,26 @@ from calibrate.model import (
     Regularisation,
     RingModel,
 )
+from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
 from estimator import blocks
 from estimator.assembly import start
 from estimator.fchs import Estimate
 from estimator.inverse import unstable_zeros
 from estimator.validation import block_errors, readings, sensor_noise, validate
-from fesim.case import CandidatesSection, Case, StepInput, TriangleInput
+from fesim.case import Case, StepInput, TriangleInput
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
+from thermojoint.calibration_input import (
+    ROLES,
+    candidates_in,
+    check_drivable,
+    check_probes,
+    check_responses,
+    checked_distances,
+    moving_axes,
+    probes_of,
+    reference_power,
+)
 from thermojoint.measured import roles_in
 from thermojoint.placement import (
     APART,
@@ -55,13 +71,8 @@ VALIDATION: dict[str, HeatInput] = {
     "step-3.0": StepInput(kind="step", level=3.0),
     "triangle": TriangleInput(kind="triangle", peak=2.0, duration_min=10.0),
 }
-#: The validation case that is run again with sensor noise at the joint.
-NOISY = "triangle"
 NOISE_PEAK_TO_PEAK_K = 0.12
 NOISE_SEED = 0
-#: The directions of Tables 1 and 3.
-AXES = ("x", "y")
-ROLES = ("a", "b", *JOINT_SENSORS)
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0
 #: Joint pairs that the placement tries before it gives up.
@@ -79,6 +90,8 @@ class Calibrated:
         Table 1.
     fictitious : FictitiousCalibration
         Tables 2 and 3.
+    averaging : Averaging
+        The loop of Figure 4 on the same data as Table 2, to compare; the model does without it.
     placement : Placement or None
         None if the responses named their sensors.
     """
@@ -86,6 +99,7 @@ class Calibrated:
     model: Model
     linear: LinearCalibration
     fictitious: FictitiousCalibration
+    averaging: Averaging
     placement: Placement | None
 
 
@@ -130,7 +144,14 @@ def simulate_inputs(
     setup: Setup | None = None,
     progress: Report | None = None,
 ) -> dict[str, xr.Dataset]:
-    """Return the response of one structure to several heat inputs; it is set up once."""
+    """Return the response of one structure to several heat inputs; it is set up once.
+
+    Raises
+    ------
+    InputError
+        Something else than the heat inputs would act on the structure, too.
+    """
+    check_drivable(case)
     ready = setup if setup is not None else set_up(case)
 
     def run(name: str, heat: HeatInput) -> xr.Dataset:
@@ -152,6 +173,8 @@ def calibrate_responses(
 ) -> Calibrated:
     """Return the calibrated model of a structure from its responses to steps.
 
+    Every axis along which something moves is calibrated (`calibration_input.moving_axes`).
+
     Parameters
     ----------
     reference : xarray.Dataset
@@ -159,32 +182,45 @@ def calibrate_responses(
     others : mapping
         Heat input to the response to it.
     distances : sequence of sequences, optional
-        r_ij, m, from fictitious source i to sensor T_j. Default: the sources lie at the contact
-        elements nearest to the sensors.
+        r_ij, m, from fictitious source i to sensor T_j, if the responses name their sensors.
+        Default: the sources lie at the contact elements nearest to the sensors.
 
     Raises
     ------
     InputError
-        Sensors are missing and there are no candidates to choose from, or the responses do not
-        fit each other.
+        The responses do not fit each other, sensors are missing and there are no candidates to
+        choose from, or no choice of them gives a stable estimator.
     ConvergenceError
-        No choice of sensors gives a stable estimator.
+        The sensors that the responses name give no stable estimator.
     """
-    axes = [axis for axis in AXES if axis in reference["axis"].to_numpy()]
+    check_responses(reference, others)
+    named = set(probes_of(reference)) >= set(ROLES)
+    if distances is not None and not named:
+        raise InputError(
+            "distances: they belong to sensors that are named; name the probes a, b, T1 and T2"
+        )
+    near_source, at_joint = ([], []) if named else candidates_in(reference)
+    check_probes(others, ROLES if named else (*near_source, *at_joint))
+    axes = moving_axes(reference, others)
     base = reference.sel(axis=axes)
     rest = {level: response.sel(axis=axes) for level, response in others.items()}
-    known = {str(name) for name in base["probe"].to_numpy()}
-    if known >= set(ROLES):
-        table = distances if distances is not None else _distances_of(base)
-        return _calibrate(base, rest, table, None)
-    return _place_and_calibrate(base, rest)
+    if not named:
+        return _place_and_calibrate(base, rest, near_source, at_joint)
+    if distances is None:
+        table = sources_for(base, JOINT_SENSORS)[1].tolist()
+    else:
+        table = checked_distances(distances)
+    return _calibrate(base, rest, table, calibrate_heat(base, calibrate_displacements(base)), None)
 
 
 @threadpool_limits.wrap(limits=1)
 def validate_model(
-    model: Model, reference: xr.Dataset | None, responses: Mapping[str, xr.Dataset]
+    model: Model,
+    reference: xr.Dataset | None,
+    responses: Mapping[str, xr.Dataset],
+    noisy: Collection[str] = (),
 ) -> Validated:
-    """Judge a model by responses, from temperatures alone; `NOISY` once more with noise.
+    """Judge a model by responses, from temperatures alone.
 
     Parameters
     ----------
@@ -194,13 +230,15 @@ def validate_model(
         Response to the reference step, to tell the actual nonlinear part.
     responses : mapping
         Name to response.
+    noisy : collection of str
+        Names of responses to judge once more with `joint_noise`, as "NAME-noise".
     """
     printed = replace(model, sources=tuple(replace(one, driven={}) for one in model.sources))
     found = Validated([], [], [], [], {})
     for name, response in responses.items():
         roles = roles_in(response, model)
-        noisy = {f"{name}-noise": joint_noise(response)} if name == NOISY else {}
-        for case, noise in ({name: None} | noisy).items():
+        again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
+        for case, noise in ({name: None} | again).items():
             rows, estimate = validate(
                 case, response, model, reference=reference, roles=roles, noise=noise
             )
@@ -240,22 +278,23 @@ def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
     return {role: channels[:, k] for k, role in enumerate(JOINT_SENSORS)}
 
 
-def _place_and_calibrate(base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> Calibrated:
-    near_source, at_joint = _candidates(base)
+def _place_and_calibrate(
+    base: xr.Dataset, rest: Mapping[float, xr.Dataset], near_source: list[str], at_joint: list[str]
+) -> Calibrated:
     axes = [str(axis) for axis in base["axis"].to_numpy()]
-    t = steps.times(base)
-    shapes = {
-        axis: fit_deformation(t, steps.displacement(base, axis, "reference"))[0] for axis in axes
-    }
+    displacements = calibrate_displacements(base)
+    shapes = {axis: shape for axis, (shape, _) in displacements.items()}
     heat = choose_heat_pair(base, rest, shapes, near_source)
+    by_source = calibrate_heat(with_roles(base, {"a": heat.a, "b": heat.b}), displacements)
     refused = ""
     for pair in islice(rank_joint_pairs(base, rest, axes, at_joint), MOST_PAIRS):
-        placement = Placement(heat, pair, *sources_for(base, pair))
+        placement = Placement(heat, pair, *sources_for(base, (pair.T1, pair.T2)))
         own = with_roles(base, placement.roles)
         named = {level: with_roles(response, placement.roles) for level, response in rest.items()}
         try:
-            return _calibrate(own, named, placement.distances.tolist(), placement)
+            return _calibrate(own, named, placement.distances.tolist(), by_source, placement)
         except ThermojointError as error:
+            # The responses are sound and a and b are chosen: what fails here fails by this pair.
             refused = str(error)
     if not refused:
         raise InputError(
@@ -272,10 +311,12 @@ def _calibrate(
     base: xr.Dataset,
     rest: Mapping[float, xr.Dataset],
     distances: Sequence[Sequence[float]],
+    by_source: LinearCalibration,
     placement: Placement | None,
 ) -> Calibrated:
-    linear = calibrate_linear(base)
-    fictitious = calibrate_fictitious(base, dict(rest), distances)
+    """Calibrate with named sensors; `by_source` is Table 1 but for T1 and T2."""
+    linear = with_direct_models(by_source, base)
+    fictitious = calibrate_fictitious(base, rest, distances)
     position = base["probe_position"].sel(probe=list(ROLES)).to_numpy()
     model = Model(
         linear=linear.model,
@@ -285,11 +326,13 @@ def _calibrate(
             role: (float(x), float(y), float(z))
             for role, (x, y, z) in zip(ROLES, position, strict=True)
         },
-        reference_power_W=float(base.attrs["reference_power_W"]),
+        reference_power_W=reference_power(base),
     )
     model = stabilised(model, base["time"].to_numpy())
-    driven = _driven_models(model, base, rest, fictitious)
-    return Calibrated(replace(model, sources=driven), linear, fictitious, placement)
+    model = replace(model, sources=_driven_models(model, base, rest, fictitious))
+    data = fictitious.deviations
+    averaging = fit_by_averaging(data.t, data.temperatures, data.inputs, make_geometry(distances))
+    return Calibrated(model, linear, fictitious, averaging, placement)
 
 
 def stabilised(model: Model, times: np.ndarray) -> Model:
@@ -359,40 +402,3 @@ def _driven_models(
         replace(source, driven={axis: models[i] for axis, models in shapes.items()})
         for i, source in enumerate(model.sources)
     )
-
-
-def _distances_of(response: xr.Dataset) -> list[list[float]]:
-    if "contact_position" not in response:
-        raise InputError(
-            "calibrate: the response has no contact elements to put the fictitious sources at; "
-            "give the distances r_ij from source i to sensor T_j"
-        )
-    sensors = response["probe_position"].sel(probe=list(JOINT_SENSORS)).to_numpy()
-    elements = response["contact_position"].to_numpy()
-    sources = [elements[np.argmin(np.linalg.norm(elements - x, axis=1))] for x in sensors]
-    return [[float(np.linalg.norm(source - x)) for x in sensors] for source in sources]
-
-
-def _candidates(response: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Return the probes in the case's two candidate boxes: around the source, and at the joint."""
-    try:
-        case = Case.model_validate_json(str(response.attrs.get("case", "")))
-    except pydantic.ValidationError as error:
-        missing = ", ".join(sorted(set(ROLES) - set(map(str, response["probe"].to_numpy()))))
-        raise InputError(
-            f"calibrate: the response has no probe {missing}; name the sensors a, b, T1 and T2"
-        ) from error
-    if len(case.candidates) != 2:
-        raise InputError(
-            f"candidates: the placement rule needs two boxes, the first around the source, the "
-            f"second at the joint; the case has {len(case.candidates)}"
-        )
-    first, second = (_inside(response, box) for box in case.candidates)
-    return first, second
-
-
-def _inside(response: xr.Dataset, box: CandidatesSection) -> list[str]:
-    position = 1e3 * response["probe_position"].to_numpy()
-    low, high = np.array(box.low_mm) - 1e-6, np.array(box.high_mm) + 1e-6
-    holds = ((position >= low) & (position <= high)).all(axis=1)
-    return [str(name) for name in response["probe"].to_numpy()[holds]]

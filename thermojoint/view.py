@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import partial
@@ -12,14 +11,14 @@ import xarray as xr
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
-from fesim.case import Case, case_from_data, read_case
+from fesim.case import Case, read_case
 from fesim.march import Step
 from fesim.setup import Setup, build_structure, set_up
-from fesim.simulate import at_rest, simulate
+from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.console import Report
-from thermojoint.figures import pressure_figure, response_figure, write_figure
-from thermojoint.pictures import write_pictures
+from thermojoint.figures import check_format, pressure_figure, response_figure, write_figure
+from thermojoint.pictures import check_png, write_pictures
 from thermojoint.scenes import (
     Scene,
     deformed_scene,
@@ -44,6 +43,7 @@ class Show(StrEnum):
 
 
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
+FIELDS = (Show.temperature, Show.deformation, Show.pressure)
 
 
 def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
@@ -66,41 +66,31 @@ def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
     Raises
     ------
     InputError
-        The source is unusable, or a response without its case is asked for more than curves.
+        The source is unusable, a response without its case is asked for more than curves, there
+        are no joints whose pressure could be shown, or `out` has another format.
     """
-    response = read_response(source) if source.suffix == ".nc" else None
-    show = show or (Show.structure if response is None else Show.curves)
-    if show not in CURVES and out.suffix.lower() != ".png":
-        raise InputError(f"{out}: 3-D pictures are PNG files; name it {out.stem}.png")
+    from_case = source.suffix != ".nc"
+    show = show or (Show.structure if from_case else Show.curves)
+    check = check_format if show in CURVES else check_png
+    check(out)
+    response = None if from_case else read_response(source)
     if show in CURVES and response is not None:
         write_figure(CURVES[show](response), out)
         return
-    case = read_case(source) if response is None else case_in(response, str(source))
+    only_curves = "so only its curves can be drawn; use --show curves"
+    case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     if show is Show.structure:
         write_pictures({out: whole_structure(case, build_structure(case))})
         return
+    if show in (Show.pressure, Show.pressures) and not case.joints:
+        raise InputError(
+            f"{source}: no joints, so no contact pressure; use --show {Show.temperature}"
+        )
     setup, result, last = run_to_end(case, report)
     if show in CURVES:
         write_figure(CURVES[show](result), out)
     else:
-        write_pictures({out: field_scenes(case, setup, last)[show]})
-
-
-def case_in(response: xr.Dataset, where: str) -> Case:
-    """Return the case that a simulated response carries.
-
-    Raises
-    ------
-    InputError
-        There is none, or it is unusable.
-    """
-    try:
-        data = json.loads(response.attrs["case"])
-    except (KeyError, ValueError, TypeError):
-        raise InputError(
-            f"{where}: holds no case, so only its curves can be drawn; use --show curves"
-        ) from None
-    return case_from_data(data, f"{where}, case", Path())
+        write_pictures({out: field_scene(show, case, setup, last)})
 
 
 def run_to_end(
@@ -156,11 +146,10 @@ def bare_structure(structure: Structure) -> Scene:
     )
 
 
-def field_scenes(case: Case, setup: Setup, step: Step) -> dict[Show, Scene]:
-    """Temperature, deformed shape and contact pressure at one step."""
+def field_scene(show: Show, case: Case, setup: Setup, step: Step) -> Scene:
+    """One of `FIELDS` at one step; the pressure needs a joint."""
     mirror = mirror_of(setup.structure, case.supports.symmetry)
-    return {
-        Show.temperature: temperature_scene(setup, step, mirror),
-        Show.deformation: deformed_scene(setup, step, mirror),
-        Show.pressure: pressure_scene(setup, step.state.pressure, mirror),
-    }
+    if show is Show.pressure:
+        return pressure_scene(setup, step.state.pressure, mirror)
+    draw_field = deformed_scene if show is Show.deformation else temperature_scene
+    return draw_field(setup, step, mirror)
