@@ -16,6 +16,7 @@ import pytest
 from artefacts.response import read_response, write_response
 from calibrate.model_file import Provenance, read_model, write_model
 from thermojoint import cli, console, paper_values, study, view
+from thermojoint.commands import models, simulation
 
 CASE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 COARSE = re.sub(r"joint_element_size_mm.*", "", CASE).replace(
@@ -219,7 +220,7 @@ def test_the_version_is_printed(command):
 
 
 def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_hand, monkeypatch):
-    monkeypatch.setattr(cli, "set_up", None)  # would fail if it were called
+    monkeypatch.setattr(simulation, "set_up", None)  # would fail if it were called
     case = files_at_hand / "case.toml"
     code, _, err = command("simulate", case, "--out", files_at_hand)
     assert (code, err.count("\n")) == (2, 1)
@@ -232,7 +233,7 @@ def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_h
 def test_a_folder_of_snapshots_that_cannot_be_is_refused_before_any_work(
     command, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cli, "set_up", None)  # would fail if it were called
+    monkeypatch.setattr(simulation, "set_up", None)  # would fail if it were called
     case, taken = tmp_path / "case.toml", tmp_path / "run-snapshots"
     case.write_text(lasting(0.1))
     taken.write_text("a file")
@@ -519,7 +520,7 @@ def test_the_report_holds_everything_in_one_page(results):
 
 def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
     seen = []
-    monkeypatch.setattr(cli, "run_all", lambda case, out: seen.append((case, out)))
+    monkeypatch.setattr(models, "run_all", lambda case, out: seen.append((case, out)))
     code, _, _ = command("reproduce", "--out", tmp_path / "results")
     assert code == 0
     [(case, _)] = seen

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import (
@@ -65,6 +66,13 @@ def progress_bars() -> Iterator[Report]:
 def say(text: str) -> None:
     """Print one line about what was done, on standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+def wrote(*paths: Path | None) -> None:
+    """Say which files were written."""
+    for path in paths:
+        if path is not None:
+            say(f"wrote {path}")
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -1,0 +1,124 @@
+"""Commands of the simulator: one case, many of them, and known results."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.response import write_response
+from fesim import state_file
+from fesim.case import read_case
+from fesim.setup import set_up
+from fesim.simulate import simulate as run_case
+from fesim.snapshots import snapshot_writer
+from thermojoint import arguments, console, verification_run
+from thermojoint.summary import convergence
+
+#: Exit code of `verify` if a check is out of tolerance.
+OUT_OF_TOLERANCE = 1
+
+
+def simulate(
+    case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Response file to write (NetCDF).")],
+    save: Annotated[
+        Path | None, typer.Option("--save-state", help="Write the state at the end here (NPZ).")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--continue", help="Go on from a saved state (NPZ).")
+    ] = None,
+    snapshots: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for field snapshots (VTU/PVD) at the case's output.snapshots_s, or at "
+            "the end if it names none."
+        ),
+    ] = None,
+) -> None:
+    """Simulate a case: heat, contact and displacement in time.
+
+    Example: [bold]thermojoint simulate machine.toml --out machine.nc[/bold]
+
+    Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
+    """
+    arguments.check_writable(out, save)
+    given = read_case(case)
+    times = given.output.snapshots_s
+    folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
+    if folder:
+        arguments.check_folder(folder)
+    begin = state_file.load_state(resume, given) if resume else None
+    with console.progress_bars() as report:
+        report("setting up", 0, 1)
+        setup = set_up(given)
+        report("setting up", 1, 1)
+        finished = run_case(
+            given,
+            setup=setup,
+            start=begin,
+            on_step=snapshot_writer(setup, folder, times or [60.0 * given.march.duration_min])
+            if folder
+            else None,
+            progress=lambda done, total: report("marching", done, total),
+        )
+    write_response(finished.response, out)
+    if save:
+        state_file.save_state(finished.state, given, save)
+    console.show_convergence(console.out(), {out.name: convergence(finished.response)})
+    console.wrote(out, save, folder)
+
+
+def batch(
+    given: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Folder for all results; goes on with what is there.")],
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786."),
+    ] = None,
+) -> None:
+    """Simulate many cases: grids, lists and Latin hypercubes over the values of a case.
+
+    Responses, one dataset of all of them and a summary table go into the folder. Interrupted in
+    any way, the same command goes on from there. Exit code 1 if a case failed.
+
+    Example: [bold]thermojoint batch study.toml --out results[/bold]
+
+    Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
+    """
+    # Here, not above: the other commands need neither Zarr nor Arrow.
+    from thermojoint import batch_run
+
+    batch_run.check_workers(workers, scheduler)
+    finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
+    for line in batch_run.closing_lines(finished, out):
+        console.say(line)
+    if code := batch_run.worst(finished):
+        raise typer.Exit(code)
+
+
+def verify(
+    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Page to write (Markdown), as in the docs.")
+    ] = None,
+) -> None:
+    """Verify the simulator: known results against computed ones; exit code 1 if any is off.
+
+    Example: [bold]thermojoint verify[/bold]
+
+    Example: [bold]thermojoint verify --out verify.json[/bold]
+    """
+    arguments.check_writable(out, markdown)
+    with console.progress_bars() as report:
+        results = verification_run.run_all(report)
+    verification_run.show(console.out(), results)
+    verification_run.write(results, out, markdown)
+    console.wrote(out, markdown)
+    if not all(result.passed for result in results):
+        raise typer.Exit(OUT_OF_TOLERANCE)
