@@ -16,6 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from fesim.batch.summary import is_open
 from fesim.case import StepInput, case_from_data
 from fesim.setup import set_up
 from fesim.simulate import simulate
@@ -77,11 +78,11 @@ def main() -> None:
         total = 1e6 * found[LEVEL]["displacement"].to_numpy()[-1]
         nonlinear = total - LEVEL * 1e6 * found[1.0]["displacement"].to_numpy()[-1]
         pressure = found[LEVEL]["pressure"].to_numpy()
-        is_open = (pressure[-1] < 1e-3 * pressure[0]).mean()
+        share = is_open(pressure)[-1].mean()
         table.add_row(
             name,
             *(f"{value:.2f}" for value in (*total[:2], *nonlinear[:2])),
-            f"{100.0 * is_open:.0f} %",
+            f"{100.0 * share:.0f} %",
         )
     Console(width=110).print(table)
 

@@ -220,7 +220,7 @@ class MarchSection(_Section):
     solver: Literal["pardiso", "superlu"] | None = None
 
     @model_validator(mode="after")
-    def _whole_steps(self) -> MarchSection:
+    def _one_step_or_more(self) -> MarchSection:
         if self.duration_min * 60.0 < self.step_s:
             raise ValueError("duration_min is shorter than one step of step_s")
         if self.duration_min * 60.0 > MOST_STEPS * self.step_s:

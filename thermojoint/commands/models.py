@@ -130,6 +130,7 @@ def estimate(
         raise InputError(f"--run-length-min {run_length:g}: give a positive number of minutes")
     table = read_model(model)
     sensors, where = list(table.linear.direct), arguments.shown(temperatures)
+    live = str(out) == "-"
     with arguments.opened(temperatures) as source:
         samples: Iterator[measured.Sample]
         if source is None:
@@ -149,11 +150,11 @@ def estimate(
                     target.flush()
             finally:
                 # What stands on standard output is out, however a logger's pipe comes to its end.
-                if save and str(out) == "-":
+                if save and live:
                     save_state(machine, state, save)
-    if save and str(out) != "-":
+    if save and not live:
         save_state(machine, state, save)
-    console.wrote(None if str(out) == "-" else out, save)
+    console.wrote(None if live else out, save)
 
 
 def validate(
