@@ -162,3 +162,13 @@ def read_response(path: Path) -> xr.Dataset:
             f"{SCHEMA_VERSION}; write it again with this version"
         )
     return check_response(response, str(path))
+
+
+def probes_of(response: xr.Dataset) -> list[str]:
+    """Return the names of the temperature probes of a response, in their order."""
+    return [str(name) for name in response["probe"].to_numpy()]
+
+
+def axes_of(response: xr.Dataset) -> list[str]:
+    """Return the names of the displacement axes of a response, in their order."""
+    return [str(name) for name in response["axis"].to_numpy()]

@@ -16,9 +16,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from calibrate import chain
+from estimator import judge
 from fesim.case import read_case
-from thermojoint import study
 from thermojoint.console import show_blocks, show_schemes, show_validation
+from thermojoint.paper import inputs
 from thermojoint.summary import compare_schemes
 
 COEFFICIENTS = (0.2, 0.6, 10.0)
@@ -35,12 +37,12 @@ def main() -> None:
     for friction in options.friction:
         knee = reference.joints["knee"].model_copy(update={"friction_coefficient": friction})
         case = reference.model_copy(update={"joints": {"knee": knee}})
-        responses = study.simulate_inputs(case, study.CALIBRATION | study.VALIDATION)
+        responses = inputs.simulate_inputs(case, inputs.CALIBRATION | inputs.VALIDATION)
         base = responses["step-1.0"]
         others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
-        calibrated = study.calibrate_responses(base, others)
-        judged = {name: responses[name] for name in study.VALIDATION}
-        found = study.validate_model(calibrated.model, base, judged, noisy=["triangle"])
+        calibrated = chain.calibrate_responses(base, others)
+        judged = {name: responses[name] for name in inputs.VALIDATION}
+        found = judge.validate_model(calibrated.model, base, judged, noisy=["triangle"])
         console.print(f"\nfriction {friction:g}", style="bold")
         console.print(str(calibrated.placement))
         show_validation(console, found.rows)

@@ -30,7 +30,7 @@ from fesim.march import CondensedMachine, Step
 from fesim.reduced_march import ThermalModes, project_elasticity, project_heat, thermal_modes
 from fesim.setup import Setup, body_materials, set_up
 from fesim.simulate import simulate
-from thermojoint.study import VALIDATION
+from thermojoint.paper.inputs import VALIDATION
 
 #: Name -> largest element edge in general and at the joint, mm.
 MESHES = {"coarse": (100.0, 100.0), "reference": (50.0, 25.0), "fine": (33.0, 16.7)}

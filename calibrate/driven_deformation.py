@@ -22,8 +22,8 @@ from artefacts.errors import InputError
 from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import fit
-from calibrate.model import DeformationModel
 from calibrate.source_deformation import eq18_models, eq18_problem
+from models.parameters import DeformationModel
 
 #: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
 UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)

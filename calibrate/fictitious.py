@@ -16,13 +16,14 @@ import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
+from artefacts.response import axes_of
 from calibrate import source_thermal, steps
 from calibrate.fit_result import Fit
-from calibrate.linear import JOINT_SENSORS
-from calibrate.model import DeformationModel, FictitiousSource, RingModel
-from calibrate.regularisation import choose_regularisation
 from calibrate.source_deformation import fit_source_deformation, source_displacements
 from calibrate.source_thermal import SourceFit
+from models.parameters import DeformationModel, FictitiousSource, RingModel
+from models.regularisation import choose_regularisation
+from models.sensors import JOINT_SENSORS
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def check_steps(
     """
     base = steps.step_level(reference, f"{where}, reference")
     t = steps.times(reference)
-    axes = [str(name) for name in reference["axis"].to_numpy()]
+    axes = axes_of(reference)
     for named, response in sorted(others.items()):
         name = f"{where}, input {named:g}"
         level = steps.step_level(response, name)
@@ -110,7 +111,7 @@ def check_steps(
         at = steps.times(response)
         if at.shape != t.shape or not bool(np.allclose(at, t, rtol=0.0, atol=1e-6)):
             raise InputError(f"{name}: sample times differ from the reference's; sample alike")
-        known = [str(one) for one in response["axis"].to_numpy()]
+        known = axes_of(response)
         for axis in axes:
             if axis not in known:
                 raise unknown_name("axis", axis, known, name)
@@ -131,7 +132,7 @@ def deviations_from(
     """
     base = check_steps(reference, others, where)
     t = steps.times(reference)
-    axes = [str(name) for name in reference["axis"].to_numpy()]
+    axes = axes_of(reference)
     inputs = tuple(sorted(float(level) for level in others))
     temperatures = np.empty((len(inputs), len(JOINT_SENSORS), t.size))
     displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}

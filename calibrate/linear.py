@@ -16,16 +16,18 @@ import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError
-from calibrate import deformation, ring_source, steps
+from artefacts.response import axes_of
+from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, solve_linear
-from calibrate.model import DeformationModel, LinearModel, Relaxation, RingModel
-from calibrate.regularisation import choose_regularisation
+from models import deformation, ring_source
+from models.parameters import DeformationModel, LinearModel, Relaxation, RingModel
+from models.regularisation import choose_regularisation
+from models.relaxation import relaxation_response
+from models.sensors import JOINT_SENSORS
 
 #: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
 RING_RADIUS = 0.12
-#: Sensor roles of the direct models.
-JOINT_SENSORS = ("T1", "T2")
 #: Rates of the relaxation spectrum.
 RELAXATION_RATES = 24
 
@@ -183,12 +185,6 @@ def fit_flat_deformation(
     return deformation.model_from(full, rates), found
 
 
-def relaxation_response(t: np.ndarray | float, model: Relaxation) -> np.ndarray:
-    """Return the step response of a relaxation spectrum, K per unit heat input, shaped as `t`."""
-    decay = -np.expm1(-np.multiply.outer(np.asarray(t, dtype=float), np.asarray(model.rates)))
-    return decay @ np.asarray(model.amplitudes)
-
-
 def fit_relaxation(
     t: np.ndarray, data: np.ndarray, *, count: int = RELAXATION_RATES, ridge: float = 1e-6
 ) -> Relaxation:
@@ -255,7 +251,7 @@ def calibrate_displacements(
     t = steps.times(response)
     return {
         axis: fit_displacement(t, steps.displacement(response, axis, where) / level)
-        for axis in (str(name) for name in response["axis"].to_numpy())
+        for axis in axes_of(response)
     }
 
 

@@ -12,11 +12,12 @@ from collections.abc import Callable
 import numpy as np
 
 from artefacts.errors import InputError
-from calibrate import deformation, steps
+from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit
 from calibrate.linear import rate_bounds
-from calibrate.model import DeformationModel
+from models import deformation
+from models.parameters import DeformationModel
 
 #: (source, what happens after its unit step (n, p)) to what happens at every input (inputs, n, p).
 Respond = Callable[[int, np.ndarray], np.ndarray]

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import InputError
-from calibrate import ring_source, steps
+from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, fit_linear
+from models import ring_source
 
 #: Radius of the ring that stands for a fictitious source, m.
 SOURCE_RADIUS = 0.02

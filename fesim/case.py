@@ -15,7 +15,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from artefacts.errors import InputError, unknown_name
-from artefacts.validation import refusal
+from artefacts.refusal import refusal
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

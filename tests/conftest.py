@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calibrate.model import (
+from fesim.case import case_from_data
+from fesim.setup import set_up
+from fesim.simulate import simulate
+from models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -16,10 +19,7 @@ from calibrate.model import (
     Relaxation,
     RingModel,
 )
-from calibrate.regularisation import choose_regularisation
-from fesim.case import case_from_data
-from fesim.setup import set_up
-from fesim.simulate import simulate
+from models.regularisation import choose_regularisation
 
 # Test processes share the cores: threads of their linear algebra would wait for each other. The
 # variable is for what is loaded later and for processes that tests start, the call for the rest.

@@ -18,12 +18,12 @@ from benchmarks.performance.cases import reference_case, with_elements
 from benchmarks.performance.compiled import compared
 from benchmarks.performance.report import BEGIN, END, TARGETS, cells, missed, write_markdown
 from benchmarks.performance.timing import Row, Skipped, paired
-from calibrate import ring_source
 from calibrate.linear import fit_ring
-from estimator.assembly import start
-from estimator.fchs import run
+from estimator.fchs.stream import run
 from fesim.compiled_gap import compile_gap
 from fesim.setup import build_structure
+from models import ring_source
+from models.assembly import start
 
 ROW = Row("march-vs-refactor", 0.5, 200.0, 400.0, "s", "a note")
 

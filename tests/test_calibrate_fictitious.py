@@ -5,15 +5,12 @@ import pytest
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from calibrate import deformation, ring_source
 from calibrate.fictitious import (
     calibrate_fictitious,
     deviations_from,
     gains_and_strengths,
     strength_condition,
 )
-from calibrate.model import DeformationModel, RingModel
-from calibrate.regularisation import right_half_plane_zeros
 from calibrate.source_deformation import fit_source_deformation, source_displacements
 from calibrate.source_thermal import (
     compare,
@@ -22,6 +19,9 @@ from calibrate.source_thermal import (
     make_geometry,
     unit_responses,
 )
+from models import deformation, ring_source
+from models.parameters import DeformationModel, RingModel
+from models.regularisation import right_half_plane_zeros
 
 RUN = np.arange(1051) * 2.0
 SHORT = RUN[:300]

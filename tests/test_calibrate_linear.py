@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from calibrate import deformation, ring_source
 from calibrate.linear import (
     calibrate_linear,
     fit_deformation,
@@ -18,8 +17,9 @@ from calibrate.linear import (
     fit_ring,
     relaxation_response,
 )
-from calibrate.model import DeformationModel, Regularisation, RingModel
-from calibrate.regularisation import (
+from models import deformation, ring_source
+from models.parameters import DeformationModel, Regularisation, RingModel
+from models.regularisation import (
     cancellation,
     choose_regularisation,
     regularisation_function,

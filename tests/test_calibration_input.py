@@ -11,14 +11,18 @@ import pytest
 
 from artefacts.errors import ConvergenceError, InputError
 from artefacts.response import make_response, read_response
-from calibrate import deformation, ring_source
-from calibrate.model import DeformationModel, RingModel
-from calibrate.model_file import read_model, read_provenance
+from calibrate import chain
+from calibrate.responses import moving_axes
+from estimator import judge
 from fesim.case import CandidatesSection, Case, case_from_data
-from thermojoint import arguments, reproduce, study
-from thermojoint.calibration_input import check_drivable, check_placeable, moving_axes
+from models import deformation, ring_source
+from models.model_file import read_model, read_provenance
+from models.parameters import DeformationModel, RingModel
+from thermojoint import arguments, reproduce
 from thermojoint.cli import app
 from thermojoint.console import paper_claim
+from thermojoint.paper import inputs
+from thermojoint.paper.inputs import check_drivable, check_placeable
 
 PAGE = (Path(__file__).parents[1] / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]
@@ -215,19 +219,19 @@ UNSUITED = {
 
 @pytest.mark.parametrize("mistake", UNSUITED)
 def test_responses_that_cannot_be_calibrated_are_refused_before_any_fit(mistake, monkeypatch):
-    monkeypatch.setattr(study, "calibrate_displacements", None)  # would fail if it were called
+    monkeypatch.setattr(chain, "calibrate_displacements", None)  # would fail if it were called
     make, said = UNSUITED[mistake]
     with pytest.raises(InputError) as caught:
-        study.calibrate_responses(*make())
+        chain.calibrate_responses(*make())
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("distances", [[[0.05, 0.1]], [[0.05, 0.1], [0.1]], [[0.05, -1], [1, 1]]])
 def test_distances_of_another_number_or_sign_are_refused_before_any_fit(distances, monkeypatch):
-    monkeypatch.setattr(study, "calibrate_displacements", None)
+    monkeypatch.setattr(chain, "calibrate_displacements", None)
     with pytest.raises(InputError, match="distances"):
-        study.calibrate_responses(response(1.0), others(), distances)
+        chain.calibrate_responses(response(1.0), others(), distances)
 
 
 def test_axes_along_which_nothing_moves_are_left_out_and_no_others():
@@ -288,10 +292,10 @@ UNPLACEABLE = {
 def test_responses_that_do_not_belong_together_are_refused_before_any_sensor_is_chosen(
     mistake, carried, monkeypatch
 ):
-    monkeypatch.setattr(study, "choose_heat_pair", None)  # would fail if it were called
+    monkeypatch.setattr(chain, "choose_heat_pair", None)  # would fail if it were called
     make, said = UNPLACEABLE[mistake]
     with pytest.raises(InputError) as caught:
-        study.calibrate_responses(
+        chain.calibrate_responses(
             placeable(1.0, carried),
             make(lambda level, **options: placeable(level, carried, **options)),
         )
@@ -302,14 +306,14 @@ def test_responses_that_do_not_belong_together_are_refused_before_any_sensor_is_
 def test_distances_go_with_named_sensors_only(carried):
     made = {level: placeable(level, carried) for level in (0.5, 1.0, 2.0)}
     with pytest.raises(InputError, match="name the probes a, b, T1 and T2"):
-        study.calibrate_responses(made.pop(1.0), made, DISTANCES)
+        chain.calibrate_responses(made.pop(1.0), made, DISTANCES)
 
 
 def test_a_pair_that_fails_makes_way_for_the_next_without_fitting_table_1_again(
     carried, monkeypatch
 ):
     tried, fitted = [], []
-    fit_heat = study.calibrate_heat
+    fit_heat = chain.calibrate_heat
 
     def heat(*given):
         fitted.append(given)
@@ -319,13 +323,13 @@ def test_a_pair_that_fails_makes_way_for_the_next_without_fitting_table_1_again(
         tried.append(base)
         raise ConvergenceError("no stable inverse")
 
-    monkeypatch.setattr(study, "calibrate_heat", heat)
-    monkeypatch.setattr(study, "calibrate_fictitious", unstable)
-    rank = study.rank_joint_pairs
-    monkeypatch.setattr(study, "rank_joint_pairs", lambda *given: 3 * list(rank(*given)))
+    monkeypatch.setattr(chain, "calibrate_heat", heat)
+    monkeypatch.setattr(chain, "calibrate_fictitious", unstable)
+    rank = chain.rank_joint_pairs
+    monkeypatch.setattr(chain, "rank_joint_pairs", lambda *given: 3 * list(rank(*given)))
     made = {level: placeable(level, carried) for level in (0.5, 1.0, 2.0)}
     with pytest.raises(InputError, match="no stable inverse"):
-        study.calibrate_responses(made.pop(1.0), made)
+        chain.calibrate_responses(made.pop(1.0), made)
     assert len(tried) == 3
     assert len(fitted) == 1
 
@@ -377,10 +381,10 @@ def test_a_case_with_more_than_the_heat_input_is_refused_before_it_is_set_up(
 ):
     make, said = DISTURBED[name]
     case = drivable(coarse_data, **make(coarse_data, tmp_path))
-    monkeypatch.setattr(study, "set_up", None)  # would fail if they were called
+    monkeypatch.setattr(inputs, "set_up", None)  # would fail if they were called
     monkeypatch.setattr(reproduce, "set_up", None)
     for begin in (
-        lambda: study.simulate_inputs(case, study.CALIBRATION),
+        lambda: inputs.simulate_inputs(case, inputs.CALIBRATION),
         lambda: reproduce.reproduce(case, tmp_path / "out"),
     ):
         with pytest.raises(InputError) as caught:
@@ -432,7 +436,7 @@ def test_a_response_is_judged_with_noise_only_where_noise_is_asked_for(
     hand_made_model, coarse_response
 ):
     found = {
-        noisy: study.validate_model(
+        noisy: judge.validate_model(
             hand_made_model, None, {"triangle": coarse_response}, noisy=noisy
         )
         for noisy in ((), ("triangle",))
@@ -445,7 +449,7 @@ def test_a_response_of_slow_samples_is_judged_whatever_its_name(hand_made_model)
     slow = response(1.0, t=40.0 * np.arange(20))
     slow["probe_position"][:] = [hand_made_model.sensors[name] for name in PLACES]
     slow = slow.sel(axis=["x", "y"])
-    found = study.validate_model(hand_made_model, None, {"triangle": slow})
+    found = judge.validate_model(hand_made_model, None, {"triangle": slow})
     assert {row["case"] for row in found.rows} == {"triangle"}
 
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from artefacts.response import read_response, write_response
-from calibrate.model_file import Provenance, read_model, write_model
-from thermojoint import cli, console, paper_values, study, view
+from models.model_file import Provenance, read_model, write_model
+from thermojoint import cli, console, paper_values, view
 from thermojoint.commands import models, simulation
+from thermojoint.paper import inputs
 
 CASE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 COARSE = re.sub(r"joint_element_size_mm.*", "", CASE).replace(
@@ -475,7 +476,7 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
 
 def test_reproduce_leaves_every_file(results):
     names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
-    responses = {f"responses/{name}.nc" for name in study.CALIBRATION | study.VALIDATION}
+    responses = {f"responses/{name}.nc" for name in inputs.CALIBRATION | inputs.VALIDATION}
     figures = {f"figures/figure-{k:02d}" for k in range(6, 12)}
     assert {"model.json", "tables.json", "validation.json", "report.html"} | responses <= names
     assert all(any(name.startswith(figure) for name in names) for figure in figures)

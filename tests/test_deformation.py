@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from calibrate import deformation
-from calibrate.model import DeformationModel
+from models import deformation
+from models.parameters import DeformationModel
 
 RUN = np.arange(0.0, 2101.0, 2.0)
 #: Table 1, x-direction, and Table 3, first column (Attia & Fraser), in µm.

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from artefacts.errors import InputError
-from calibrate import deformation
 from calibrate.driven_deformation import (
     UNCERTAIN_TIMES,
     driver,
     fit_driven_deformation,
     uncertain_signals,
 )
-from calibrate.model import DeformationModel
+from models import deformation
+from models.parameters import DeformationModel
 
 INTERVAL = 4.0
 TIMES = INTERVAL * np.arange(1, 251)

@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from calibrate import deformation, ring_source
-from calibrate.model import (
+from estimator.fchs.saved_state import load_state, save_state
+from estimator.fchs.stream import initial_state, run, start, step, stream
+from estimator.judge import block_errors, superposed, validate
+from estimator.noise import sensor_noise
+from models import blocks, deformation, ring_source
+from models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -21,11 +25,8 @@ from calibrate.model import (
     Relaxation,
     RingModel,
 )
-from calibrate.regularisation import choose_regularisation
-from estimator import blocks
-from estimator.fchs import initial_state, run, start, step, stream
-from estimator.state_file import load_state, save_state
-from estimator.validation import block_errors, readings, sensor_noise, superposed, validate
+from models.regularisation import choose_regularisation
+from models.sensors import readings
 
 DT, LENGTH = 2.0, 2100.0
 TIMES = np.arange(1051) * DT

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from estimator.assembly import start
-from estimator.fchs import initial_state, step
-from estimator.fleet import assemble_fleet, initial_states, step_fleet
+from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
+from estimator.fchs.stream import initial_state, step
+from models.assembly import start
 
 DT, COUNT = 2.0, 12
 

@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError, InputError
-from calibrate import ring_source
-from calibrate.model import Regularisation, RingModel
-from calibrate.regularisation import choose_regularisation
-from estimator.convolution import heat_by_convolution, invert_laplace
-from estimator.inverse import (
+from models import ring_source
+from models.filters.bank import respond_to_line
+from models.filters.convolution import heat_by_convolution, invert_laplace
+from models.filters.inverse import (
     count_right_zeros,
     inverse_bank,
     regularised_transfer,
     unstable_zeros,
 )
-from estimator.recursion import respond_to_line
+from models.parameters import Regularisation, RingModel
+from models.regularisation import choose_regularisation
 
 DT, LENGTH = 2.0, 2100.0
 TABLE_1 = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)

@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from calibrate.model import (
+from models.model_file import Provenance, read_model, read_provenance, write_model
+from models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -17,7 +18,6 @@ from calibrate.model import (
     Relaxation,
     RingModel,
 )
-from calibrate.model_file import Provenance, read_model, read_provenance, write_model
 
 number = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=5e-324, allow_nan=False, allow_infinity=False)

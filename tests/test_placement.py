@@ -5,9 +5,7 @@ import pytest
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from calibrate import deformation, ring_source
-from calibrate.model import DeformationModel, RingModel
-from thermojoint.placement import (
+from calibrate.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
     PROPORTIONAL,
@@ -17,6 +15,8 @@ from thermojoint.placement import (
     sources_for,
     with_roles,
 )
+from models import deformation, ring_source
+from models.parameters import DeformationModel, RingModel
 
 TIMES = 4.0 * np.arange(226)
 LEVELS = (0.5, 1.0, 2.0)

@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError, InputError
-from calibrate import deformation, ring_source
-from calibrate.model import DeformationModel, RingModel
-from estimator.assembly import deformation_bank
-from estimator.pole_residue import direct_bank, excited_band, fit_strictly_proper
-from estimator.recursion import (
+from models import deformation, ring_source
+from models.assembly import deformation_bank
+from models.filters.bank import (
     Bank,
     over_interval,
     phi_functions,
@@ -20,6 +18,8 @@ from estimator.recursion import (
     respond_to_steps,
     simple_bank,
 )
+from models.filters.pole_residue import direct_bank, excited_band, fit_strictly_proper
+from models.parameters import DeformationModel, RingModel
 
 TABLE_1 = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
 EQ_18 = DeformationModel(0.767e-6, 1.2e-6, -1.45e-8, 0.00971, 0.00441, 0.00849, F=1.89e-8, f=0.0199)

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.special import i0e, ive, j0, kve
 
 from artefacts.errors import InputError
-from calibrate.ring_source import (
+from models.ring_source import (
     impulse_response,
     steady_value,
     step_response,

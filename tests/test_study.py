@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 
 from artefacts.errors import InputError
-from fesim.case import case_from_data
-from thermojoint import study
-from thermojoint.measured import roles_in
-from thermojoint.placement import (
+from calibrate import chain
+from calibrate.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
     rank_joint_pairs,
     sources_for,
     with_roles,
 )
+from estimator import judge, noise
+from fesim.case import case_from_data
+from models.sensors import roles_in
+from thermojoint.paper import inputs
 from thermojoint.reproduce import reproduce
 
 AXES = ("x", "y")
@@ -52,13 +54,13 @@ def responses(results):
 
 @pytest.fixture(scope="module")
 def model(results):
-    from calibrate.model_file import read_model
+    from models.model_file import read_model
 
     return read_model(results / "model.json")
 
 
 def test_a_run_leaves_every_file(results):
-    names = {f"responses/{name}.nc" for name in (*study.CALIBRATION, *study.VALIDATION)}
+    names = {f"responses/{name}.nc" for name in (*inputs.CALIBRATION, *inputs.VALIDATION)}
     names |= {"model.json", "tables.json", "validation.json", "report.html"}
     found = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
     assert names <= found
@@ -112,8 +114,8 @@ def test_the_estimator_sees_temperatures_only(model, responses):
     reference, triangle = responses["step-1.0"], responses["triangle"]
     blind = triangle.assign(displacement=0.0 * triangle["displacement"] + 1.0)
     blind["displacement"].attrs = triangle["displacement"].attrs
-    seen = study.validate_model(model, reference, {"triangle": triangle}).estimates["triangle"]
-    unseen = study.validate_model(model, reference, {"triangle": blind}).estimates["triangle"]
+    seen = judge.validate_model(model, reference, {"triangle": triangle}).estimates["triangle"]
+    unseen = judge.validate_model(model, reference, {"triangle": blind}).estimates["triangle"]
     assert np.array_equal(seen.total, unseen.total)
 
 
@@ -121,7 +123,7 @@ def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, res
     base = responses["step-1.0"]
     roles = roles_in(base, model)
     named = {name: with_roles(r, roles) for name, r in responses.items()}
-    again = study.calibrate_responses(
+    again = chain.calibrate_responses(
         named["step-1.0"], {0.5: named["step-0.5"], 2.0: named["step-2.0"]}
     )
     assert again.placement is None
@@ -133,7 +135,7 @@ def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, res
 def test_responses_without_sensors_or_candidates_are_refused(responses):
     bare = {n: r.isel(probe=slice(0, 3)).assign_attrs(case="") for n, r in responses.items()}
     with pytest.raises(InputError, match="name the sensors a, b, T1 and T2"):
-        study.calibrate_responses(bare["step-1.0"], {0.5: bare["step-0.5"], 2.0: bare["step-2.0"]})
+        chain.calibrate_responses(bare["step-1.0"], {0.5: bare["step-0.5"], 2.0: bare["step-2.0"]})
 
 
 def test_roles_keep_the_values_of_their_probes(responses):
@@ -174,7 +176,7 @@ def test_joint_pairs_come_best_first_and_apart(responses):
 
 
 def test_the_noise_is_seeded_and_as_large_as_the_papers(responses):
-    first, again = (study.joint_noise(responses["triangle"]) for _ in range(2))
+    first, again = (noise.joint_noise(responses["triangle"]) for _ in range(2))
     for role in ("T1", "T2"):
         assert np.array_equal(first[role], again[role])
         assert np.ptp(first[role]) == pytest.approx(0.12)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from calibrate.model import DeformationModel
-from calibrate.model_file import Provenance
+from models.model_file import Provenance
+from models.parameters import DeformationModel
 from thermojoint import console, paper_values
 from thermojoint.tables import NOTE, printed_tables, tables_json
 

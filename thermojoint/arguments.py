@@ -13,7 +13,7 @@ from typing import TextIO
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
-from calibrate.linear import JOINT_SENSORS
+from models.sensors import JOINT_SENSORS
 
 
 def shown(path: Path) -> str:

@@ -49,7 +49,7 @@ class ReportData:
     tables : sequence of PrintedTable
         Tables 1-3.
     validation, blocks : sequence of mapping
-        Rows of `estimator.validation.validate` and `block_errors`.
+        Rows of `estimator.judge.validate` and `block_errors`.
     schemes : sequence of SchemeErrors
         The two calibrations of Eq. 18 beside the linear estimator.
     convergence : mapping

@@ -13,24 +13,27 @@ from rich.console import Console
 
 from artefacts.files import write_text
 from artefacts.response import write_response
-from calibrate.model import Model
-from calibrate.model_file import Provenance, write_model
-from estimator.fchs import Estimate
-from estimator.validation import superposed
+from calibrate import chain
+from calibrate.placement import with_roles
+from calibrate.provenance import provenance_of
+from estimator import judge
+from estimator.fchs.stream import Estimate
+from estimator.judge import superposed
 from fesim.case import Case
 from fesim.setup import Setup, set_up
-from thermojoint import console, study
-from thermojoint.calibration_input import check_drivable, check_placeable
+from models.model_file import Provenance, write_model
+from models.parameters import Model
+from models.sensors import roles_in
+from thermojoint import console
 from thermojoint.figures import (
     displacements_figure,
     pressure_figure,
     temperatures_figure,
     write_figure,
 )
-from thermojoint.measured import roles_in
+from thermojoint.paper import inputs
+from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.pictures import write_pictures
-from thermojoint.placement import with_roles
-from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
 from thermojoint.summary import compare_schemes, convergence, pressure_share
 from thermojoint.tables import printed_tables, tables_json
@@ -68,7 +71,8 @@ def reproduce(case: Case, out: Path) -> None:
     ----------
     case : Case
         The machine; its heat input is replaced by those of the study. Nothing else may act on it
-        (`calibration_input.check_drivable`), and it names its sensors or has candidates for them.
+        (`thermojoint.paper.inputs.check_drivable`), and it names its sensors or has candidates
+        for them.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``tables.json``, ``validation.json``,
         ``figures/*.png`` and ``report.html``.
@@ -86,8 +90,8 @@ def reproduce(case: Case, out: Path) -> None:
         report("setting up", 0, 1)
         setup = set_up(case)
         report("setting up", 1, 1)
-        inputs = study.CALIBRATION | study.VALIDATION
-        responses = study.simulate_inputs(case, inputs, setup=setup, progress=report)
+        heats = inputs.CALIBRATION | inputs.VALIDATION
+        responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
         for name, response in responses.items():
             write_response(response, out / "responses" / f"{name}.nc")
 
@@ -106,8 +110,8 @@ def reproduce(case: Case, out: Path) -> None:
         report("calibrating", 1, 1)
 
         report("validating", 0, 1)
-        judged = {name: responses[name] for name in study.VALIDATION}
-        validated = study.validate_model(
+        judged = {name: responses[name] for name in inputs.VALIDATION}
+        validated = judge.validate_model(
             calibrated.model, responses[REFERENCE], judged, noisy=[TRIANGLE]
         )
         _write_json(out / "validation.json", validated.figures())
@@ -115,7 +119,7 @@ def reproduce(case: Case, out: Path) -> None:
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
-        hot = case.model_copy(update={"heat_input": inputs[PRESSURE]})
+        hot = case.model_copy(update={"heat_input": heats[PRESSURE]})
         pictures = _draw(out / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)
 
@@ -232,13 +236,13 @@ def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
 
 def _calibrate(
     case: Case, responses: Mapping[str, xr.Dataset]
-) -> tuple[study.Calibrated, Provenance]:
+) -> tuple[chain.Calibrated, Provenance]:
     others = {
         float(responses[name]["heat_input"][-1]): responses[name]
-        for name in study.CALIBRATION
+        for name in inputs.CALIBRATION
         if name != REFERENCE
     }
-    calibrated = study.calibrate_responses(responses[REFERENCE], others)
+    calibrated = chain.calibrate_responses(responses[REFERENCE], others)
     origin = case.model_dump_json()
     return calibrated, provenance_of(calibrated, origin)
 

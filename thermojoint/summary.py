@@ -179,7 +179,7 @@ def compare_schemes(
     Parameters
     ----------
     rows, as_printed, vectors
-        See `thermojoint.study.Validated`.
+        See `estimator.judge.Validated`.
 
     Returns
     -------

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from calibrate.model import DeformationModel, Model
-from calibrate.model_file import Provenance
+from models.model_file import Provenance
+from models.parameters import DeformationModel, Model
 from thermojoint import paper_values
 
 _MICRO = 1e6

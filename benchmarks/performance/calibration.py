@@ -17,9 +17,9 @@ from scipy.optimize import OptimizeResult, least_squares
 from artefacts.response import read_response, write_response
 from benchmarks.performance.cases import REFERENCE, calibrated, calibration_responses, others
 from benchmarks.performance.timing import Row, paired
+from calibrate import chain
 from calibrate.driven_deformation import driver
-from calibrate.ring_source import step_response
-from thermojoint import study
+from models.ring_source import step_response
 
 REPEATS = 3
 Array = np.ndarray
@@ -28,7 +28,7 @@ Array = np.ndarray
 def rows(repeats: int = REPEATS) -> Iterator[Row]:
     """Yield the rows of the calibration."""
     found, named = calibrated()
-    results: dict[str, study.Calibrated] = {}
+    results: dict[str, chain.Calibrated] = {}
     distances = None if found.placement is None else found.placement.distances.tolist()
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -37,7 +37,7 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
 
         def calibrate(files: dict[str, Path], distances: list[list[float]] | None) -> None:
             read = {name: read_response(path) for name, path in files.items()}
-            results["ours"] = study.calibrate_responses(read[REFERENCE], others(read), distances)
+            results["ours"] = chain.calibrate_responses(read[REFERENCE], others(read), distances)
 
         ours = partial(calibrate, chosen, distances)
 
@@ -70,7 +70,7 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
         )
 
 
-def fit_errors(found: study.Calibrated) -> dict[str, float]:
+def fit_errors(found: chain.Calibrated) -> dict[str, float]:
     """Rms error of every fit of Tables 1-3."""
     fits = dict(found.linear.fits) | {"sources": found.fictitious.joint.fit}
     fits |= {f"sources.{axis}": fit for axis, fit in found.fictitious.deformation_fits.items()}
@@ -104,7 +104,7 @@ def finite_differences() -> Iterator[None]:
     with ExitStack() as stack:
         for name, value in {
             "calibrate.least_squares.least_squares": without_gradient,
-            "calibrate.ring_source.step_response_gradient": response_alone,
+            "models.ring_source.step_response_gradient": response_alone,
             "calibrate.driven_deformation.driver": columns_alone,
         }.items():
             stack.enter_context(patch(name, value))

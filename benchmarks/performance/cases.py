@@ -15,10 +15,11 @@ from unittest.mock import patch
 import xarray as xr
 
 from artefacts.errors import InputError
+from calibrate import chain
+from calibrate.placement import with_roles
 from fesim.cache import VARIABLE
 from fesim.case import Case, StepInput, parse_case
-from thermojoint import study
-from thermojoint.placement import with_roles
+from thermojoint.paper import inputs
 
 REFERENCE = "step-1.0"
 
@@ -91,7 +92,7 @@ def fresh_condensations() -> Iterator[None]:
 @cache
 def calibration_responses() -> dict[str, xr.Dataset]:
     """Return the responses that `thermojoint reproduce` calibrates with."""
-    return study.simulate_inputs(reference_machine(), study.CALIBRATION)
+    return inputs.simulate_inputs(reference_machine(), inputs.CALIBRATION)
 
 
 def others(responses: dict[str, xr.Dataset]) -> dict[float, xr.Dataset]:
@@ -104,10 +105,10 @@ def others(responses: dict[str, xr.Dataset]) -> dict[float, xr.Dataset]:
 
 
 @cache
-def calibrated() -> tuple[study.Calibrated, dict[str, xr.Dataset]]:
+def calibrated() -> tuple[chain.Calibrated, dict[str, xr.Dataset]]:
     """Return the calibrated reference machine, and the responses with their sensors named."""
     responses = calibration_responses()
-    found = study.calibrate_responses(responses[REFERENCE], others(responses))
+    found = chain.calibrate_responses(responses[REFERENCE], others(responses))
     if found.placement is None:
         raise InputError("benchmarks: the reference machine names its sensors; remove [probes]")
     roles = found.placement.roles

@@ -2,7 +2,7 @@
 
 In two ways: block after block, as the figure draws it, and with one kernel for all blocks together,
 which is the least that a convolution can cost. Both hold history and kernels for a number of
-samples at one interval, and both give the numbers of `estimator.fchs`.
+samples at one interval, and both give the numbers of `estimator.fchs.stream`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.fchs import Estimator, run
-from estimator.recursion import Bank, respond_to_line, respond_to_steps
+from estimator.fchs.stream import Estimator, run
+from models.filters.bank import Bank, respond_to_line, respond_to_steps
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from benchmarks.performance.timing import Row, paired
 from fesim.case import Case, step_count
 from fesim.setup import Setup, set_up
 from fesim.simulate import simulate
-from thermojoint.study import VALIDATION
+from thermojoint.paper.inputs import VALIDATION
 
 REPEATS = 3
 #: Largest errors asked for: displacement, um; temperature, mK; pressure, of its peak.

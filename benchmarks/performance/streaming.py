@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
 from benchmarks.performance.timing import Row, paired
-from estimator.fchs import Estimator, initial_state, run, start, step
-from estimator.fleet import assemble_fleet, initial_states, step_fleet
-from estimator.validation import readings
-from thermojoint.measured import roles_in
+from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
+from estimator.fchs.stream import Estimator, initial_state, run, start, step
+from models.sensors import readings, roles_in
 
 Array = NDArray[np.float64]
 Sample = Callable[[int], object]

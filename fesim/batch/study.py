@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.stats import qmc
 
 from artefacts.errors import InputError, unknown_name
-from artefacts.validation import refusal
+from artefacts.refusal import refusal
 from fesim.batch.paths import known_paths, with_values
 from fesim.case import Case, case_from_data, parse_case
 from fesim.loads import thermal_inputs

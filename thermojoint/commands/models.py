@@ -15,13 +15,15 @@ import typer
 from artefacts.errors import InputError
 from artefacts.files import write_text
 from artefacts.response import read_response
-from calibrate.model_file import read_model, read_provenance, write_model
-from estimator.assembly import start
-from estimator.fchs import initial_state, stream
-from estimator.state_file import load_state, save_state
+from calibrate import chain
+from calibrate.provenance import provenance_of
+from estimator import judge, measured, noise
+from estimator.fchs.saved_state import load_state, save_state
+from estimator.fchs.stream import initial_state, stream
 from fesim.case import read_case
-from thermojoint import arguments, console, measured, study
-from thermojoint.provenance import provenance_of
+from models.assembly import start
+from models.model_file import read_model, read_provenance, write_model
+from thermojoint import arguments, console
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes
 from thermojoint.tables import printed_tables, tables_json
@@ -61,7 +63,7 @@ def calibrate(
         raise InputError("--input: a heat input is given twice; give each once")
     with console.progress_bars() as report:
         report("calibrating", 0, 1)
-        calibrated = study.calibrate_responses(base, others, apart)
+        calibrated = chain.calibrate_responses(base, others, apart)
         report("calibrating", 1, 1)
     case = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, case)
@@ -186,10 +188,10 @@ def validate(
     if noise_pp is not None:
         # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
         given = {
-            f"{name}, {noise_pp:g} K noise": measured.with_noise(response, table, noise_pp, seed)
+            f"{name}, {noise_pp:g} K noise": noise.with_noise(response, table, noise_pp, seed)
             for name, response in given.items()
         }
-    found = study.validate_model(table, base, given)
+    found = judge.validate_model(table, base, given)
     if out:
         write_text(out, json.dumps(found.figures(), indent=2) + "\n")
     console.show_validation(console.out(), found.rows)

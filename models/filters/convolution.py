@@ -17,9 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from artefacts.errors import ConvergenceError
-from calibrate.model import Regularisation, RingModel
-from estimator.inverse import regularised_transfer
-from estimator.pole_residue import Transfer
+from models.filters.inverse import regularised_transfer
+from models.filters.pole_residue import Transfer
+from models.parameters import Regularisation, RingModel
 
 #: Singularities may lie within this angle of the negative real axis, rad; the contour's own
 #: angle is half way from there to the vertical.
@@ -75,7 +75,7 @@ def heat_by_convolution(
     Parameters
     ----------
     rings, regularisations
-        As in `estimator.inverse.inverse_bank`.
+        As in `models.filters.inverse.inverse_bank`.
     times : ndarray, shape (k,)
         s, increasing, any intervals.
     temperatures : ndarray, shape (k, n)

@@ -1,10 +1,11 @@
-"""What a calibration takes: cases to simulate and responses, refused before any long work.
+"""What a calibration takes: responses that belong together, refused before any long work.
 
 Every check ends in one line that says what is wrong, where, and what to do.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 
@@ -12,76 +13,16 @@ import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
+from artefacts.response import axes_of, probes_of
 from calibrate import steps
 from calibrate.fictitious import check_steps
-from calibrate.linear import JOINT_SENSORS
 from calibrate.source_thermal import make_geometry
-from fesim.case import CandidatesSection, Case, step_count
-from fesim.history import read_history
-from fesim.loads import held_history
-from fesim.simulate import case_in
+from models.sensors import JOINT_SENSORS, ROLES
 
-ROLES = ("a", "b", *JOINT_SENSORS)
 #: An axis along which nothing moves by more than this part of the largest displacement is left out.
 STILL = 1e-3
 #: What errors call the responses.
 WHERE = "calibration responses"
-
-
-def check_drivable(case: Case) -> None:
-    """Refuse a case whose response to a heat input would not be that of the heat input alone.
-
-    The deviation from proportionality, T(Q) - Q T(1), of whatever else warms the structure is
-    (1 - Q) times its effect: it would be taken for the joint's.
-
-    Raises
-    ------
-    InputError
-        There is no source, a source has a heat input of its own, or the ambient or a held
-        temperature is not that of the start.
-    """
-    if not case.sources:
-        raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
-    for name, source in case.sources.items():
-        if source.heat_input is not None:
-            raise InputError(
-                f"sources.{name}.heat_input: calibration drives all sources alike; leave it out"
-            )
-    times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
-    if case.ambient is not None:
-        ambient = read_history(case.ambient.file, "ambient_degC")(times)
-        if np.ptp(ambient) > 0.0:
-            raise InputError("ambient: calibration needs a steady ambient; leave [ambient] out")
-    for name, section in case.held_temperatures.items():
-        if held_history(section)(times).any():
-            raise InputError(
-                f"held_temperatures.{name}: calibration needs the surface at the initial ambient; "
-                "set rise_K = 0"
-            )
-
-
-def check_placeable(case: Case) -> None:
-    """Refuse a case whose responses could not be calibrated.
-
-    Raises
-    ------
-    InputError
-        There is no joint, or neither are the sensors named nor are there candidates to choose from.
-    """
-    if not case.joints:
-        raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
-    if not set(case.probes) >= set(ROLES):
-        _two_boxes(case)
-
-
-def _two_boxes(case: Case) -> tuple[CandidatesSection, CandidatesSection]:
-    if len(case.candidates) != 2:
-        raise InputError(
-            f"candidates: the placement rule needs two boxes, the first around the source, the "
-            f"second at the joint; the case has {len(case.candidates)}"
-        )
-    first, second = case.candidates
-    return first, second
 
 
 def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
@@ -92,17 +33,33 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
     InputError
         The response carries no case, or its case has not two boxes.
     """
-    missing = ", ".join(sorted(set(ROLES) - set(probes_of(response))))
-    otherwise = f"and no probe {missing}; name the sensors a, b, T1 and T2"
-    first, second = _two_boxes(case_in(response, f"{WHERE}, reference", otherwise))
-    return _inside(response, first), _inside(response, second)
+    try:
+        boxes = json.loads(response.attrs["case"])["candidates"]
+    except (KeyError, ValueError, TypeError):
+        missing = ", ".join(sorted(set(ROLES) - set(probes_of(response))))
+        raise InputError(
+            f"{WHERE}, reference: holds no case, and no probe {missing}; name the sensors a, b, "
+            "T1 and T2"
+        ) from None
+    check_boxes(len(boxes))
+    near_source, at_joint = (_inside(response, box["low_mm"], box["high_mm"]) for box in boxes)
+    return near_source, at_joint
 
 
-def _inside(response: xr.Dataset, box: CandidatesSection) -> list[str]:
+def check_boxes(count: int) -> None:
+    """Refuse any other number of candidate boxes than the placement rule's two."""
+    if count != 2:
+        raise InputError(
+            f"candidates: the placement rule needs two boxes, the first around the source, the "
+            f"second at the joint; the case has {count}"
+        )
+
+
+def _inside(response: xr.Dataset, low_mm: Sequence[float], high_mm: Sequence[float]) -> list[str]:
     position = 1e3 * response["probe_position"].to_numpy()
-    low, high = np.array(box.low_mm) - 1e-6, np.array(box.high_mm) + 1e-6
+    low, high = np.array(low_mm) - 1e-6, np.array(high_mm) + 1e-6
     holds = ((position >= low) & (position <= high)).all(axis=1)
-    return [str(name) for name in response["probe"].to_numpy()[holds]]
+    return [probes_of(response)[index] for index in np.flatnonzero(holds)]
 
 
 def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> None:
@@ -136,11 +93,6 @@ def check_probes(others: Mapping[float, xr.Dataset], needed: Sequence[str]) -> N
         for probe in needed:
             if probe not in known:
                 raise unknown_name("probe", probe, known, f"{WHERE}, input {level:g}")
-
-
-def probes_of(response: xr.Dataset) -> list[str]:
-    """Return the names of the probes of a response."""
-    return [str(name) for name in response["probe"].to_numpy()]
 
 
 def reference_power(response: xr.Dataset) -> float:
@@ -192,7 +144,7 @@ def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> li
     InputError
         Nothing moves.
     """
-    axes = [str(name) for name in reference["axis"].to_numpy()]
+    axes = axes_of(reference)
     peaks = np.max(
         [
             np.abs(response["displacement"].sel(axis=axes).to_numpy()).max(axis=0)

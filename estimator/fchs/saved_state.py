@@ -14,7 +14,7 @@ import numpy as np
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from estimator.fchs import Estimator
+from estimator.fchs.stream import Estimator
 
 SCHEMA = "thermojoint-estimator-state"
 SCHEMA_VERSION = 1

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import ConvergenceError, InputError
-from calibrate.model import RingModel
-from calibrate.ring_source import transfer_function
-from estimator.recursion import Bank, simple_bank
+from models.filters.bank import Bank, simple_bank
+from models.parameters import RingModel
+from models.ring_source import transfer_function
 
 Transfer = Callable[[np.ndarray], np.ndarray]
 

@@ -1,8 +1,8 @@
-"""The chain across the packages: simulate, place, calibrate, validate. Data in, data out."""
+"""The chain of a calibration: place the sensors, fit Tables 1-3, make the inverse stable."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -11,44 +11,16 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import ConvergenceError, InputError, ThermojointError
+from artefacts.response import axes_of, probes_of
 from calibrate.driven_deformation import fit_driven_deformation, uncertain_signals
 from calibrate.fictitious import FictitiousCalibration, calibrate_fictitious
 from calibrate.linear import (
-    JOINT_SENSORS,
     LinearCalibration,
     calibrate_displacements,
     calibrate_heat,
     with_direct_models,
 )
-from calibrate.model import (
-    DeformationModel,
-    FictitiousSource,
-    Model,
-    Regularisation,
-    RingModel,
-)
-from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
-from estimator import blocks
-from estimator.assembly import start
-from estimator.fchs import Estimate
-from estimator.inverse import unstable_zeros
-from estimator.validation import block_errors, readings, sensor_noise, validate
-from fesim.case import Case, StepInput, TriangleInput
-from fesim.setup import Setup, set_up
-from fesim.simulate import simulate
-from thermojoint.calibration_input import (
-    ROLES,
-    candidates_in,
-    check_drivable,
-    check_probes,
-    check_responses,
-    checked_distances,
-    moving_axes,
-    probes_of,
-    reference_power,
-)
-from thermojoint.measured import roles_in
-from thermojoint.placement import (
+from calibrate.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
     Placement,
@@ -57,26 +29,33 @@ from thermojoint.placement import (
     sources_for,
     with_roles,
 )
+from calibrate.responses import (
+    candidates_in,
+    check_probes,
+    check_responses,
+    checked_distances,
+    moving_axes,
+    reference_power,
+)
+from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
+from models import blocks
+from models.assembly import start
+from models.filters.inverse import unstable_zeros
+from models.parameters import (
+    DeformationModel,
+    FictitiousSource,
+    Model,
+    Regularisation,
+    RingModel,
+)
+from models.sensors import JOINT_SENSORS, ROLES, readings
 
-HeatInput = StepInput | TriangleInput
-Report = Callable[[str, int, int], None]
-
-CALIBRATION: dict[str, HeatInput] = {
-    "step-0.5": StepInput(kind="step", level=0.5),
-    "step-1.0": StepInput(kind="step", level=1.0),
-    "step-2.0": StepInput(kind="step", level=2.0),
-}
-VALIDATION: dict[str, HeatInput] = {
-    "step-1.5": StepInput(kind="step", level=1.5),
-    "step-3.0": StepInput(kind="step", level=3.0),
-    "triangle": TriangleInput(kind="triangle", peak=2.0, duration_min=10.0),
-}
-NOISE_PEAK_TO_PEAK_K = 0.12
-NOISE_SEED = 0
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0
 #: Joint pairs that the placement tries before it gives up.
 MOST_PAIRS = 40
+#: Seed of the temperature errors that must give no displacement.
+SEED = 0
 
 
 @dataclass(frozen=True)
@@ -103,68 +82,6 @@ class Calibrated:
     placement: Placement | None
 
 
-@dataclass(frozen=True)
-class Validated:
-    """The estimator against responses.
-
-    Attributes
-    ----------
-    rows : list of dict
-        See `estimator.validation.validate`.
-    vectors : list of dict
-        case, estimator, max_abs_error_um: largest length of the error in all axes together.
-    as_printed : list of dict
-        `rows` of the paper's own scheme, whose deformation models are calibrated to steps.
-    blocks : list of dict
-        See `estimator.validation.block_errors`; empty without a reference response.
-    estimates : dict
-        Case to the whole run.
-    """
-
-    rows: list[dict[str, str | float]]
-    vectors: list[dict[str, str | float]]
-    as_printed: list[dict[str, str | float]]
-    blocks: list[dict[str, str | float]]
-    estimates: dict[str, Estimate]
-
-    def figures(self) -> dict[str, list[dict[str, str | float]]]:
-        """All errors, ready for a JSON file."""
-        return {
-            "rows": self.rows,
-            "vectors": self.vectors,
-            "as_printed": self.as_printed,
-            "blocks": self.blocks,
-        }
-
-
-def simulate_inputs(
-    case: Case,
-    inputs: Mapping[str, HeatInput],
-    *,
-    setup: Setup | None = None,
-    progress: Report | None = None,
-) -> dict[str, xr.Dataset]:
-    """Return the response of one structure to several heat inputs; it is set up once.
-
-    Raises
-    ------
-    InputError
-        Something else than the heat inputs would act on the structure, too.
-    """
-    check_drivable(case)
-    ready = setup if setup is not None else set_up(case)
-
-    def run(name: str, heat: HeatInput) -> xr.Dataset:
-        def told(done: int, count: int) -> None:
-            if progress is not None:
-                progress(name, done, count)
-
-        own = case.model_copy(update={"heat_input": heat, "title": f"{case.title}, {name}"})
-        return simulate(own, setup=ready, progress=told).response
-
-    return {name: run(name, heat) for name, heat in inputs.items()}
-
-
 @threadpool_limits.wrap(limits=1)
 def calibrate_responses(
     reference: xr.Dataset,
@@ -173,7 +90,7 @@ def calibrate_responses(
 ) -> Calibrated:
     """Return the calibrated model of a structure from its responses to steps.
 
-    Every axis along which something moves is calibrated (`calibration_input.moving_axes`).
+    Every axis along which something moves is calibrated (`calibrate.responses.moving_axes`).
 
     Parameters
     ----------
@@ -213,75 +130,10 @@ def calibrate_responses(
     return _calibrate(base, rest, table, calibrate_heat(base, calibrate_displacements(base)), None)
 
 
-@threadpool_limits.wrap(limits=1)
-def validate_model(
-    model: Model,
-    reference: xr.Dataset | None,
-    responses: Mapping[str, xr.Dataset],
-    noisy: Collection[str] = (),
-) -> Validated:
-    """Judge a model by responses, from temperatures alone.
-
-    Parameters
-    ----------
-    model : Model
-        What is judged.
-    reference : xarray.Dataset, optional
-        Response to the reference step, to tell the actual nonlinear part.
-    responses : mapping
-        Name to response.
-    noisy : collection of str
-        Names of responses to judge once more with `joint_noise`, as "NAME-noise".
-    """
-    printed = replace(model, sources=tuple(replace(one, driven={}) for one in model.sources))
-    found = Validated([], [], [], [], {})
-    for name, response in responses.items():
-        roles = roles_in(response, model)
-        again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
-        for case, noise in ({name: None} | again).items():
-            rows, estimate = validate(
-                case, response, model, reference=reference, roles=roles, noise=noise
-            )
-            found.rows.extend(rows)
-            found.vectors.extend(_vector_errors(case, response, model, estimate))
-            found.estimates[case] = estimate
-            as_printed, _ = validate(
-                case, response, printed, reference=reference, roles=roles, noise=noise
-            )
-            found.as_printed.extend(row for row in as_printed if row["estimator"] == "fchs")
-            if reference is not None:
-                found.blocks.extend(
-                    block_errors(case, response, model, reference, roles=roles, noise=noise)
-                )
-    return found
-
-
-def _vector_errors(
-    case: str, response: xr.Dataset, model: Model, estimate: Estimate
-) -> list[dict[str, str | float]]:
-    actual = response["displacement"].sel(axis=list(model.linear.deformation)).to_numpy()
-    return [
-        {
-            "case": case,
-            "estimator": name,
-            "max_abs_error_um": 1e6 * float(np.linalg.norm(claimed - actual, axis=1).max()),
-        }
-        for name, claimed in (("linear", estimate.linear), ("fchs", estimate.total))
-    ]
-
-
-def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
-    """Noise on T1 and T2, as in the paper: about 0.12 K peak to peak, high-pass, seeded."""
-    channels = sensor_noise(
-        response["time"].to_numpy(), NOISE_PEAK_TO_PEAK_K, NOISE_SEED, len(JOINT_SENSORS)
-    )
-    return {role: channels[:, k] for k, role in enumerate(JOINT_SENSORS)}
-
-
 def _place_and_calibrate(
     base: xr.Dataset, rest: Mapping[float, xr.Dataset], near_source: list[str], at_joint: list[str]
 ) -> Calibrated:
-    axes = [str(axis) for axis in base["axis"].to_numpy()]
+    axes = axes_of(base)
     displacements = calibrate_displacements(base)
     shapes = {axis: shape for axis, (shape, _) in displacements.items()}
     heat = choose_heat_pair(base, rest, shapes, near_source)
@@ -389,7 +241,7 @@ def _driven_models(
         seen = readings(rest[level], model)
         heat = blocks.heat_part(estimator, times, seen.delta_T)
         runs.append(blocks.deviations(estimator, times, heat, seen.temperatures))
-    still = uncertain_signals(times, DEVIATION_UNCERTAINTY, estimator.n_sources, NOISE_SEED)
+    still = uncertain_signals(times, DEVIATION_UNCERTAINTY, estimator.n_sources, SEED)
     strengths = np.stack(
         [blocks.source_part(estimator, times, run)[after] for run in (*runs, *still)]
     ).transpose(2, 0, 1)

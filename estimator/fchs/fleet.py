@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import InputError
-from estimator.assembly import Estimator
-from estimator.fchs import Estimate, propagator
+from estimator.fchs.stream import Estimate, propagator
+from models.assembly import Estimator
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+from calibrate.chain import Calibrated
 from calibrate.fit_result import report
-from calibrate.model_file import Provenance
 from calibrate.source_thermal import compare
-from thermojoint.study import Calibrated
+from models.model_file import Provenance
 
 _MICRO = 1e6
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationErro
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from calibrate.model import (
+from models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -24,11 +24,10 @@ from calibrate.model import (
     Relaxation,
     RingModel,
 )
+from models.sensors import JOINT_SENSORS, ROLES
 
 SCHEMA = "thermojoint-model"
 SCHEMA_VERSION = 1
-#: Sensors that the estimator reads.
-SENSOR_ROLES = ("a", "b", "T1", "T2")
 #: Written into every file; heat input and strengths are dimensionless.
 UNITS = {
     "K": "K",
@@ -248,12 +247,12 @@ def _check_consistent(file: _File, where: str) -> None:
     """Raise InputError unless units, sensors, axes, distances and spectra fit together."""
     if file.units != UNITS:
         raise InputError(f"{where}: units differ from {UNITS}; convert the values")
-    for role in SENSOR_ROLES:
+    for role in ROLES:
         if role not in file.sensors:
             raise InputError(f"{where}: sensors: {role!r} is missing; give its position in m")
         if len(file.sensors[role]) != 3:
             raise InputError(f"{where}: sensors: {role!r} needs three coordinates in m")
-    for role in SENSOR_ROLES[2:]:
+    for role in JOINT_SENSORS:
         if role not in file.linear.direct:
             raise InputError(f"{where}: linear.direct: the model of {role!r} is missing")
     for name, part in file.linear.direct.items():

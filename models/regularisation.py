@@ -27,8 +27,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from artefacts.errors import ConvergenceError, InputError
-from calibrate import ring_source
-from calibrate.model import Regularisation, RingModel
+from models import ring_source
+from models.parameters import Regularisation, RingModel
 
 #: gamma · t_A tried, largest first, and the factors on A.
 _GAMMAS = tuple(2.0 * 0.85**k for k in range(9))

@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from artefacts.errors import InputError
-from estimator.assembly import Estimator, start
-from estimator.recursion import over_interval
+from models.assembly import Estimator, start
+from models.filters.bank import over_interval
 
 __all__ = [
     "Estimate",

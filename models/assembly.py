@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import InputError
-from calibrate.model import DeformationModel, Model, Relaxation, RingModel
-from estimator.inverse import inverse_bank
-from estimator.pole_residue import direct_bank
-from estimator.recursion import Bank, simple_bank, stacked, summed
+from models.filters.bank import Bank, simple_bank, stacked, summed
+from models.filters.inverse import inverse_bank
+from models.filters.pole_residue import direct_bank
+from models.parameters import DeformationModel, Model, Relaxation, RingModel
 
 #: Relative error of the rational approximations over the band of a run.
 TOLERANCE = 1e-6

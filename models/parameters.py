@@ -1,6 +1,6 @@
 """The calibrated model: every parameter of Tables 1-3, in SI, as frozen data.
 
-`calibrate` makes it, `estimator` runs it; `calibrate.model_file` stores it as JSON. The heat input
+`calibrate` makes it, `estimator` runs it; `models.model_file` stores it as JSON. The heat input
 is relative to the reference step (dimensionless), so `K` is in kelvin per unit of heat input.
 """
 

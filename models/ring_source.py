@@ -140,7 +140,7 @@ def step_response(
     t : array_like
         Times, s, >= 0, any shape and order.
     K, a, alpha, r, r0 : float
-        As in `calibrate.model.RingModel`.
+        As in `models.parameters.RingModel`.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def transfer_function(
     s : array_like of complex
         Laplace variable, 1/s, any shape.
     K, a, alpha, r, r0 : float
-        As in `calibrate.model.RingModel`.
+        As in `models.parameters.RingModel`.
 
     Returns
     -------

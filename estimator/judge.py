@@ -7,127 +7,57 @@ difference between two rows is the error of what was replaced.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from scipy.signal import butter, sosfiltfilt
+from threadpoolctl import threadpool_limits
 
-from artefacts.errors import InputError, unknown_name
-from calibrate.model import Model
+from artefacts.errors import InputError
+from artefacts.response import axes_of, probes_of
 from calibrate.steps import step_level
-from estimator import blocks
-from estimator.fchs import Estimate, Estimator, run, start
+from estimator.fchs.stream import Estimate, Estimator, run, start
+from estimator.noise import joint_noise
+from models import blocks
+from models.parameters import Model
+from models.sensors import displacement_along, readings, roles_in
 
-#: Period above which the noise is filtered out, s: it has no offset and no drift.
-NOISE_PERIOD_S = 60.0
 _MICRO = 1e6
 
 
 @dataclass(frozen=True)
-class Readings:
-    """All that the estimator may know of a structure.
+class Validated:
+    """The estimator against responses.
 
     Attributes
     ----------
-    times : ndarray, shape (k,)
-        s.
-    delta_T : ndarray, shape (k,)
-        T_a - T_b, K.
-    temperatures : ndarray, shape (k, n)
-        T1, T2, ... above the current ambient, K.
+    rows : list of dict
+        See `validate`.
+    vectors : list of dict
+        case, estimator, max_abs_error_um: largest length of the error in all axes together.
+    as_printed : list of dict
+        `rows` of the paper's own scheme, whose deformation models are calibrated to steps.
+    blocks : list of dict
+        See `block_errors`; empty without a reference response.
+    estimates : dict
+        Case to the whole run.
     """
 
-    times: np.ndarray
-    delta_T: np.ndarray
-    temperatures: np.ndarray
+    rows: list[dict[str, str | float]]
+    vectors: list[dict[str, str | float]]
+    as_printed: list[dict[str, str | float]]
+    blocks: list[dict[str, str | float]]
+    estimates: dict[str, Estimate]
 
-
-def sensor_noise(
-    times: np.ndarray, peak_to_peak: float = 0.12, seed: int = 0, channels: int = 1
-) -> np.ndarray:
-    """Return noise like a thermistor's after a high-pass filter, each channel independent.
-
-    White Gaussian noise, second-order Butterworth high-pass with a period of `NOISE_PERIOD_S`
-    applied forwards and backwards, scaled to `peak_to_peak` (K) over the run.
-
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        s; the filter takes their mean interval.
-    peak_to_peak : float
-        Largest minus smallest value of each channel, K.
-    seed : int
-        The same seed gives the same noise.
-    channels : int
-        Number of channels.
-
-    Returns
-    -------
-    ndarray, shape (k, channels)
-        K.
-
-    Raises
-    ------
-    InputError
-        There are too few samples for the filter, or they are too far apart.
-    """
-    interval = float(times[-1] - times[0]) / (len(times) - 1)
-    white = np.random.default_rng(seed).standard_normal((len(times), channels))
-    edge = 2.0 * interval / NOISE_PERIOD_S
-    if not 0.0 < edge < 1.0 or len(times) < 16:
-        raise InputError(
-            f"sensor noise: {len(times)} samples {interval:g} s apart; the filter needs 16 or more "
-            f"that are closer than {NOISE_PERIOD_S / 2.0:g} s"
-        )
-    noise = sosfiltfilt(butter(2, edge, "highpass", output="sos"), white, axis=0)
-    return np.asarray(noise * (peak_to_peak / np.ptp(noise, axis=0)))
-
-
-def readings(
-    response: xr.Dataset,
-    model: Model,
-    roles: Mapping[str, str] | None = None,
-    noise: Mapping[str, np.ndarray] | None = None,
-) -> Readings:
-    """Return the temperatures the estimator needs, and nothing else of the response.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        As `artefacts.response` says. Its temperatures are above the initial ambient: ``ambient``,
-        if it is there, is subtracted from those at the joint.
-    model : Model
-        Its direct models name the roles of the sensors at the joint.
-    roles : mapping, optional
-        Role ("a", "b", "T1", ...) to the name of the probe; by default the same.
-    noise : mapping, optional
-        Role to what is added to its temperature, K, shape (k,).
-
-    Raises
-    ------
-    InputError
-        A probe is missing, or noise is given for a role that does not exist.
-    """
-    wanted = ("a", "b", *model.linear.direct)
-    names = dict(roles or {})
-    added = dict(noise or {})
-    for role in (*names, *added):
-        if role not in wanted:
-            raise unknown_name("sensor role", role, wanted, "validation")
-    known = [str(name) for name in response["probe"].to_numpy()]
-    signals = {}
-    for role in wanted:
-        name = names.get(role, role)
-        if name not in known:
-            raise unknown_name("probe", name, known, f"response, role {role}")
-        temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
-        signals[role] = temperature + added.get(role, 0.0)
-    joint = np.stack([signals[role] for role in model.linear.direct], axis=1)
-    if "ambient" in response:
-        joint = joint - response["ambient"].to_numpy()[:, None]
-    return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], joint)
+    def figures(self) -> dict[str, list[dict[str, str | float]]]:
+        """All errors, ready for a JSON file."""
+        return {
+            "rows": self.rows,
+            "vectors": self.vectors,
+            "as_printed": self.as_printed,
+            "blocks": self.blocks,
+        }
 
 
 def superposed(reference: xr.Dataset, response: xr.Dataset, variable: str) -> np.ndarray:
@@ -216,10 +146,10 @@ def validate(
     seen = readings(response, model, roles, noise)
     estimator = _estimator(model, seen.times)
     estimate, _ = run(estimator, seen.times, seen.delta_T, seen.temperatures)
-    actual = _displacement(response, estimator.axes)
+    actual = displacement_along(response, estimator.axes)
     linear = estimate.linear
     if reference is not None:
-        order = _axis_order(response, estimator.axes)
+        order = [axes_of(response).index(axis) for axis in estimator.axes]
         linear = superposed(reference, response, "displacement")[:, order]
     rows: list[dict[str, str | float]] = []
     for name, claimed in (("linear", estimate.linear), ("fchs", estimate.total)):
@@ -269,10 +199,10 @@ def block_errors(
     seen = readings(response, model, roles, noise)
     estimator = _estimator(model, seen.times)
     times, heat = seen.times, held_heat(response)
-    order = _axis_order(response, estimator.axes)
-    actual = _displacement(response, estimator.axes)
+    actual = displacement_along(response, estimator.axes)
+    order = [axes_of(response).index(axis) for axis in estimator.axes]
     linear = superposed(reference, response, "displacement")[:, order]
-    known = [str(name) for name in response["probe"].to_numpy()]
+    known = probes_of(response)
     probes = [known.index((roles or {}).get(role, role)) for role in model.linear.direct]
     on_linear = superposed(reference, response, "temperature")[:, probes]
 
@@ -306,14 +236,58 @@ def _estimator(model: Model, times: np.ndarray) -> Estimator:
     return start(model, float(np.diff(times).min()), float(times[-1] - times[0]))
 
 
-def _axis_order(response: xr.Dataset, axes: Sequence[str]) -> list[int]:
-    known = [str(name) for name in response["axis"].to_numpy()]
-    for axis in axes:
-        if axis not in known:
-            raise unknown_name("axis", axis, known, "response")
-    return [known.index(axis) for axis in axes]
+@threadpool_limits.wrap(limits=1)
+def validate_model(
+    model: Model,
+    reference: xr.Dataset | None,
+    responses: Mapping[str, xr.Dataset],
+    noisy: Collection[str] = (),
+) -> Validated:
+    """Judge a model by responses, from temperatures alone.
+
+    Parameters
+    ----------
+    model : Model
+        What is judged.
+    reference : xarray.Dataset, optional
+        Response to the reference step, to tell the actual nonlinear part.
+    responses : mapping
+        Name to response.
+    noisy : collection of str
+        Names of responses to judge once more with `joint_noise`, as "NAME-noise".
+    """
+    printed = replace(model, sources=tuple(replace(one, driven={}) for one in model.sources))
+    found = Validated([], [], [], [], {})
+    for name, response in responses.items():
+        roles = roles_in(response, model)
+        again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
+        for case, noise in ({name: None} | again).items():
+            rows, estimate = validate(
+                case, response, model, reference=reference, roles=roles, noise=noise
+            )
+            found.rows.extend(rows)
+            found.vectors.extend(_vector_errors(case, response, model, estimate))
+            found.estimates[case] = estimate
+            as_printed, _ = validate(
+                case, response, printed, reference=reference, roles=roles, noise=noise
+            )
+            found.as_printed.extend(row for row in as_printed if row["estimator"] == "fchs")
+            if reference is not None:
+                found.blocks.extend(
+                    block_errors(case, response, model, reference, roles=roles, noise=noise)
+                )
+    return found
 
 
-def _displacement(response: xr.Dataset, axes: Sequence[str]) -> np.ndarray:
-    """Return the displacement, m, shape (k, axes)."""
-    return np.asarray(response["displacement"].to_numpy()[:, _axis_order(response, axes)])
+def _vector_errors(
+    case: str, response: xr.Dataset, model: Model, estimate: Estimate
+) -> list[dict[str, str | float]]:
+    actual = response["displacement"].sel(axis=list(model.linear.deformation)).to_numpy()
+    return [
+        {
+            "case": case,
+            "estimator": name,
+            "max_abs_error_um": 1e6 * float(np.linalg.norm(claimed - actual, axis=1).max()),
+        }
+        for name, claimed in (("linear", estimate.linear), ("fchs", estimate.total))
+    ]

@@ -14,17 +14,14 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice
 
-import numpy as np
 import xarray as xr
 
-from artefacts.errors import InputError, unknown_name
-from calibrate.model import Model
-from estimator.fchs import Estimate
-from estimator.validation import readings, sensor_noise
+from artefacts.errors import InputError
+from estimator.fchs.stream import Estimate
+from models.parameters import Model
+from models.sensors import readings, roles_in
 
 _MICRO = 1e6
-#: A probe this near to a sensor of the model is that sensor, m.
-_SAME_PLACE = 1e-6
 #: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
 _LARGEST = 5000.0
 #: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
@@ -110,69 +107,6 @@ def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
     seen = readings(response, model, roles_in(response, model))
     for time, difference, joint in zip(seen.times, seen.delta_T, seen.temperatures, strict=True):
         yield (float(time), float(difference), *map(float, joint))
-
-
-def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
-    """Return sensor role to the name of the probe in a response.
-
-    The probe of the role's own name, unless it lies elsewhere than the model's sensor: then the
-    probe that lies there.
-
-    Raises
-    ------
-    InputError
-        A role has no probe.
-    """
-    names = [str(name) for name in response["probe"].to_numpy()]
-    found = {}
-    for role in ("a", "b", *model.linear.direct):
-        if "probe_position" not in response or role not in model.sensors:
-            found[role] = role  # whether it exists is checked where it is read
-            continue
-        apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
-        distance = np.linalg.norm(apart, axis=1)
-        if role in names and distance[names.index(role)] <= _SAME_PLACE:
-            found[role] = role
-        elif distance.min() <= _SAME_PLACE:
-            found[role] = names[int(distance.argmin())]
-        else:
-            raise InputError(
-                f"response: no probe at sensor {role!r} of the model, {model.sensors[role]} m; "
-                f"the nearest, {names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
-            )
-    return found
-
-
-def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: int) -> xr.Dataset:
-    """Return the response with noise on the temperatures that the estimator reads.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A response; it is not changed.
-    model : Model
-        Says which probes are read.
-    peak_to_peak : float
-        Of each channel, K (`estimator.validation.sensor_noise`).
-    seed : int
-        The same seed gives the same noise.
-
-    Raises
-    ------
-    InputError
-        `peak_to_peak` is not positive, a sensor has no probe, or the samples do not suit the noise.
-    """
-    if not 0.0 < peak_to_peak < math.inf:
-        raise InputError(f"noise of {peak_to_peak:g} K peak to peak; give a positive number")
-    probes = list(dict.fromkeys(roles_in(response, model).values()))
-    noise = sensor_noise(response["time"].to_numpy(), peak_to_peak, seed, len(probes))
-    names = [str(name) for name in response["probe"].to_numpy()]
-    temperature = response["temperature"].copy(deep=True)
-    for probe, values in zip(probes, noise.T, strict=True):
-        if probe not in names:
-            raise unknown_name("probe", probe, names, "response")
-        temperature[:, names.index(probe)] += values
-    return response.assign(temperature=temperature)
 
 
 def nominal_interval(

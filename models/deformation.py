@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from artefacts.errors import InputError
-from calibrate.model import DeformationModel
+from models.parameters import DeformationModel
 
 #: Exponential terms (C, D); every further rate belongs to a term t exp(-rate t).
 _EXPONENTIALS = 2

@@ -28,14 +28,15 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from artefacts.errors import InputError, ThermojointError
+from artefacts.response import probes_of
 from calibrate import steps
 from calibrate.driven_deformation import UNCERTAIN_TIMES
 from calibrate.linear import fit_ring
-from calibrate.model import DeformationModel
-from calibrate.regularisation import choose_regularisation, steepest_rise
-from estimator.assembly import deformation_bank
-from estimator.inverse import inverse_bank
-from estimator.recursion import Bank, respond_to_line, respond_to_steps, stacked
+from models.assembly import deformation_bank
+from models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
+from models.filters.inverse import inverse_bank
+from models.parameters import DeformationModel
+from models.regularisation import choose_regularisation, steepest_rise
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ PROPORTIONAL = 1e-3
 SMALLEST_DIFFERENCE = 4.0
 SHORTLIST = 60
 #: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
-#: calibrated (`thermojoint.study`), as if a temperature deviation were known to this rms.
+#: calibrated (`calibrate.chain`), as if a temperature deviation were known to this rms.
 DEVIATION_UNCERTAINTY = 0.12
 APART = 0.1
 #: An axis whose nonlinear displacement is below this part of the largest does not rank the pairs.
@@ -305,7 +306,7 @@ def sources_for(response: xr.Dataset, probes: Sequence[str]) -> tuple[Array, Arr
 def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
     """Return the response with further probes named after the roles they play."""
     chosen = response.sel(probe=list(roles.values())).assign_coords(probe=list(roles))
-    kept = response.sel(probe=[str(p) for p in response["probe"].to_numpy() if str(p) not in roles])
+    kept = response.sel(probe=[name for name in probes_of(response) if name not in roles])
     joined = xr.concat(
         [chosen[["temperature", "probe_position"]], kept[["temperature", "probe_position"]]],
         dim="probe",

@@ -24,11 +24,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from artefacts.errors import ConvergenceError, InputError
-from calibrate.model import Regularisation, RingModel
-from calibrate.regularisation import transfer_contribution
-from calibrate.ring_source import transfer_function
-from estimator.pole_residue import Transfer, excited_band, fit_proper
-from estimator.recursion import Bank
+from models.filters.bank import Bank
+from models.filters.pole_residue import Transfer, excited_band, fit_proper
+from models.parameters import Regularisation, RingModel
+from models.regularisation import transfer_contribution
+from models.ring_source import transfer_function
 
 #: The contour of the argument principle reaches this far beyond the fitted band.
 _CONTOUR = 100.0

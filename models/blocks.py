@@ -1,6 +1,7 @@
 """Single blocks of Figure 5 driven by given signals, to find where an error comes from.
 
-Each function is one part of `estimator.fchs`, with the same meaning of its input: heat holds over
+Each function is one part of `estimator.fchs.stream`, with the same meaning of its input: heat
+holds over
 the interval that ends at its sample, temperatures are joined by straight lines.
 """
 
@@ -9,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from artefacts.errors import InputError
-from estimator.fchs import Estimator
-from estimator.recursion import respond_to_line, respond_to_steps
+from estimator.fchs.stream import Estimator
+from models.filters.bank import respond_to_line, respond_to_steps
 
 
 def heat_part(estimator: Estimator, times: np.ndarray, delta_T: np.ndarray) -> np.ndarray:

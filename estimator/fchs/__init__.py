@@ -1,0 +1,1 @@
+"""The paper's estimator: fictitious contact heat sources (Figure 5)."""

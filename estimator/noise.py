@@ -1,0 +1,101 @@
+"""Noise like a thermistor's, put on the temperatures that an estimator sees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import xarray as xr
+from scipy.signal import butter, sosfiltfilt
+
+from artefacts.errors import InputError, unknown_name
+from artefacts.response import probes_of
+from models.parameters import Model
+from models.sensors import JOINT_SENSORS, roles_in
+
+#: Period above which the noise is filtered out, s: it has no offset and no drift.
+NOISE_PERIOD_S = 60.0
+#: The paper's noise on T1 and T2.
+NOISE_PEAK_TO_PEAK_K = 0.12
+NOISE_SEED = 0
+
+
+def sensor_noise(
+    times: np.ndarray, peak_to_peak: float = 0.12, seed: int = 0, channels: int = 1
+) -> np.ndarray:
+    """Return noise like a thermistor's after a high-pass filter, each channel independent.
+
+    White Gaussian noise, second-order Butterworth high-pass with a period of `NOISE_PERIOD_S`
+    applied forwards and backwards, scaled to `peak_to_peak` (K) over the run.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s; the filter takes their mean interval.
+    peak_to_peak : float
+        Largest minus smallest value of each channel, K.
+    seed : int
+        The same seed gives the same noise.
+    channels : int
+        Number of channels.
+
+    Returns
+    -------
+    ndarray, shape (k, channels)
+        K.
+
+    Raises
+    ------
+    InputError
+        There are too few samples for the filter, or they are too far apart.
+    """
+    interval = float(times[-1] - times[0]) / (len(times) - 1)
+    white = np.random.default_rng(seed).standard_normal((len(times), channels))
+    edge = 2.0 * interval / NOISE_PERIOD_S
+    if not 0.0 < edge < 1.0 or len(times) < 16:
+        raise InputError(
+            f"sensor noise: {len(times)} samples {interval:g} s apart; the filter needs 16 or more "
+            f"that are closer than {NOISE_PERIOD_S / 2.0:g} s"
+        )
+    noise = sosfiltfilt(butter(2, edge, "highpass", output="sos"), white, axis=0)
+    return np.asarray(noise * (peak_to_peak / np.ptp(noise, axis=0)))
+
+
+def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
+    """Noise on T1 and T2, as in the paper: about 0.12 K peak to peak, high-pass, seeded."""
+    channels = sensor_noise(
+        response["time"].to_numpy(), NOISE_PEAK_TO_PEAK_K, NOISE_SEED, len(JOINT_SENSORS)
+    )
+    return {role: channels[:, k] for k, role in enumerate(JOINT_SENSORS)}
+
+
+def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: int) -> xr.Dataset:
+    """Return the response with noise on the temperatures that the estimator reads.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A response; it is not changed.
+    model : Model
+        Says which probes are read.
+    peak_to_peak : float
+        Of each channel, K (`sensor_noise`).
+    seed : int
+        The same seed gives the same noise.
+
+    Raises
+    ------
+    InputError
+        `peak_to_peak` is not positive, a sensor has no probe, or the samples do not suit the noise.
+    """
+    if not 0.0 < peak_to_peak < math.inf:
+        raise InputError(f"noise of {peak_to_peak:g} K peak to peak; give a positive number")
+    probes = list(dict.fromkeys(roles_in(response, model).values()))
+    noise = sensor_noise(response["time"].to_numpy(), peak_to_peak, seed, len(probes))
+    names = probes_of(response)
+    temperature = response["temperature"].copy(deep=True)
+    for probe, values in zip(probes, noise.T, strict=True):
+        if probe not in names:
+            raise unknown_name("probe", probe, names, "response")
+        temperature[:, names.index(probe)] += values
+    return response.assign(temperature=temperature)

@@ -1,0 +1,133 @@
+"""The sensors of the generalised models: their roles, and where a response has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError, unknown_name
+from artefacts.response import axes_of, probes_of
+from models.parameters import Model
+
+#: Near the heat source: ΔT = T_a - T_b (Eqs. 1-6).
+HEAT_SENSORS = ("a", "b")
+#: At the joint: one for each fictitious source (Eq. 16).
+JOINT_SENSORS = ("T1", "T2")
+ROLES = (*HEAT_SENSORS, *JOINT_SENSORS)
+
+#: A probe this near to a sensor of the model is that sensor, m.
+SAME_PLACE = 1e-6
+
+
+@dataclass(frozen=True)
+class Readings:
+    """All that the estimator of Figure 5 may know of a structure.
+
+    Attributes
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    delta_T : ndarray, shape (k,)
+        T_a - T_b, K.
+    temperatures : ndarray, shape (k, n)
+        T1, T2, ... above the current ambient, K.
+    """
+
+    times: Array
+    delta_T: Array
+    temperatures: Array
+
+
+def readings(
+    response: xr.Dataset,
+    model: Model,
+    roles: Mapping[str, str] | None = None,
+    noise: Mapping[str, Array] | None = None,
+) -> Readings:
+    """Return the temperatures the estimator needs, and nothing else of the response.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `artefacts.response` says. Its temperatures are above the initial ambient: ``ambient``,
+        if it is there, is subtracted from those at the joint.
+    model : Model
+        Its direct models name the roles of the sensors at the joint.
+    roles : mapping, optional
+        Role ("a", "b", "T1", ...) to the name of the probe; by default the same.
+    noise : mapping, optional
+        Role to what is added to its temperature, K, shape (k,).
+
+    Raises
+    ------
+    InputError
+        A probe is missing, or noise is given for a role that does not exist.
+    """
+    wanted = (*HEAT_SENSORS, *model.linear.direct)
+    names = dict(roles or {})
+    added = dict(noise or {})
+    for role in (*names, *added):
+        if role not in wanted:
+            raise unknown_name("sensor role", role, wanted, "validation")
+    known = probes_of(response)
+    signals = {}
+    for role in wanted:
+        name = names.get(role, role)
+        if name not in known:
+            raise unknown_name("probe", name, known, f"response, role {role}")
+        temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
+        signals[role] = temperature + added.get(role, 0.0)
+    joint = np.stack([signals[role] for role in model.linear.direct], axis=1)
+    if "ambient" in response:
+        joint = joint - response["ambient"].to_numpy()[:, None]
+    return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], joint)
+
+
+def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
+    """Return sensor role to the name of the probe in a response.
+
+    The probe of the role's own name, unless it lies elsewhere than the model's sensor: then the
+    probe that lies there.
+
+    Raises
+    ------
+    InputError
+        A role has no probe.
+    """
+    names = probes_of(response)
+    found = {}
+    for role in (*HEAT_SENSORS, *model.linear.direct):
+        if "probe_position" not in response or role not in model.sensors:
+            found[role] = role  # whether it exists is checked where it is read
+            continue
+        apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
+        distance = np.linalg.norm(apart, axis=1)
+        if role in names and distance[names.index(role)] <= SAME_PLACE:
+            found[role] = role
+        elif distance.min() <= SAME_PLACE:
+            found[role] = names[int(distance.argmin())]
+        else:
+            raise InputError(
+                f"response: no probe at sensor {role!r} of the model, {model.sensors[role]} m; "
+                f"the nearest, {names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
+            )
+    return found
+
+
+def displacement_along(response: xr.Dataset, axes: tuple[str, ...]) -> Array:
+    """Return the displacement, m, shape (k, axes), in the order of `axes`.
+
+    Raises
+    ------
+    InputError
+        The response lacks an axis.
+    """
+    known = axes_of(response)
+    for axis in axes:
+        if axis not in known:
+            raise unknown_name("axis", axis, known, "response")
+    return np.asarray(response["displacement"].to_numpy()[:, [known.index(axis) for axis in axes]])

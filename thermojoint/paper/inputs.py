@@ -1,0 +1,105 @@
+"""The paper's heat inputs, the cases that can follow them, and their responses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import xarray as xr
+
+from artefacts.errors import InputError
+from calibrate.responses import check_boxes
+from fesim.case import Case, StepInput, TriangleInput, step_count
+from fesim.history import read_history
+from fesim.loads import held_history
+from fesim.setup import Setup, set_up
+from fesim.simulate import simulate
+from models.sensors import ROLES
+
+HeatInput = StepInput | TriangleInput
+Report = Callable[[str, int, int], None]
+
+CALIBRATION: dict[str, HeatInput] = {
+    "step-0.5": StepInput(kind="step", level=0.5),
+    "step-1.0": StepInput(kind="step", level=1.0),
+    "step-2.0": StepInput(kind="step", level=2.0),
+}
+VALIDATION: dict[str, HeatInput] = {
+    "step-1.5": StepInput(kind="step", level=1.5),
+    "step-3.0": StepInput(kind="step", level=3.0),
+    "triangle": TriangleInput(kind="triangle", peak=2.0, duration_min=10.0),
+}
+
+
+def check_drivable(case: Case) -> None:
+    """Refuse a case whose response to a heat input would not be that of the heat input alone.
+
+    The deviation from proportionality, T(Q) - Q T(1), of whatever else warms the structure is
+    (1 - Q) times its effect: it would be taken for the joint's.
+
+    Raises
+    ------
+    InputError
+        There is no source, a source has a heat input of its own, or the ambient or a held
+        temperature is not that of the start.
+    """
+    if not case.sources:
+        raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
+    for name, source in case.sources.items():
+        if source.heat_input is not None:
+            raise InputError(
+                f"sources.{name}.heat_input: calibration drives all sources alike; leave it out"
+            )
+    times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
+    if case.ambient is not None:
+        ambient = read_history(case.ambient.file, "ambient_degC")(times)
+        if np.ptp(ambient) > 0.0:
+            raise InputError("ambient: calibration needs a steady ambient; leave [ambient] out")
+    for name, section in case.held_temperatures.items():
+        if held_history(section)(times).any():
+            raise InputError(
+                f"held_temperatures.{name}: calibration needs the surface at the initial ambient; "
+                "set rise_K = 0"
+            )
+
+
+def check_placeable(case: Case) -> None:
+    """Refuse a case whose responses could not be calibrated.
+
+    Raises
+    ------
+    InputError
+        There is no joint, or neither are the sensors named nor are there candidates to choose from.
+    """
+    if not case.joints:
+        raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
+    if not set(case.probes) >= set(ROLES):
+        check_boxes(len(case.candidates))
+
+
+def simulate_inputs(
+    case: Case,
+    inputs: Mapping[str, HeatInput],
+    *,
+    setup: Setup | None = None,
+    progress: Report | None = None,
+) -> dict[str, xr.Dataset]:
+    """Return the response of one structure to several heat inputs; it is set up once.
+
+    Raises
+    ------
+    InputError
+        Something else than the heat inputs would act on the structure, too.
+    """
+    check_drivable(case)
+    ready = setup if setup is not None else set_up(case)
+
+    def run(name: str, heat: HeatInput) -> xr.Dataset:
+        def told(done: int, count: int) -> None:
+            if progress is not None:
+                progress(name, done, count)
+
+        own = case.model_copy(update={"heat_input": heat, "title": f"{case.title}, {name}"})
+        return simulate(own, setup=ready, progress=told).response
+
+    return {name: run(name, heat) for name, heat in inputs.items()}
