@@ -39,14 +39,16 @@ from calibrate.responses import (
 )
 from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
 from models import blocks
-from models.assembly import start
+from models.assembly import assemble
 from models.filters.inverse import unstable_zeros
 from models.parameters import (
     DeformationModel,
     FictitiousSource,
+    LinearModel,
     Model,
     Regularisation,
     RingModel,
+    Span,
 )
 from models.sensors import JOINT_SENSORS, ROLES, readings
 
@@ -179,12 +181,30 @@ def _calibrate(
             for role, (x, y, z) in zip(ROLES, position, strict=True)
         },
         reference_power_W=reference_power(base),
+        span=span_of(linear.model, base, rest),
     )
     model = stabilised(model, base["time"].to_numpy())
     model = replace(model, sources=_driven_models(model, base, rest, fictitious))
     data = fictitious.deviations
     averaging = fit_by_averaging(data.t, data.temperatures, data.inputs, make_geometry(distances))
     return Calibrated(model, linear, fictitious, averaging, placement)
+
+
+def span_of(linear: LinearModel, base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> Span:
+    """Return what the calibration responses have shown, rest included."""
+    runs = [base, *rest.values()]
+    levels = [float(run["heat_input"][-1]) for run in runs]
+    seen = [readings(run, tuple(linear.direct)) for run in runs]
+    values = np.concatenate([np.column_stack((one.delta_T, one.temperatures)) for one in seen])
+    names = ("delta_T", *linear.direct)
+    return Span(
+        duration_s=float(base["time"][-1]),
+        heat=(min(0.0, *levels), max(0.0, *levels)),
+        temperatures={
+            name: (min(0.0, float(column.min())), max(0.0, float(column.max())))
+            for name, column in zip(names, values.T, strict=True)
+        },
+    )
 
 
 def stabilised(model: Model, times: np.ndarray) -> Model:
@@ -233,17 +253,17 @@ def _driven_models(
     Runs of mere temperature error stand beside them, which must give no displacement.
     """
     times = base["time"].to_numpy()
-    estimator = start(model, float(np.diff(times).min()), float(times[-1] - times[0]))
+    assembly = assemble(model, float(np.diff(times).min()), float(times[-1] - times[0]))
     levels = [float(level) for level in fictitious.deviations.inputs]
     after = times > 0.0
     runs = []
     for level in levels:
-        seen = readings(rest[level], model)
-        heat = blocks.heat_part(estimator, times, seen.delta_T)
-        runs.append(blocks.deviations(estimator, times, heat, seen.temperatures))
-    still = uncertain_signals(times, DEVIATION_UNCERTAINTY, estimator.n_sources, SEED)
+        seen = readings(rest[level], tuple(model.linear.direct))
+        heat = blocks.heat_part(assembly, times, seen.delta_T)
+        runs.append(blocks.deviations(assembly, times, heat, seen.temperatures))
+    still = uncertain_signals(times, DEVIATION_UNCERTAINTY, assembly.n_sources, SEED)
     strengths = np.stack(
-        [blocks.source_part(estimator, times, run)[after] for run in (*runs, *still)]
+        [blocks.source_part(assembly, times, run)[after] for run in (*runs, *still)]
     ).transpose(2, 0, 1)
     shapes: dict[str, tuple[DeformationModel, ...]] = {}
     for axis, target in fictitious.deviations.displacements.items():

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import lfilter
 
+from artefacts import steps
 from artefacts.errors import InputError
-from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import fit
 from calibrate.source_deformation import eq18_models, eq18_problem

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from artefacts import steps
 from artefacts.errors import InputError, unknown_name
 from artefacts.response import axes_of
-from calibrate import source_thermal, steps
+from calibrate import source_thermal
 from calibrate.fit_result import Fit
 from calibrate.source_deformation import fit_source_deformation, source_displacements
 from calibrate.source_thermal import SourceFit
@@ -258,7 +259,7 @@ def calibrate_fictitious(
                 alpha=ring.alpha,
                 r0=ring.r0,
                 strengths={
-                    str(level): float(q) for level, q in zip(data.inputs, strengths[i], strict=True)
+                    level: float(q) for level, q in zip(data.inputs, strengths[i], strict=True)
                 },
                 regularisation=choose_regularisation(ring, interval),
                 deformation={axis: models[i] for axis, models in shapes.items()},

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
+from artefacts import steps
 from artefacts.errors import InputError
 from artefacts.response import axes_of
-from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, solve_linear
 from models import deformation, ring_source

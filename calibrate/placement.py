@@ -27,9 +27,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from artefacts import steps
 from artefacts.errors import InputError, ThermojointError
 from artefacts.response import probes_of
-from calibrate import steps
 from calibrate.driven_deformation import UNCERTAIN_TIMES
 from calibrate.linear import fit_ring
 from models.assembly import deformation_bank

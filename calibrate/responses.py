@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
+from artefacts import steps
 from artefacts.errors import InputError, unknown_name
 from artefacts.response import axes_of, probes_of
-from calibrate import steps
 from calibrate.fictitious import check_steps
 from calibrate.source_thermal import make_geometry
 from models.sensors import JOINT_SENSORS, ROLES

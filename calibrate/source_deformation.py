@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from artefacts import steps
 from artefacts.errors import InputError
-from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit
 from calibrate.linear import rate_bounds

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from artefacts import steps
 from artefacts.errors import InputError
-from calibrate import steps
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, fit_linear
 from models import ring_source

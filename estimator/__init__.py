@@ -1,1 +1,1 @@
-"""Estimates heat and displacement from temperatures alone, sample by sample (Figure 5)."""
+"""Estimate displacement from temperatures, sample by sample: every kind behind one interface."""

@@ -16,10 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
 from artefacts.response import axes_of, probes_of
-from calibrate.steps import step_level
-from estimator.fchs.stream import Estimate, Estimator, run, start
+from artefacts.steps import step_level
+from estimator.fchs.stream import Signals, run
 from estimator.noise import joint_noise
 from models import blocks
+from models.assembly import Assembly, assemble
 from models.parameters import Model
 from models.sensors import displacement_along, readings, roles_in
 
@@ -48,7 +49,7 @@ class Validated:
     vectors: list[dict[str, str | float]]
     as_printed: list[dict[str, str | float]]
     blocks: list[dict[str, str | float]]
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Signals]
 
     def figures(self) -> dict[str, list[dict[str, str | float]]]:
         """All errors, ready for a JSON file."""
@@ -122,7 +123,7 @@ def validate(
     reference: xr.Dataset | None = None,
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, np.ndarray] | None = None,
-) -> tuple[list[dict[str, str | float]], Estimate]:
+) -> tuple[list[dict[str, str | float]], Signals]:
     """Run the estimator on the temperatures of `response` and judge it by the displacement.
 
     Parameters
@@ -140,20 +141,20 @@ def validate(
     rows : list of dict
         For each estimator ("linear": δ_L alone; "fchs": δ) and axis: case, estimator, axis,
         max_abs_error_um, rms_error_um, peak_total_um, peak_nonlinear_um.
-    estimate : Estimate
+    estimate : Signals
         The whole run, axes in the order of the model.
     """
-    seen = readings(response, model, roles, noise)
-    estimator = _estimator(model, seen.times)
-    estimate, _ = run(estimator, seen.times, seen.delta_T, seen.temperatures)
-    actual = displacement_along(response, estimator.axes)
+    seen = readings(response, tuple(model.linear.direct), roles, noise)
+    assembly = _assembly(model, seen.times)
+    estimate, _ = run(assembly, seen.times, seen.delta_T, seen.temperatures)
+    actual = displacement_along(response, assembly.axes)
     linear = estimate.linear
     if reference is not None:
-        order = [axes_of(response).index(axis) for axis in estimator.axes]
+        order = [axes_of(response).index(axis) for axis in assembly.axes]
         linear = superposed(reference, response, "displacement")[:, order]
     rows: list[dict[str, str | float]] = []
     for name, claimed in (("linear", estimate.linear), ("fchs", estimate.total)):
-        for k, axis in enumerate(estimator.axes):
+        for k, axis in enumerate(assembly.axes):
             error = (claimed - actual)[:, k] * _MICRO
             rows.append(
                 {
@@ -196,17 +197,17 @@ def block_errors(
     list of dict
         case, driven_by, axis, linear_error_um, nonlinear_error_um, total_error_um.
     """
-    seen = readings(response, model, roles, noise)
-    estimator = _estimator(model, seen.times)
+    seen = readings(response, tuple(model.linear.direct), roles, noise)
+    assembly = _assembly(model, seen.times)
     times, heat = seen.times, held_heat(response)
-    actual = displacement_along(response, estimator.axes)
-    order = [axes_of(response).index(axis) for axis in estimator.axes]
+    actual = displacement_along(response, assembly.axes)
+    order = [axes_of(response).index(axis) for axis in assembly.axes]
     linear = superposed(reference, response, "displacement")[:, order]
     known = probes_of(response)
     probes = [known.index((roles or {}).get(role, role)) for role in model.linear.direct]
     on_linear = superposed(reference, response, "temperature")[:, probes]
 
-    estimated_heat = blocks.heat_part(estimator, times, seen.delta_T)
+    estimated_heat = blocks.heat_part(assembly, times, seen.delta_T)
     true_deviation = seen.temperatures - on_linear
     rows: list[dict[str, str | float]] = []
     for driven_by, q, given in (
@@ -217,10 +218,10 @@ def block_errors(
     ):
         deviation = given
         if deviation is None:
-            deviation = blocks.deviations(estimator, times, q, seen.temperatures)
-        part_linear = blocks.linear_part(estimator, times, q)
-        part_nonlinear = blocks.nonlinear_part(estimator, times, deviation)
-        for k, axis in enumerate(estimator.axes):
+            deviation = blocks.deviations(assembly, times, q, seen.temperatures)
+        part_linear = blocks.linear_part(assembly, times, q)
+        part_nonlinear = blocks.nonlinear_part(assembly, times, deviation)
+        for k, axis in enumerate(assembly.axes):
             errors = {
                 "linear_error_um": part_linear - linear,
                 "nonlinear_error_um": part_nonlinear - (actual - linear),
@@ -231,9 +232,9 @@ def block_errors(
     return rows
 
 
-def _estimator(model: Model, times: np.ndarray) -> Estimator:
+def _assembly(model: Model, times: np.ndarray) -> Assembly:
     """Return the estimator for samples at `times`, by their shortest interval."""
-    return start(model, float(np.diff(times).min()), float(times[-1] - times[0]))
+    return assemble(model, float(np.diff(times).min()), float(times[-1] - times[0]))
 
 
 @threadpool_limits.wrap(limits=1)
@@ -280,7 +281,7 @@ def validate_model(
 
 
 def _vector_errors(
-    case: str, response: xr.Dataset, model: Model, estimate: Estimate
+    case: str, response: xr.Dataset, model: Model, estimate: Signals
 ) -> list[dict[str, str | float]]:
     actual = response["displacement"].sel(axis=list(model.linear.deformation)).to_numpy()
     return [

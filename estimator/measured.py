@@ -1,4 +1,4 @@
-"""Measured temperatures as CSV, row by row, and the estimates that go out the same way.
+"""Measured temperatures as CSV, row by row.
 
 A file has one of two layouts, told apart by their column names; the order is free, other columns
 are ignored:
@@ -17,11 +17,9 @@ from itertools import chain, islice
 import xarray as xr
 
 from artefacts.errors import InputError
-from estimator.fchs.stream import Estimate
 from models.parameters import Model
 from models.sensors import readings, roles_in
 
-_MICRO = 1e6
 #: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
 _LARGEST = 5000.0
 #: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
@@ -104,7 +102,7 @@ def _rows(lines: Iterable[str], where: str) -> Iterator[tuple[int, list[str]]]:
 
 def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
     """Yield the temperatures of a response as `read_samples` yields measured ones."""
-    seen = readings(response, model, roles_in(response, model))
+    seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
     for time, difference, joint in zip(seen.times, seen.delta_T, seen.temperatures, strict=True):
         yield (float(time), float(difference), *map(float, joint))
 
@@ -136,31 +134,6 @@ def nominal_interval(
     if len(first) < 2:
         raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
     return first[1][0] - first[0][0], chain(first, samples)
-
-
-def estimate_header(axes: Sequence[str], sensors: Sequence[str]) -> list[str]:
-    """Return the columns of an estimate, units in their names."""
-    return [
-        "time_s",
-        "heat_input",
-        *(f"source_{k + 1}" for k in range(len(sensors))),
-        *(f"deviation_{name}_K" for name in sensors),
-        *(f"{part}_{axis}_um" for part in ("linear", "nonlinear", "total") for axis in axes),
-    ]
-
-
-def estimate_row(estimate: Estimate) -> list[str]:
-    """Return one estimate as text, in the order of `estimate_header`; displacements in µm."""
-    values = [
-        estimate.time,
-        estimate.heat,
-        *estimate.sources,
-        *estimate.deviation,
-        *(_MICRO * estimate.linear),
-        *(_MICRO * estimate.nonlinear),
-        *(_MICRO * estimate.total),
-    ]
-    return [f"{float(value):.9g}" for value in values]
 
 
 def _number(text: str, name: str, line: str) -> float:

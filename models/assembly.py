@@ -1,4 +1,8 @@
-"""From the calibrated model to the seven blocks of Figure 5, each a bank of exponential states."""
+"""From the calibrated model to the seven blocks of Figure 5, each a bank of exponential states.
+
+The poles of the inverse blocks are fitted, and a fit depends on the processor in its last digits:
+an assembly is therefore made once, kept (`models.assembly_file`) and read back, not made again.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +21,17 @@ TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Estimator:
+class Assembly:
     """Everything that is computed once from the model.
 
     Attributes
     ----------
-    axes : tuple of str
-        Names of the displacement axes.
+    model : Model
+        What was assembled.
     dt_s : float
         Nominal sampling interval, s; any other may follow.
+    run_length_s : float
+        Length of a run, s: with `dt_s` the band over which the inverses hold.
     heat : Bank
         Block 1.
     linear : Bank
@@ -38,13 +44,24 @@ class Estimator:
         Blocks 6 and 7: n inputs, an output for each axis.
     """
 
-    axes: tuple[str, ...]
+    model: Model
     dt_s: float
+    run_length_s: float
     heat: Bank
     linear: Bank
     temperature: Bank
     sources: Bank
     nonlinear: Bank
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the displacement axes."""
+        return tuple(self.model.linear.deformation)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors at the joint."""
+        return tuple(self.model.linear.direct)
 
     @property
     def banks(self) -> tuple[Bank, ...]:
@@ -74,19 +91,19 @@ def deformation_bank(model: DeformationModel) -> Bank:
     )
 
 
-def start(
-    model: Model, dt_hint_s: float, run_length_hint_s: float, tolerance: float = TOLERANCE
-) -> Estimator:
-    """Return the estimator of `model`.
+def assemble(
+    model: Model, dt_s: float, run_length_s: float, tolerance: float = TOLERANCE
+) -> Assembly:
+    """Return the blocks of `model`.
 
     Parameters
     ----------
     model : Model
         Tables 1-3; as many sensors at the joint as fictitious sources.
-    dt_hint_s : float
-        Nominal sampling interval, s. With `run_length_hint_s` it sets the band over which the
+    dt_s : float
+        Nominal sampling interval, s. With `run_length_s` it sets the band over which the
         rational approximations hold; the samples may come at other intervals.
-    run_length_hint_s : float
+    run_length_s : float
         Length of a run, s.
     tolerance : float
         Relative error of the approximations over that band.
@@ -117,7 +134,7 @@ def start(
                 f"model: source {i} has axes {sorted(source.applied)}, the linear model "
                 f"{sorted(axes)}; calibrate both for the same axes"
             )
-    band = (dt_hint_s, run_length_hint_s, tolerance)
+    band = (dt_s, run_length_s, tolerance)
     rings = [
         [RingModel(source.K, source.a, source.alpha, r, source.r0) for r in row]
         for source, row in zip(model.sources, model.distances, strict=True)
@@ -125,9 +142,10 @@ def start(
     direct = [
         _direct_bank(table.direct[role], *band, f"direct model of {role}") for role in sensors
     ]
-    return Estimator(
-        axes=axes,
-        dt_s=dt_hint_s,
+    return Assembly(
+        model=model,
+        dt_s=dt_s,
+        run_length_s=run_length_s,
         heat=inverse_bank([[table.thermal]], [table.regularisation], *band, "inverse of ΔT"),
         linear=stacked([deformation_bank(table.deformation[axis]) for axis in axes]),
         temperature=stacked(direct),

@@ -1,12 +1,20 @@
 """The calibrated model: every parameter of Tables 1-3, in SI, as frozen data.
 
-`calibrate` makes it, `estimator` runs it; `models.model_file` stores it as JSON. The heat input
-is relative to the reference step (dimensionless), so `K` is in kelvin per unit of heat input.
+`calibrate` makes it, `estimator` runs it; `models.model_file` stores it as JSON by these very
+classes, whose types say what a file may hold. The heat input is relative to the reference step
+(dimensionless), so `K` is in kelvin per unit of heat input.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+
+from pydantic import ConfigDict, NonNegativeFloat, PositiveFloat
+
+#: A file is refused for an unknown key, a number given as text, NaN and infinity.
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
@@ -25,11 +33,13 @@ class RingModel:
         Distance of the point and radius of the ring, m.
     """
 
+    __pydantic_config__ = STRICT
+
     K: float
-    a: float
-    alpha: float
-    r: float
-    r0: float
+    a: PositiveFloat
+    alpha: PositiveFloat
+    r: NonNegativeFloat
+    r0: PositiveFloat
 
 
 @dataclass(frozen=True)
@@ -39,9 +49,11 @@ class Regularisation:
     Its unit is that of the step response it is added to: K per unit heat input.
     """
 
+    __pydantic_config__ = STRICT
+
     A: float
     B: float
-    gamma: float
+    gamma: PositiveFloat
 
 
 @dataclass(frozen=True)
@@ -56,8 +68,10 @@ class Relaxation:
         lambda_k, 1/s, positive.
     """
 
+    __pydantic_config__ = STRICT
+
     amplitudes: tuple[float, ...]
-    rates: tuple[float, ...]
+    rates: tuple[PositiveFloat, ...]
 
 
 @dataclass(frozen=True)
@@ -68,14 +82,16 @@ class DeformationModel:
     heat input, E, F in m/s per unit and the rates in 1/s. Eq. 8 has F = f = 0.
     """
 
+    __pydantic_config__ = STRICT
+
     C: float
     D: float
     E: float
-    c: float
-    d: float
-    e: float
+    c: PositiveFloat
+    d: PositiveFloat
+    e: PositiveFloat
     F: float = 0.0
-    f: float = 0.0
+    f: NonNegativeFloat = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +110,8 @@ class LinearModel:
         Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
     """
 
+    __pydantic_config__ = STRICT
+
     thermal: RingModel
     regularisation: Regularisation
     deformation: dict[str, DeformationModel]
@@ -109,7 +127,7 @@ class FictitiousSource:
     K, a, alpha, r0 : float
         As in `RingModel`; the distances stand in `Model.distances`.
     strengths : dict
-        Calibration heat input, as text (e.g. ``"0.5"``), to the source's step strength q there.
+        Calibration heat input to the source's step strength q there.
     regularisation : Regularisation
         f_R of its inverse.
     deformation : dict
@@ -120,11 +138,13 @@ class FictitiousSource:
         paper's own scheme.
     """
 
+    __pydantic_config__ = STRICT
+
     K: float
-    a: float
-    alpha: float
-    r0: float
-    strengths: dict[str, float]
+    a: PositiveFloat
+    alpha: PositiveFloat
+    r0: PositiveFloat
+    strengths: dict[float, float]
     regularisation: Regularisation
     deformation: dict[str, DeformationModel]
     driven: dict[str, DeformationModel] = field(default_factory=dict)
@@ -133,6 +153,27 @@ class FictitiousSource:
     def applied(self) -> dict[str, DeformationModel]:
         """The deformation models that the estimator uses."""
         return self.driven or self.deformation
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a calibration has seen: beyond it a model only extrapolates.
+
+    Attributes
+    ----------
+    duration_s : float
+        Length of the calibration runs from rest, s.
+    heat : tuple of float
+        Smallest and largest heat input, rest included, 1.
+    temperatures : dict
+        Channel ("delta_T", "T1", ...) to its smallest and largest value, K.
+    """
+
+    __pydantic_config__ = STRICT
+
+    duration_s: PositiveFloat
+    heat: tuple[float, float]
+    temperatures: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -152,10 +193,20 @@ class Model:
     reference_power_W : float
         Heat at heat input 1, W, as the reference response states it. A simulated one states the
         case's figure: of one source by its ``reading``, per source or total; of several the sum.
+    span : Span
+        What the calibration has seen.
     """
+
+    __pydantic_config__ = STRICT
 
     linear: LinearModel
     sources: tuple[FictitiousSource, ...]
-    distances: tuple[tuple[float, ...], ...]
+    distances: tuple[tuple[PositiveFloat, ...], ...]
     sensors: dict[str, tuple[float, float, float]]
-    reference_power_W: float
+    reference_power_W: PositiveFloat
+    span: Span
+
+    @property
+    def digest(self) -> str:
+        """Digest of every parameter: the same wherever the model is read."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,7 @@ class Readings:
 
 def readings(
     response: xr.Dataset,
-    model: Model,
+    joint: Sequence[str] = JOINT_SENSORS,
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, Array] | None = None,
 ) -> Readings:
@@ -55,8 +55,8 @@ def readings(
     response : xarray.Dataset
         As `artefacts.response` says. Its temperatures are above the initial ambient: ``ambient``,
         if it is there, is subtracted from those at the joint.
-    model : Model
-        Its direct models name the roles of the sensors at the joint.
+    joint : sequence of str
+        Roles of the sensors at the joint.
     roles : mapping, optional
         Role ("a", "b", "T1", ...) to the name of the probe; by default the same.
     noise : mapping, optional
@@ -67,7 +67,7 @@ def readings(
     InputError
         A probe is missing, or noise is given for a role that does not exist.
     """
-    wanted = (*HEAT_SENSORS, *model.linear.direct)
+    wanted = (*HEAT_SENSORS, *joint)
     names = dict(roles or {})
     added = dict(noise or {})
     for role in (*names, *added):
@@ -81,10 +81,10 @@ def readings(
             raise unknown_name("probe", name, known, f"response, role {role}")
         temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
         signals[role] = temperature + added.get(role, 0.0)
-    joint = np.stack([signals[role] for role in model.linear.direct], axis=1)
+    rise = np.stack([signals[role] for role in joint], axis=1)
     if "ambient" in response:
-        joint = joint - response["ambient"].to_numpy()[:, None]
-    return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], joint)
+        rise = rise - response["ambient"].to_numpy()[:, None]
+    return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], rise)
 
 
 def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:

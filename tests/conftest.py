@@ -18,6 +18,7 @@ from models.parameters import (
     Model,
     Relaxation,
     RingModel,
+    Span,
 )
 from models.regularisation import choose_regularisation
 
@@ -76,7 +77,7 @@ def hand_made_model(coarse_response):
             a=near.a,
             alpha=near.alpha,
             r0=near.r0,
-            strengths={"0.5": -0.25, "2.0": 1.0},
+            strengths={0.5: -0.25, 2.0: 1.0},
             regularisation=choose_regularisation(near, 2.0),
             deformation={
                 axis: DeformationModel(sign * 1e-6, 3e-6, -1e-8, 0.01, 0.004, 0.008, 2e-8, 0.02)
@@ -105,4 +106,5 @@ def hand_made_model(coarse_response):
             for name, (x, y, z) in zip(coarse_response["probe"].to_numpy(), places, strict=True)
         },
         reference_power_W=295.0,
+        span=Span(60.0, (0.0, 2.0), {"delta_T": (0.0, 8.0), "T1": (0.0, 2.0), "T2": (0.0, 12.0)}),
     )

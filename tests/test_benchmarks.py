@@ -23,7 +23,7 @@ from estimator.fchs.stream import run
 from fesim.compiled_gap import compile_gap
 from fesim.setup import build_structure
 from models import ring_source
-from models.assembly import start
+from models.assembly import assemble
 
 ROW = Row("march-vs-refactor", 0.5, 200.0, 400.0, "s", "a note")
 
@@ -162,7 +162,7 @@ def test_eq2_in_closed_form_agrees_with_the_integral_it_is_timed_against():
 
 @pytest.fixture(scope="module")
 def estimator(hand_made_model):
-    return start(hand_made_model, streaming.INTERVAL, 600.0)
+    return assemble(hand_made_model, streaming.INTERVAL, 600.0)
 
 
 @pytest.fixture(scope="module")

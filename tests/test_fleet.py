@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from artefacts.errors import InputError
 from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
 from estimator.fchs.stream import initial_state, step
-from models.assembly import start
+from models.assembly import assemble
 
 DT, COUNT = 2.0, 12
 
@@ -20,8 +20,8 @@ def estimators(hand_made_model):
     """Three machines: two alike, one with another plate, so that their states differ in length."""
     thermal = replace(hand_made_model.linear.thermal, a=9.0, alpha=5e-4)
     other = replace(hand_made_model, linear=replace(hand_made_model.linear, thermal=thermal))
-    first = start(hand_made_model, DT, 1800.0)
-    return [first, start(other, DT, 600.0), first]
+    first = assemble(hand_made_model, DT, 1800.0)
+    return [first, assemble(other, DT, 600.0), first]
 
 
 def samples(seed, missing=0.0):
@@ -72,7 +72,7 @@ def test_a_fleet_needs_machines_of_one_kind(estimators, hand_made_model):
         linear=replace(hand_made_model.linear, direct={"T1": hand_made_model.linear.direct["T1"]}),
     )
     with pytest.raises(InputError, match="machine 1 has axes x, y and 1 sources"):
-        assemble_fleet([estimators[0], start(lame, DT, 600.0)])
+        assemble_fleet([estimators[0], assemble(lame, DT, 600.0)])
     with pytest.raises(InputError, match="no machines"):
         assemble_fleet([])
 

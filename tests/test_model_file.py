@@ -17,6 +17,7 @@ from models.parameters import (
     Regularisation,
     Relaxation,
     RingModel,
+    Span,
 )
 
 number = st.floats(allow_nan=False, allow_infinity=False)
@@ -40,7 +41,7 @@ sources = st.builds(
     positive,
     positive,
     positive,
-    st.fixed_dictionaries({"0.5": number, "2.0": number}),
+    st.fixed_dictionaries({0.5: number, 2.0: number}),
     regularisations,
     shapes,
 )
@@ -59,6 +60,12 @@ models = st.builds(
         lambda some: some | {"T1": (0.1, 0.2, 0.3), "T2": (0.3, 0.2, 0.1)}
     ),
     positive,
+    st.builds(
+        Span,
+        positive,
+        st.tuples(number, number),
+        st.fixed_dictionaries({"delta_T": st.tuples(number, number)}),
+    ),
 )
 
 SHAPE = {"x": DeformationModel(1e-6, 2e-6, 3e-9, 0.01, 0.001, 0.02)}
@@ -74,7 +81,7 @@ MODEL = Model(
     ),
     sources=(
         FictitiousSource(
-            -0.7, 20.0, 6e-5, 0.02, {"0.5": 0.2}, Regularisation(-0.008, 6e-4, 0.13), SHAPE
+            -0.7, 20.0, 6e-5, 0.02, {0.5: 0.2}, Regularisation(-0.008, 6e-4, 0.13), SHAPE
         ),
     ),
     distances=((0.05, 0.12),),
@@ -85,6 +92,7 @@ MODEL = Model(
         "T2": (0.6, 0.7, 0),
     },
     reference_power_W=295.0,
+    span=Span(2100.0, (0.0, 2.0), {"delta_T": (0.0, 8.0)}),
 )
 SOURCE = Provenance(
     case='title = "reference"\n',
@@ -127,26 +135,27 @@ def test_where_it_came_from_comes_back(path):
 def test_the_file_says_its_units_and_version(path):
     content = json.loads(path.read_text())
     assert content["schema"] == "thermojoint-model"
-    assert content["schema_version"] == 1
+    assert content["schema_version"] == 2
     assert content["units"]["alpha"] == "m2 s-1"
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(schema_version=2), "version 2, expected 1"),
+        (lambda c: c.update(schema_version=1), "version 1, expected 2"),
         (lambda c: c.update(schema="other"), "not a 'thermojoint-model' file"),
-        (lambda c: c.update(colour="red"), "colour: Extra inputs"),
+        (lambda c: c.update(colour="red"), "colour: Unexpected keyword"),
         (lambda c: c["linear"]["thermal"].update(Kay=1.0), "linear.thermal.Kay"),
         (lambda c: c["linear"]["thermal"].pop("alpha"), "linear.thermal.alpha: Field required"),
+        (lambda c: c.update(kind="joint-aware"), "of kind 'joint-aware'"),
         (lambda c: c["linear"]["thermal"].update(a=-1.0), "linear.thermal.a"),
         (lambda c: c["linear"]["thermal"].update(K="3.4"), "linear.thermal.K"),
         (lambda c: c["linear"]["thermal"].update(K=float("nan")), "linear.thermal.K"),
-        (lambda c: c["linear"]["direct"]["T1"].update(kind="magic"), "linear.direct.T1"),
+        (lambda c: c["linear"]["direct"]["T1"].update(colour="red"), "linear.direct.T1"),
         (lambda c: c["linear"]["direct"]["T1"]["rates"].pop(), "as many amplitudes as rates"),
         (lambda c: c["linear"]["direct"].pop("T2"), "the model of 'T2' is missing"),
         (lambda c: c["sensors"].pop("T1"), "'T1' is missing"),
-        (lambda c: c["sensors"].update(a=[1.0, 2.0]), "three coordinates"),
+        (lambda c: c["sensors"].update(a=[1.0, 2.0]), "sensors.a"),
         (lambda c: c["units"].update(K="mK"), "units differ"),
         (lambda c: c["distances"].append([0.1, 0.2]), "one row per source"),
         (lambda c: c["sources"][0]["deformation"].clear(), "axes differ"),

@@ -44,6 +44,13 @@ def _check_place(path: Path, folder: Path) -> None:
         raise InputError(f"{path}: nothing can be written in {nearest}; choose another place")
 
 
+def positive(option: str, value: float) -> float:
+    """Return the value of an option that must be a positive finite number."""
+    if not 0.0 < value < math.inf:
+        raise InputError(f"{option} {value:g}: give a positive number")
+    return value
+
+
 def level_and_file(text: str) -> tuple[float, Path]:
     """Split ``0.5=r05.nc`` into the heat input, finite and not zero, and the file."""
     level, _, name = text.partition("=")

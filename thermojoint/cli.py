@@ -22,6 +22,7 @@ COMMANDS = (
     simulation.simulate,
     models.calibrate,
     models.tables,
+    models.assemble,
     models.estimate,
     models.validate,
     models.reproduce,

@@ -17,7 +17,7 @@ from calibrate import chain
 from calibrate.placement import with_roles
 from calibrate.provenance import provenance_of
 from estimator import judge
-from estimator.fchs.stream import Estimate
+from estimator.fchs.stream import Signals
 from estimator.judge import superposed
 from fesim.case import Case
 from fesim.setup import Setup, set_up
@@ -155,7 +155,7 @@ def show(terminal: Console, data: ReportData) -> None:
 
 
 def paper_figures(
-    model: Model, responses: Mapping[str, xr.Dataset], estimates: Mapping[str, Estimate]
+    model: Model, responses: Mapping[str, xr.Dataset], estimates: Mapping[str, Signals]
 ) -> dict[str, Figure]:
     """Return the paper's Figures 7-11, by file name without its suffix.
 
@@ -266,7 +266,7 @@ def _draw(
 
 
 def _nonlinear(
-    model: Model, reference: xr.Dataset, response: xr.Dataset, estimate: Estimate
+    model: Model, reference: xr.Dataset, response: xr.Dataset, estimate: Signals
 ) -> dict[str, dict[str, np.ndarray]]:
     """Axis to the actual and the estimated nonlinear displacement, m."""
     linear = superposed(reference, response, "displacement")

@@ -93,7 +93,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
         unit of heat input or strength.
     """
     linear, kelvin, micro = model.linear, provenance.max_abs_error_K, provenance.max_abs_error_um
-    inputs = [level for source in model.sources[:1] for level in source.strengths]
+    inputs = [str(level) for source in model.sources[:1] for level in source.strengths]
     thermal = asdict(linear.thermal) | asdict(linear.regularisation)
     return {
         "table1": {
@@ -111,7 +111,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
                     "alpha": source.alpha,
                     "K": source.K,
                     "r0": source.r0,
-                    "q": dict(source.strengths),
+                    "q": {str(level): q for level, q in source.strengths.items()},
                 }
                 | asdict(source.regularisation)
                 for source in model.sources

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.fchs.stream import Estimator, run
+from estimator.fchs.stream import run
+from models.assembly import Assembly
 from models.filters.bank import Bank, respond_to_line, respond_to_steps
 
 Array = NDArray[np.float64]
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 class Blocks:
     """One sample after another, block after block, up to `length` samples."""
 
-    def __init__(self, estimator: Estimator, length: int) -> None:
+    def __init__(self, estimator: Assembly, length: int) -> None:
         times = estimator.dt_s * np.arange(1, length + 1)
 
         def line(bank: Bank) -> Array:
@@ -59,7 +60,7 @@ class Blocks:
 class Collapsed:
     """One sample after another with one kernel from what is measured to what is estimated."""
 
-    def __init__(self, estimator: Estimator, length: int) -> None:
+    def __init__(self, estimator: Assembly, length: int) -> None:
         channels = 1 + estimator.n_sources
         times = estimator.dt_s * np.arange(1, length + 1)
 

@@ -14,7 +14,8 @@ from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
 from benchmarks.performance.timing import Row, paired
 from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
-from estimator.fchs.stream import Estimator, initial_state, run, start, step
+from estimator.fchs.stream import initial_state, run, step
+from models.assembly import Assembly, assemble
 from models.sensors import readings, roles_in
 
 Array = NDArray[np.float64]
@@ -43,16 +44,16 @@ def rows() -> Iterator[Row]:
     """Yield the rows of the estimator, with the calibrated reference machine."""
     found, responses = calibrated()
     model, response = found.model, responses["step-2.0"]
-    seen = readings(response, model, roles_in(response, model))
+    seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
     measured = Measured(np.column_stack((seen.delta_T, seen.temperatures))[1:])
-    short = start(model, INTERVAL, SHORT)
+    short = assemble(model, INTERVAL, SHORT)
     yield from per_sample(short, measured, round(SHORT / INTERVAL), REPEATS)
-    long = start(model, INTERVAL, LONG, LONG_TOLERANCE)
+    long = assemble(model, INTERVAL, LONG, LONG_TOLERANCE)
     yield from growth(long, measured, few=round(SHORT / INTERVAL), repeats=REPEATS)
     yield fleet(short, measured, MACHINES, REPEATS)
 
 
-def per_sample(estimator: Estimator, measured: Measured, count: int, repeats: int) -> Iterator[Row]:
+def per_sample(estimator: Assembly, measured: Measured, count: int, repeats: int) -> Iterator[Row]:
     """Yield mean and 99.9th percentile of a sample, against convolution with `count` samples."""
     samples = [measured.row(i) for i in range(count)]
     given = np.array(samples)
@@ -103,7 +104,7 @@ def _row(
 
 
 def growth(
-    estimator: Estimator,
+    estimator: Assembly,
     measured: Measured,
     few: int,
     repeats: int,
@@ -137,7 +138,7 @@ def growth(
     )
 
 
-def fleet(estimator: Estimator, measured: Measured, machines: int, repeats: int) -> Row:
+def fleet(estimator: Assembly, measured: Measured, machines: int, repeats: int) -> Row:
     """Return the row of many machines in a block against one after the other."""
     together = assemble_fleet([replace(estimator) for _ in range(machines)])
     first, second = np.array(measured.row(100)), np.array(measured.row(101))
@@ -172,7 +173,7 @@ def fleet(estimator: Estimator, measured: Measured, machines: int, repeats: int)
     )
 
 
-def stream_times(estimator: Estimator, measured: Measured, count: int) -> Array:
+def stream_times(estimator: Assembly, measured: Measured, count: int) -> Array:
     """Return the time of each of `count` samples, µs."""
     state = initial_state(estimator)
     found = np.empty(count)

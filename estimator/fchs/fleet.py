@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import InputError
-from estimator.fchs.stream import Estimate, propagator
-from models.assembly import Estimator
+from estimator.fchs.stream import Signals, propagator
+from models.assembly import Assembly
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,13 @@ class Fleet:
 
     Attributes
     ----------
-    estimators : tuple of Estimator
+    estimators : tuple of Assembly
         One for each machine; machines may share one.
     width : int
         Longest state among them, the time left out; shorter ones are padded with zeros.
     """
 
-    estimators: tuple[Estimator, ...]
+    estimators: tuple[Assembly, ...]
     width: int
 
     @property
@@ -47,7 +47,7 @@ class Fleet:
         return self.estimators[0].axes
 
 
-def assemble_fleet(estimators: Sequence[Estimator]) -> Fleet:
+def assemble_fleet(estimators: Sequence[Assembly]) -> Fleet:
     """Put machines side by side.
 
     Raises
@@ -77,7 +77,7 @@ def initial_states(fleet: Fleet) -> Array:
 
 def step_fleet(
     fleet: Fleet, states: Array, time: float, delta_T: Array, temperatures: Array
-) -> tuple[Array, Estimate]:
+) -> tuple[Array, Signals]:
     """Take one sample of every machine.
 
     Parameters
@@ -96,7 +96,7 @@ def step_fleet(
     -------
     states : ndarray
         The new states.
-    estimate : Estimate
+    estimate : Signals
         With a leading axis of length n; NaN for a machine whose sample is missing.
 
     Raises
@@ -138,7 +138,7 @@ def step_fleet(
         new_states[at, 1:] = results[at, :width]
     after = width + 1 + sources
     linear, nonlinear = np.split(results[:, after:], 2, axis=1)
-    return new_states, Estimate(
+    return new_states, Signals(
         np.where(present, time, np.nan),
         results[:, width],
         results[:, width + 1 : after],

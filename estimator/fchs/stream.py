@@ -29,23 +29,12 @@ from typing import NamedTuple
 import numpy as np
 
 from artefacts.errors import InputError
-from models.assembly import Estimator, start
+from models.assembly import Assembly
 from models.filters.bank import over_interval
 
-__all__ = [
-    "Estimate",
-    "Estimator",
-    "initial_state",
-    "propagator",
-    "run",
-    "start",
-    "step",
-    "stream",
-]
 
-
-class Estimate(NamedTuple):
-    """What the estimator says at one sample, or at many (arrays with a leading time axis).
+class Signals(NamedTuple):
+    """What the blocks give at one sample, or at many (arrays with a leading time axis).
 
     Attributes
     ----------
@@ -70,25 +59,25 @@ class Estimate(NamedTuple):
     total: np.ndarray
 
 
-def initial_state(estimator: Estimator) -> np.ndarray:
+def initial_state(assembly: Assembly) -> np.ndarray:
     """Return the state of a structure at rest at ambient temperature, before any sample.
 
     Its first entry, the time of the last sample, is NaN: there is none yet.
     """
-    state = np.zeros(estimator.n_state)
+    state = np.zeros(assembly.n_state)
     state[0] = np.nan
     return state
 
 
 def step(
-    estimator: Estimator, state: np.ndarray, time: float, delta_T: float, *temperatures: float
-) -> tuple[np.ndarray, Estimate]:
+    assembly: Assembly, state: np.ndarray, time: float, delta_T: float, *temperatures: float
+) -> tuple[np.ndarray, Signals]:
     """Take one sample.
 
     Parameters
     ----------
-    estimator : Estimator
-    state : ndarray, shape (estimator.n_state,)
+    assembly : Assembly
+    state : ndarray, shape (assembly.n_state,)
         From `initial_state` or the last step; it is not changed.
     time : float
         s, after the last sample's.
@@ -101,7 +90,7 @@ def step(
     -------
     state : ndarray
         The new state.
-    estimate : Estimate
+    signals : Signals
 
     Raises
     ------
@@ -111,24 +100,24 @@ def step(
     if not math.isfinite(time):
         raise InputError(f"sample at t = {time:g} s: its time is not finite; leave the sample out")
     last = state[0]
-    dt = estimator.dt_s if math.isnan(last) else time - float(last)
+    dt = assembly.dt_s if math.isnan(last) else time - float(last)
     if not 0.0 < dt < math.inf:
         raise InputError(
             f"sample at t = {time:g} s: time does not increase (the last was at {last:g} s); "
             "drop or re-order the sample"
         )
     measured = (delta_T, *temperatures)
-    if len(measured) != 1 + estimator.n_sources or not all(map(math.isfinite, measured)):
-        raise _unusable(estimator, time, measured)
-    result = propagator(estimator, dt) @ np.concatenate((state[1:], measured))
+    if len(measured) != 1 + assembly.n_sources or not all(map(math.isfinite, measured)):
+        raise _unusable(assembly, time, measured)
+    result = propagator(assembly, dt) @ np.concatenate((state[1:], measured))
     result_state = np.empty(state.size)
     result_state[0] = time
     inner = state.size - 1
     result_state[1:] = result[:inner]
-    sources, axes = estimator.n_sources, len(estimator.axes)
+    sources, axes = assembly.n_sources, len(assembly.axes)
     at = inner + 1 + sources
     linear, nonlinear = result[at : at + axes], result[at + axes :]
-    return result_state, Estimate(
+    return result_state, Signals(
         time,
         float(result[inner]),
         result[inner + 1 : at],
@@ -140,40 +129,40 @@ def step(
 
 
 def stream(
-    estimator: Estimator, samples: Iterable[Sequence[float]], state: np.ndarray
-) -> Iterator[tuple[np.ndarray, Estimate]]:
-    """Yield (state, estimate) for each of `samples`: (time, ΔT, T1, T2, ...).
+    assembly: Assembly, samples: Iterable[Sequence[float]], state: np.ndarray
+) -> Iterator[tuple[np.ndarray, Signals]]:
+    """Yield (state, signals) for each of `samples`: (time, ΔT, T1, T2, ...).
 
     Raises
     ------
     InputError
-        As `step`, with the number of the sample (from 0); or the state is another estimator's.
+        As `step`, with the number of the sample (from 0); or the state is another assembly's.
     """
-    if np.shape(state) != (estimator.n_state,):
+    if np.shape(state) != (assembly.n_state,):
         raise InputError(
-            f"state of shape {np.shape(state)}, expected {(estimator.n_state,)}; it belongs to "
+            f"state of shape {np.shape(state)}, expected {(assembly.n_state,)}; it belongs to "
             "another estimator"
         )
     for index, sample in enumerate(samples):
         try:
-            state, estimate = step(estimator, state, *sample)
+            state, estimate = step(assembly, state, *sample)
         except InputError as error:
             raise InputError(f"sample {index}: {error}") from error
         yield state, estimate
 
 
 def run(
-    estimator: Estimator,
+    assembly: Assembly,
     times: np.ndarray,
     delta_T: np.ndarray,
     temperatures: np.ndarray,
     state: np.ndarray | None = None,
-) -> tuple[Estimate, np.ndarray]:
+) -> tuple[Signals, np.ndarray]:
     """Take a block of samples: the same numbers as one `step` after another, bit for bit.
 
     Parameters
     ----------
-    estimator : Estimator
+    assembly : Assembly
     times, delta_T : ndarray, shape (k,)
         s and K.
     temperatures : ndarray, shape (k, n)
@@ -183,7 +172,7 @@ def run(
 
     Returns
     -------
-    estimate : Estimate
+    signals : Signals
         Arrays with a leading axis of length k.
     state : ndarray
         The state after the last sample.
@@ -195,33 +184,33 @@ def run(
     """
     shapes = np.shape(times), np.shape(delta_T), np.shape(temperatures)
     count = len(times)
-    if shapes != ((count,), (count,), (count, estimator.n_sources)):
+    if shapes != ((count,), (count,), (count, assembly.n_sources)):
         raise InputError(
             f"samples: time, ΔT and T have shapes {shapes}; expected (k,), (k,) and "
-            f"(k, {estimator.n_sources})"
+            f"(k, {assembly.n_sources})"
         )
     table = np.column_stack((times, delta_T, temperatures))
-    state = initial_state(estimator) if state is None else state
+    state = initial_state(assembly) if state is None else state
     if not len(table):
         raise InputError("no samples; give at least one")
-    collected = list(stream(estimator, table.tolist(), state))
+    collected = list(stream(assembly, table.tolist(), state))
     columns = zip(*(estimate for _, estimate in collected), strict=True)
-    return Estimate(*(np.array(column) for column in columns)), collected[-1][0]
+    return Signals(*(np.array(column) for column in columns)), collected[-1][0]
 
 
 @lru_cache(maxsize=64)
-def propagator(estimator: Estimator, dt: float) -> np.ndarray:
+def propagator(assembly: Assembly, dt: float) -> np.ndarray:
     """Return the matrix of one sample over an interval of `dt` s.
 
     It takes (last ΔT, last ∂T, states; ΔT, T) to (ΔT, ∂T, states; Q̂, q̂, δ_L, δ_NL).
     """
-    n = estimator.n_sources
-    sizes = [1, n, *(bank.n_state for bank in estimator.banks), 1, n]
+    n = assembly.n_sources
+    sizes = [1, n, *(bank.n_state for bank in assembly.banks), 1, n]
     width = sum(sizes)
     rows = np.split(np.eye(width), np.cumsum(sizes)[:-1])
     old_difference, old_deviation, x_heat, x_linear, x_temp, x_sources, x_nonlinear = rows[:7]
     difference, measured = rows[7:]
-    heat, linear, temp, sources, nonlinear = (over_interval(b, dt) for b in estimator.banks)
+    heat, linear, temp, sources, nonlinear = (over_interval(b, dt) for b in assembly.banks)
 
     q_main = heat.mean @ x_heat + heat.mean_old @ old_difference + heat.mean_new @ difference
     x_heat = heat.advance @ x_heat + heat.old @ old_difference + heat.new @ difference
@@ -252,9 +241,9 @@ def propagator(estimator: Estimator, dt: float) -> np.ndarray:
     return matrix
 
 
-def _unusable(estimator: Estimator, time: float, measured: tuple[float, ...]) -> InputError:
+def _unusable(assembly: Assembly, time: float, measured: tuple[float, ...]) -> InputError:
     """Return the error that names the channel."""
-    names = ["ΔT", *(f"T{j + 1}" for j in range(estimator.n_sources))]
+    names = ["ΔT", *(f"T{j + 1}" for j in range(assembly.n_sources))]
     where = f"sample at t = {time:g} s"
     if len(measured) != len(names):
         return InputError(f"{where}: {len(measured)} values, expected {', '.join(names)}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -17,11 +16,13 @@ from artefacts.files import write_text
 from artefacts.response import read_response
 from calibrate import chain
 from calibrate.provenance import provenance_of
-from estimator import judge, measured, noise
-from estimator.fchs.saved_state import load_state, save_state
-from estimator.fchs.stream import initial_state, stream
+from estimator import estimate_table, judge, measured, noise
+from estimator.interface import follow
+from estimator.saved_state import save_state
+from estimator.starting import model_in, started
 from fesim.case import read_case
-from models.assembly import start
+from models.assembly import assemble as assemble_model
+from models.assembly_file import write_assembly
 from models.model_file import read_model, read_provenance, write_model
 from thermojoint import arguments, console
 from thermojoint.reproduce import reproduce as run_all
@@ -29,6 +30,9 @@ from thermojoint.summary import compare_schemes
 from thermojoint.tables import printed_tables, tables_json
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
+EstimatorFile = Annotated[
+    Path, typer.Argument(metavar="MODEL", help="Model file, or an estimator that 'assemble' wrote.")
+]
 
 
 def calibrate(
@@ -90,7 +94,7 @@ def tables(
 
 
 def estimate(
-    model: ModelFile,
+    model: EstimatorFile,
     temperatures: Annotated[
         Path,
         typer.Argument(
@@ -128,35 +132,55 @@ def estimate(
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
     arguments.check_writable(out, save)
-    if not 0.0 < run_length < math.inf:
-        raise InputError(f"--run-length-min {run_length:g}: give a positive number of minutes")
-    table = read_model(model)
-    sensors, where = list(table.linear.direct), arguments.shown(temperatures)
+    length = arguments.positive("--run-length-min", run_length)
+    table, where = model_in(model), arguments.shown(temperatures)
     live = str(out) == "-"
     with arguments.opened(temperatures) as source:
         samples: Iterator[measured.Sample]
         if source is None:
             samples = measured.response_samples(read_response(temperatures), table)
         else:
-            samples = measured.read_samples(source, sensors, where)
+            samples = measured.read_samples(source, list(table.linear.direct), where)
         nominal, samples = measured.nominal_interval(samples, interval, where)
-        machine = start(table, nominal, 60.0 * run_length)
-        state = load_state(machine, resume) if resume else initial_state(machine)
+        estimator, state = started(model, nominal, 60.0 * length, resume)
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
-            writer.writerow(measured.estimate_header(machine.axes, sensors))
+            writer.writerow(estimate_table.header(estimator))
             try:
-                for reached, result in stream(machine, samples, state):
+                for reached, result in follow(estimator, samples, state):
                     state = reached
-                    writer.writerow(measured.estimate_row(result))
+                    writer.writerow(estimate_table.row(estimator, result))
                     target.flush()
             finally:
                 # What stands on standard output is out, however a logger's pipe comes to its end.
                 if save and live:
-                    save_state(machine, state, save)
+                    save_state(estimator, state, save)
     if save and not live:
-        save_state(machine, state, save)
+        save_state(estimator, state, save)
     console.wrote(None if live else out, save)
+
+
+def assemble(
+    model: ModelFile,
+    out: Annotated[Path, typer.Option(help="Assembled estimator to write (JSON).")],
+    interval: Annotated[
+        float, typer.Option("--interval-s", help="Nominal sampling interval, s.")
+    ] = 2.0,
+    run_length: Annotated[
+        float, typer.Option("--run-length-min", help="Length of a run, min.")
+    ] = 120.0,
+) -> None:
+    """Assemble an estimator once: everything fitted, fingerprinted, the same on every machine.
+
+    'estimate' takes the file in place of the model.
+
+    Example: [bold]thermojoint assemble model.json --interval-s 1 --out estimator.json[/bold]
+    """
+    arguments.check_writable(out)
+    dt = arguments.positive("--interval-s", interval)
+    length = arguments.positive("--run-length-min", run_length)
+    write_assembly(assemble_model(read_model(model), dt, 60.0 * length), out)
+    console.wrote(out)
 
 
 def validate(

@@ -1,4 +1,4 @@
-"""Step responses out of response datasets: what `calibrate` reads of a structure."""
+"""Step responses out of response datasets: levels, times, single signals."""
 
 from __future__ import annotations
 

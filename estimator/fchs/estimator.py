@@ -1,0 +1,95 @@
+"""The paper's estimator behind the common interface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.fchs import stream
+from estimator.interface import Channel, Estimate, Status
+from models.assembly import Assembly
+
+#: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
+SLACK = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Fchs:
+    """Fictitious contact heat sources (Figure 5).
+
+    Its state is (time of the last sample, start of the run, the state of the blocks).
+
+    Attributes
+    ----------
+    assembly : Assembly
+        The blocks.
+    """
+
+    assembly: Assembly
+    kind: Literal["fchs"] = "fchs"
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return self.assembly.axes
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """ΔT = T_a - T_b, and the temperatures at the joint above the current ambient."""
+        return tuple(Channel(name, "K") for name in ("delta_T", *self.assembly.sensors))
+
+    @property
+    def details(self) -> tuple[Channel, ...]:
+        """Q̂, every q̂ and ∂T, δ_L and δ_NL along every axis."""
+        sensors, axes = self.assembly.sensors, self.assembly.axes
+        return (
+            Channel("heat_input", "1"),
+            *(Channel(f"source_{k + 1}", "1") for k in range(len(sensors))),
+            *(Channel(f"deviation_{name}", "K") for name in sensors),
+            *(Channel(f"{part}_{axis}", "m") for part in ("linear", "nonlinear") for axis in axes),
+        )
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest at ambient temperature, before any sample."""
+        inner = stream.initial_state(self.assembly)
+        return np.concatenate((inner[:1], [np.nan], inner[1:]))
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample; see `estimator.interface.Estimator` and `estimator.fchs.stream.step`."""
+        inner, signals = stream.step(
+            self.assembly, np.concatenate((state[:1], state[2:])), time, *values
+        )
+        begun = time - self.assembly.dt_s if np.isnan(state[1]) else float(state[1])
+        parts = (
+            signals.heat,
+            signals.sources,
+            signals.deviation,
+            signals.linear,
+            signals.nonlinear,
+        )
+        details = np.hstack(parts)
+        status = self._status(time - begun, float(signals.heat), values)
+        return np.concatenate((inner[:1], [begun], inner[1:])), Estimate(
+            time, signals.total, np.full(len(self.axes), np.nan), status, details
+        )
+
+    def _status(self, elapsed: float, heat: float, values: Sequence[float]) -> Status:
+        span, status = self.assembly.model.span, Status.OK
+        if elapsed > (1.0 + SLACK) * span.duration_s:
+            status |= Status.BEYOND_TIME
+        if _beyond(heat, span.heat):
+            status |= Status.BEYOND_HEAT
+        for channel, value in zip(self.channels, values, strict=True):
+            if _beyond(value, span.temperatures[channel.name]):
+                status |= Status.BEYOND_TEMPERATURE
+        return status
+
+
+def _beyond(value: float, span: tuple[float, float]) -> bool:
+    low, high = span
+    slack = SLACK * (high - low)
+    return not low - slack <= value <= high + slack

@@ -1,0 +1,139 @@
+"""What an estimator is: channels in, displacement out, sample by sample, whatever it is made of.
+
+An estimator never changes: all that a sample leaves behind is in the state, a plain array whose
+first entry is the time of the last sample (NaN before the first). So a state can be kept, copied
+and read back bit for bit, and one estimator serves any number of machines of a kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from enum import IntFlag, auto
+from typing import NamedTuple, Protocol
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+
+
+class Status(IntFlag):
+    """What is to be known of an estimate: nothing, or where the calibration has not been."""
+
+    OK = 0
+    BEYOND_TIME = auto()
+    BEYOND_HEAT = auto()
+    BEYOND_TEMPERATURE = auto()
+
+    @property
+    def words(self) -> str:
+        """``ok``, or the reasons, e.g. ``beyond-time beyond-heat``."""
+        reasons = (flag.name or "" for flag in Status if flag in self)
+        return " ".join(name.lower().replace("_", "-") for name in reasons) or "ok"
+
+
+class Channel(NamedTuple):
+    """One number of a sample or of an estimate.
+
+    Attributes
+    ----------
+    name : str
+        E.g. ``delta_T``.
+    unit : str
+        In SI, ``1`` if it has none.
+    """
+
+    name: str
+    unit: str
+
+
+class Estimate(NamedTuple):
+    """What an estimator says at one sample.
+
+    Attributes
+    ----------
+    time : float
+        s.
+    displacement : ndarray, shape (axes,)
+        δ, m.
+    band : ndarray, shape (axes,)
+        Half of the width in which δ lies with 95 %, m; NaN for an estimator that knows none.
+    status : Status
+        How far the estimate can be trusted.
+    details : ndarray, shape (details,)
+        The estimator's own `details`.
+    """
+
+    time: float
+    displacement: Array
+    band: Array
+    status: Status
+    details: Array
+
+
+class Estimator(Protocol):
+    """What every kind of estimator offers.
+
+    Attributes
+    ----------
+    kind : str
+        E.g. ``fchs``.
+    axes : tuple of str
+        Of the displacement.
+    channels : tuple of Channel
+        What a sample holds, in order.
+    details : tuple of Channel
+        What an estimate holds beside displacement, band and status.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind."""
+        ...
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        ...
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What a sample holds."""
+        ...
+
+    @property
+    def details(self) -> tuple[Channel, ...]:
+        """What an estimate holds of its own."""
+        ...
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest, before any sample."""
+        ...
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample: `values` in the order of `channels`, at `time` (s).
+
+        The state that is given stays as it is.
+
+        Raises
+        ------
+        InputError
+            Time does not increase, or a value is unusable. The state may be used again.
+        """
+        ...
+
+
+def follow(
+    estimator: Estimator, samples: Iterable[Sequence[float]], state: Array
+) -> Iterator[tuple[Array, Estimate]]:
+    """Yield (state, estimate) for each of `samples`: (time, value of each channel).
+
+    Raises
+    ------
+    InputError
+        As `Estimator.sample`, with the number of the sample (from 0).
+    """
+    for index, (time, *values) in enumerate(samples):
+        try:
+            state, estimate = estimator.sample(state, time, values)
+        except InputError as error:
+            raise InputError(f"sample {index}: {error}") from error
+        yield state, estimate

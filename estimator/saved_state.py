@@ -1,0 +1,77 @@
+"""An estimator's state as a file: written whole, read back bit for bit, on any processor.
+
+The file holds the assembled estimator beside its state, so that a run goes on with the very
+coefficients it began with. JSON; Python writes a double with as many digits as bring it back
+exactly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.files import write_text
+from estimator.fchs.estimator import Fchs
+from models.assembly_file import as_content, from_content
+
+SCHEMA = "thermojoint-estimator-state"
+SCHEMA_VERSION = 2
+
+
+def save_state(estimator: Fchs, state: Array, path: Path) -> None:
+    """Write an estimator and its `state` to `path`, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        A value is not finite: a sample before was too large to be a measurement.
+    """
+    fresh = math.isnan(float(state[0]))
+    if not fresh and not np.isfinite(state).all():
+        raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
+    content = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "estimator": as_content(estimator.assembly),
+        "state": None if fresh else state.tolist(),
+    }
+    write_text(path, json.dumps(content, allow_nan=False) + "\n")
+
+
+def load_state(path: Path) -> tuple[Fchs, Array]:
+    """Read an estimator and its state that `save_state` wrote, here or elsewhere.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no state, of another version, or was changed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a state saved by the estimator")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: not a readable state, perhaps truncated; start afresh"
+        ) from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(f"{path}: not an estimator state; give a file saved by the estimator")
+    if content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: state of version {content.get('schema_version')}, expected {SCHEMA_VERSION}; "
+            "start afresh"
+        )
+    estimator = Fchs(from_content(content.get("estimator"), f"{path}: estimator"))
+    values = content.get("state")
+    if values is None:
+        return estimator, estimator.initial_state()
+    usable = isinstance(values, list) and len(values) == estimator.initial_state().size
+    if not usable or not all(isinstance(one, float) and math.isfinite(one) for one in values):
+        raise InputError(f"{path}: the state's values are damaged; start afresh")
+    return estimator, np.array(values)

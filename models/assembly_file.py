@@ -1,0 +1,129 @@
+"""An assembly as an artefact: made once, written with its fingerprint, read back to the last bit.
+
+What runs an estimator elsewhere (another processor, a control) reads this file and fits nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.files import write_text
+from models.assembly import Assembly
+from models.filters.bank import Bank
+from models.parameters import Model
+
+SCHEMA = "thermojoint-assembly"
+SCHEMA_VERSION = 1
+KIND = "fchs"
+
+_MODEL: TypeAdapter[Model] = TypeAdapter(Model)
+_BANKS = ("heat", "linear", "temperature", "sources", "nonlinear")
+_COMPLEX = ("poles", "gain", "double")
+
+
+def write_assembly(assembly: Assembly, path: Path) -> None:
+    """Write an assembly to `path` (JSON), whole or not at all."""
+    write_text(path, json.dumps(as_content(assembly), indent=1, allow_nan=False) + "\n")
+
+
+def read_assembly(path: Path) -> Assembly:
+    """Read an assembly that `write_assembly` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no assembly, of another version, or was changed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give one written by 'thermojoint assemble'")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not readable JSON, perhaps truncated; assemble again") from error
+    return from_content(content, str(path))
+
+
+def as_content(assembly: Assembly) -> dict[str, Any]:
+    """Return an assembly as plain data, with its fingerprint."""
+    body = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "kind": KIND,
+        "dt_s": assembly.dt_s,
+        "run_length_s": assembly.run_length_s,
+        "model": _MODEL.dump_python(assembly.model, mode="json"),
+        "banks": {name: _bank_content(getattr(assembly, name)) for name in _BANKS},
+    }
+    return body | {"fingerprint": _digest(body)}
+
+
+def from_content(content: Any, where: str) -> Assembly:  # noqa: ANN401
+    """Return the assembly that plain data describe.
+
+    Raises
+    ------
+    InputError
+        As `read_assembly`.
+    """
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(f"{where}: no assembled estimator; give one written by 'assemble'")
+    if (content.get("schema_version"), content.get("kind")) != (SCHEMA_VERSION, KIND):
+        raise InputError(
+            f"{where}: assembly of version {content.get('schema_version')!r} and kind "
+            f"{content.get('kind')!r}, expected {SCHEMA_VERSION} and {KIND!r}; assemble again"
+        )
+    body = {key: value for key, value in content.items() if key != "fingerprint"}
+    if content.get("fingerprint") != _digest(body):
+        raise InputError(f"{where}: does not match its fingerprint, it was changed; assemble again")
+    try:
+        return Assembly(
+            model=_MODEL.validate_json(json.dumps(body["model"])),
+            dt_s=float(body["dt_s"]),
+            run_length_s=float(body["run_length_s"]),
+            **{name: _bank(body["banks"][name]) for name in _BANKS},
+        )
+    except (KeyError, TypeError, ValueError, ValidationError) as error:
+        raise InputError(f"{where}: the assembly's values are damaged; assemble again") from error
+
+
+def fingerprint(assembly: Assembly) -> str:
+    """Return the digest of every coefficient: a state means nothing to any other assembly."""
+    return str(as_content(assembly)["fingerprint"])
+
+
+def _digest(body: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def _bank_content(bank: Bank) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for field in fields(Bank):
+        array = np.asarray(getattr(bank, field.name))
+        split = np.stack((array.real, array.imag), axis=-1) if field.name in _COMPLEX else array
+        found[field.name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
+    return found
+
+
+def _bank(content: dict[str, Any]) -> Bank:
+    return Bank(**{field.name: _array(field.name, content[field.name]) for field in fields(Bank)})
+
+
+def _array(name: str, content: dict[str, Any]) -> Array:
+    values, shape = np.array(content["values"], dtype=float), tuple(content["shape"])
+    if name not in _COMPLEX:
+        return values.reshape(shape)
+    parts = values.reshape((*shape, 2))
+    whole: Any = np.empty(shape, dtype=complex)
+    # Not real + 1j * imag: that loses the sign of a zero.
+    whole.real, whole.imag = parts[..., 0], parts[..., 1]
+    return np.asarray(whole)
