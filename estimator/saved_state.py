@@ -16,11 +16,11 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import write_text
+from artefacts.json_file import JsonKind, read_json
 from estimator.fchs.estimator import Fchs
 from models.assembly_file import as_content, from_content
 
-SCHEMA = "thermojoint-estimator-state"
-SCHEMA_VERSION = 2
+FILE = JsonKind("thermojoint-estimator-state", 2, "state", "saved by the estimator", "start afresh")
 
 
 def save_state(estimator: Fchs, state: Array, path: Path) -> None:
@@ -35,8 +35,7 @@ def save_state(estimator: Fchs, state: Array, path: Path) -> None:
     if not fresh and not np.isfinite(state).all():
         raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
     content = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
+        **FILE.header,
         "estimator": as_content(estimator.assembly),
         "state": None if fresh else state.tolist(),
     }
@@ -51,22 +50,7 @@ def load_state(path: Path) -> tuple[Fchs, Array]:
     InputError
         The file is missing, truncated, no state, of another version, or was changed.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a state saved by the estimator")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: not a readable state, perhaps truncated; start afresh"
-        ) from error
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(f"{path}: not an estimator state; give a file saved by the estimator")
-    if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: state of version {content.get('schema_version')}, expected {SCHEMA_VERSION}; "
-            "start afresh"
-        )
+    content = read_json(path, FILE)
     estimator = Fchs(from_content(content.get("estimator"), f"{path}: estimator"))
     values = content.get("state")
     if values is None:

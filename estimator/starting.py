@@ -65,4 +65,4 @@ def _is_assembly(path: Path) -> bool:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(content, dict) and content.get("schema") == assembly_file.SCHEMA
+    return isinstance(content, dict) and content.get("schema") == assembly_file.FILE.schema

@@ -17,12 +17,18 @@ from pydantic import TypeAdapter, ValidationError
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import write_text
+from artefacts.json_file import JsonKind, read_json, without_header
 from models.assembly import Assembly
 from models.filters.bank import Bank
 from models.parameters import Model
 
-SCHEMA = "thermojoint-assembly"
-SCHEMA_VERSION = 1
+FILE = JsonKind(
+    "thermojoint-assembly",
+    1,
+    "assembled estimator",
+    "written by 'thermojoint assemble'",
+    "assemble again",
+)
 KIND = "fchs"
 
 _MODEL: TypeAdapter[Model] = TypeAdapter(Model)
@@ -43,28 +49,19 @@ def read_assembly(path: Path) -> Assembly:
     InputError
         The file is missing, truncated, no assembly, of another version, or was changed.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give one written by 'thermojoint assemble'")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not readable JSON, perhaps truncated; assemble again") from error
-    return from_content(content, str(path))
+    return _assembly(read_json(path, FILE), str(path))
 
 
 def as_content(assembly: Assembly) -> dict[str, Any]:
     """Return an assembly as plain data, with its fingerprint."""
     body = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
         "kind": KIND,
         "dt_s": assembly.dt_s,
         "run_length_s": assembly.run_length_s,
         "model": _MODEL.dump_python(assembly.model, mode="json"),
         "banks": {name: _bank_content(getattr(assembly, name)) for name in _BANKS},
     }
-    return body | {"fingerprint": _digest(body)}
+    return FILE.header | body | {"fingerprint": _digest(body)}
 
 
 def from_content(content: Any, where: str) -> Assembly:  # noqa: ANN401
@@ -75,13 +72,12 @@ def from_content(content: Any, where: str) -> Assembly:  # noqa: ANN401
     InputError
         As `read_assembly`.
     """
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(f"{where}: no assembled estimator; give one written by 'assemble'")
-    if (content.get("schema_version"), content.get("kind")) != (SCHEMA_VERSION, KIND):
-        raise InputError(
-            f"{where}: assembly of version {content.get('schema_version')!r} and kind "
-            f"{content.get('kind')!r}, expected {SCHEMA_VERSION} and {KIND!r}; assemble again"
-        )
+    return _assembly(without_header(content, FILE, where), where)
+
+
+def _assembly(content: dict[str, Any], where: str) -> Assembly:
+    if content.get("kind") != KIND:
+        raise InputError(f"{where}: assembly of kind {content.get('kind')!r}, expected {KIND!r}")
     body = {key: value for key, value in content.items() if key != "fingerprint"}
     if content.get("fingerprint") != _digest(body):
         raise InputError(f"{where}: does not match its fingerprint, it was changed; assemble again")

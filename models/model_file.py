@@ -15,11 +15,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
+from artefacts.json_file import JsonKind, parse_json, read_json
 from models.parameters import STRICT, Model, Relaxation
 from models.sensors import JOINT_SENSORS, ROLES
 
-SCHEMA = "thermojoint-model"
-SCHEMA_VERSION = 2
+FILE = JsonKind(
+    "thermojoint-model", 2, "model", "written by 'thermojoint calibrate'", "calibrate again"
+)
 #: What the model is for: the paper's estimator.
 KIND = "fchs"
 #: Written into every file; heat input and strengths are dimensionless.
@@ -85,8 +87,7 @@ def write_model(model: Model, path: Path, provenance: Provenance) -> None:
         axis missing.
     """
     content = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
+        **FILE.header,
         "kind": KIND,
         "units": UNITS,
         "provenance": _PROVENANCE.dump_python(provenance, mode="json"),
@@ -98,7 +99,8 @@ def write_model(model: Model, path: Path, provenance: Provenance) -> None:
         raise InputError(
             f"{path}: the model has a value that is not finite; nothing written"
         ) from error
-    _parse(text, f"{path} (to be written)")
+    where = f"{path} (to be written)"
+    _parsed(parse_json(text, FILE, where), where)
     write_text(Path(path), text + "\n")
 
 
@@ -120,31 +122,11 @@ def read_provenance(path: Path) -> Provenance:
 
 
 def _read(path: Path) -> tuple[Model, Provenance]:
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a model written by 'thermojoint calibrate'")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; calibrate again") from error
-    return _parse(text, str(path))
+    return _parsed(read_json(path, FILE), str(path))
 
 
-def _parse(text: str, where: str) -> tuple[Model, Provenance]:
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{where}: not valid JSON at line {error.lineno}, perhaps truncated; calibrate again"
-        ) from error
-    if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
-        raise InputError(f"{where}: not a {SCHEMA!r} file; give one written by 'calibrate'")
-    version, kind = content.pop("schema_version", None), content.pop("kind", None)
-    if version != SCHEMA_VERSION:
-        raise InputError(
-            f"{where}: model version {version!r}, expected {SCHEMA_VERSION}; calibrate again with "
-            "this version"
-        )
+def _parsed(content: dict[str, Any], where: str) -> tuple[Model, Provenance]:
+    kind = content.pop("kind", None)
     if kind != KIND:
         raise InputError(f"{where}: a model of kind {kind!r}, expected {KIND!r}; give one of those")
     if content.pop("units", None) != UNITS:

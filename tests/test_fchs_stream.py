@@ -268,11 +268,11 @@ def test_a_state_that_does_not_belong_here_is_refused(assembly, tmp_path):
     foreign = json.loads(text) | {"estimator": {}}
     for content, message in (
         (text[: len(text) // 2], "truncated"),
-        ("[]", "not an estimator state"),
+        ("[]", "not a 'thermojoint-estimator-state'"),
         (json.dumps(newer), "version 3"),
         (json.dumps(short), "damaged"),
         (json.dumps(endless), "damaged"),
-        (json.dumps(foreign), "no assembled estimator"),
+        (json.dumps(foreign), "not a 'thermojoint-assembly'"),
     ):
         path.write_text(content)
         with pytest.raises(InputError, match=message):

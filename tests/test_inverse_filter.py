@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from convolution import heat_by_convolution, invert_laplace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError, InputError
 from models import ring_source
 from models.filters.bank import respond_to_line
-from models.filters.convolution import heat_by_convolution, invert_laplace
 from models.filters.inverse import (
     count_right_zeros,
     inverse_bank,
