@@ -13,8 +13,7 @@ The rule (`choose_regularisation`)
 3. gamma starts at 2/t_A, with t_A the time of the largest slope: f_R fills in the delay and is
    taken back from then on. gamma is lowered step by step, to about 1/(2 t_A), until the two parts
    of the transfer function nowhere cancel by more than half and it has no zero in the right half
-   plane, which would make the inverse unstable. The latter is checked by the argument principle:
-   the phase of H + s F_R, followed up the imaginary axis, must end where the large arc takes it up.
+   plane, which would make the inverse unstable (`models.argument_principle`).
 4. A long delay behind strong convection passes for no such gamma. Then A is raised by half and 3.
    repeated: a larger A answers later and is quieter.
 """
@@ -28,6 +27,7 @@ from scipy.optimize import minimize_scalar
 
 from artefacts.errors import ConvergenceError, InputError
 from models import ring_source
+from models.argument_principle import count_right_zeros
 from models.parameters import Regularisation, RingModel
 
 #: gamma · t_A tried, largest first, and the factors on A.
@@ -35,9 +35,8 @@ _GAMMAS = tuple(2.0 * 0.85**k for k in range(9))
 _RAISES = tuple(1.5**k for k in range(10))
 #: The smallest |H + s F_R| allowed, relative to the larger of the two parts.
 _MARGIN = 0.5
-#: Points of the frequency grid and the largest phase step trusted, rad.
+#: Points of the frequency grid.
 _POINTS = 4000
-_PHASE_STEP = 1.0
 
 
 def regularisation_function(t: np.ndarray | float, regularisation: Regularisation) -> np.ndarray:
@@ -100,24 +99,23 @@ def _frequencies(ring: RingModel, regularisation: Regularisation) -> np.ndarray:
 def right_half_plane_zeros(ring: RingModel, regularisation: Regularisation) -> int | None:
     """Return how many zeros of H(s) + s F_R(s) lie right of the imaginary axis.
 
-    By the argument principle: (s + gamma)(H + s F_R) has no poles there and tends to A on the large
-    arc (as sqrt(s) if r = r0), so twice its phase change up the imaginary axis, less the arc's
-    share, is -2π per zero.
+    Times s + gamma it has no poles there and tends to A on the large arc (as sqrt(s) if r = r0).
 
     Returns
     -------
     int or None
-        None if the phase moves too fast to be followed: a zero lies next to the axis.
+        None if a zero lies next to the axis.
     """
-    s = 1j * _frequencies(ring, regularisation)
-    total = ring_source.transfer_function(s, **asdict(ring)) + transfer_contribution(
-        s, regularisation
-    )
-    steps = np.diff(np.unwrap(np.angle(total * (s + regularisation.gamma))))
-    if float(np.abs(steps).max()) > _PHASE_STEP:
+    _, lowest, *_, highest = _frequencies(ring, regularisation)
+
+    def function(s: np.ndarray) -> np.ndarray:
+        total = ring_source.transfer_function(s, **asdict(ring))
+        return (total + transfer_contribution(s, regularisation)) * (s + regularisation.gamma)
+
+    try:
+        return count_right_zeros(function, lowest, highest, "regularised model")
+    except ConvergenceError:
         return None
-    arc = np.pi / 4.0 if ring.r == ring.r0 else 0.0
-    return round((arc - float(steps.sum())) / np.pi)
 
 
 def cancellation(ring: RingModel, regularisation: Regularisation) -> float:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError, InputError
 from models import ring_source
+from models.argument_principle import count_right_zeros
 from models.filters.bank import respond_to_line
 from models.filters.inverse import (
-    count_right_zeros,
     inverse_bank,
     regularised_transfer,
     unstable_zeros,
