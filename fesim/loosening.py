@@ -150,8 +150,8 @@ def _needed(centres: Array) -> int:
 def _loose(holds: Holds, motions: Array) -> ConvergenceError:
     return ConvergenceError(
         f"a body has come loose: joints that are open or slide no longer keep "
-        f"{described(holds, motions)}; hold it in [supports], or raise preload_MPa or "
-        "friction_coefficient"
+        f"{described(holds, motions)}; hold it in [supports], or raise preload_MPa, "
+        "friction_coefficient or the number of contact elements"
     )
 
 

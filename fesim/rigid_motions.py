@@ -184,10 +184,11 @@ def check_held(holds: Holds, sticks: NDArray[np.bool_]) -> None:
         np.concatenate([every, stuck, stuck]), np.vstack([normal, first[stuck], second[stuck]])
     )
     if motions.shape[1]:
-        friction = "" if sticks.all() else ", or give its joints a friction_coefficient above 0"
+        # A contact element acts at its centre alone: one of them is a hinge.
+        instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
         raise InputError(
             f"supports: no support, spring or joint keeps {described(holds, motions)}; hold it in "
-            f"[supports]{friction}"
+            f"[supports], or give its joints {instead}"
         )
 
 
