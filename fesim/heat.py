@@ -18,6 +18,9 @@ from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
 from fesim.materials import Material
+from fesim.spaces import interpolation
+from meshes.covered import cover_of
+from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 
 Array = NDArray[np.float64]
@@ -109,6 +112,7 @@ def heat_operators(
     films: dict[str, float],
     sources: Sequence[HeatSource],
     held: Sequence[str] = (),
+    joints: Sequence[PairedJoint] = (),
 ) -> HeatOperators:
     """Assemble the heat operators.
 
@@ -126,6 +130,8 @@ def heat_operators(
         What heats the structure.
     held : sequence of str
         Surfaces of given temperature; where two of them meet, the first one counts.
+    joints : sequence of PairedJoint
+        What they cover has no film.
     """
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
@@ -135,8 +141,7 @@ def heat_operators(
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
     for name, coefficient in films.items():
-        on = surface_basis(structure, basis, name)
-        convection = convection + coefficient * csr_array(film_form.assemble(on))
+        convection = convection + coefficient * film_matrix(structure, basis, name, joints)
     inputs = np.zeros((basis.N, len(sources) + 1 + len(held)))
     for column, source in enumerate(sources):
         load = flux_form.assemble(_heated(structure, basis, source))
@@ -148,6 +153,32 @@ def heat_operators(
     return HeatOperators(
         csr_array(capacity), csr_array(conduction), csr_array(convection), inputs, nodes, pattern
     )
+
+
+def film_matrix(
+    structure: Structure, basis: CellBasis, surface: str, joints: Sequence[PairedJoint]
+) -> csr_array:
+    """(u, v) on the part of a surface that no joint covers, shape (n, n), m2.
+
+    Facets that are covered wholly are left out. From the integral over the others that over their
+    covered part is taken, by the quadrature points of the joint.
+    """
+    facets = structure.surface(surface, "heat operators")
+    cover = cover_of(structure, surface, joints)
+    free = np.flatnonzero(cover.share < 1.0)
+    if not free.size:
+        return csr_array((basis.N, basis.N))
+    on = FacetBasis(structure.mesh, basis.elem, facets=facets[free], intorder=2 * basis.elem.maxdeg)
+    matrix = csr_array(film_form.assemble(on))
+    partly = cover.share[cover.facet] < 1.0
+    if not partly.any():
+        return matrix
+    # The joint takes facets as plane ones: of a curved facet it covers the same share.
+    curved = np.ones(len(facets))
+    curved[free] = on.dx.sum(axis=1) / cover.area[free]
+    weights = (curved[cover.facet] * cover.weights)[partly]
+    at = interpolation(basis, cover.points[:, partly], cover.cell[partly])
+    return csr_array(matrix - at.T @ diags_array(weights) @ at)
 
 
 def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> AbstractBasis:

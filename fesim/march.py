@@ -19,6 +19,8 @@ from fesim.compiled_gap import compile_gap
 from fesim.condensation import ElasticCondensation, ThermalCondensation
 from fesim.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
 from fesim.joint_law import JointLaw, Traction, evaluate
+from fesim.loosening import Watch, watch_of
+from fesim.rigid_motions import Holds
 
 Array = NDArray[np.float64]
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
@@ -47,12 +49,15 @@ class CondensedMachine:
         The law of each joint and how many contact elements it has, in their order.
     gap_tolerance : float
         Largest gap residual of a step, m.
+    holds : Holds, optional
+        What holds the bodies; with it, a step in which one comes loose is an error.
     """
 
     thermal: ThermalCondensation
     elastic: ElasticCondensation
     laws: Sequence[tuple[JointLaw, int]]
     gap_tolerance: float = TOLERANCE
+    holds: Holds | None = None
 
     @property
     def contacts(self) -> int:
@@ -69,6 +74,11 @@ class CondensedMachine:
     def settle(self) -> Settle:
         """What solves them."""
         return gap_solver(self.gap_problem, self.laws, self.gap_tolerance)
+
+    @cached_property
+    def watch(self) -> Watch | None:
+        """What sees a body come loose."""
+        return None if self.holds is None else watch_of(self.holds, self.laws)
 
     def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
         start = 0
@@ -217,7 +227,8 @@ def march(
     Raises
     ------
     ConvergenceError
-        A step did not converge even after it was cut; nothing is yielded for it.
+        A step did not converge even after it was cut, or a body has come loose; nothing is yielded
+        for it.
     InputError
         A pressure is beyond the conductance law.
     """
@@ -331,8 +342,10 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
-    found, iterations, cuts = _settle(machine.settle, state, thermal_gap)
+    found, iterations, cuts = _settle(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
+    if machine.watch is not None:
+        machine.watch.check(pressure, found.traction.tangent)
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
     return Step(
         state=State(
@@ -360,13 +373,16 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     )
 
 
-def _settle(settle: Settle, state: State, thermal_gap: Array) -> tuple[Equilibrium, int, int]:
+def _settle(
+    machine: CondensedMachine, state: State, thermal_gap: Array
+) -> tuple[Equilibrium, int, int]:
     """Follow the thermal gap from the state's to `thermal_gap`, halving the way when it must be.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
     the gaps are. The mechanical problem has no clock of its own, so a part of the way is a shorter
     step.
     """
+    settle = machine.settle
     with suppress(ConvergenceError):
         found = settle(thermal_gap, state.slip, state.gap + state.change)
         return found, found.iterations, 0
@@ -385,6 +401,8 @@ def _settle(settle: Settle, state: State, thermal_gap: Array) -> tuple[Equilibri
             cuts += 1
             part /= 2.0
             if cuts > MAX_CUTS:
+                if machine.watch is not None:
+                    machine.watch.explain(machine.traction(gap, slip))
                 raise
             continue
         iterations += found.iterations

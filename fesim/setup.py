@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, vstack
 from artefacts.errors import InputError, unknown_name
 from fesim.cache import remembered
 from fesim.case import CandidatesSection, Case, MillingMachineSection
+from fesim.case_holds import checked_holds, with_friction
 from fesim.case_law import element_means, joint_laws
 from fesim.condensation import (
     DisplacementField,
@@ -35,6 +36,7 @@ from fesim.reduced_march import (
     shortest,
     thermal_modes,
 )
+from fesim.rigid_motions import Holds, check_held
 from fesim.sharing import elasticity_key
 from fesim.spaces import Spaces, cells_at, make_spaces, probe_rows
 from meshes.exchange import read_structure
@@ -61,11 +63,14 @@ class Parts:
         In the order of the contact elements.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
+    holds : Holds
+        What holds the bodies; checked.
     """
 
     structure: Structure
     joints: tuple[PairedJoint, ...]
     probes: dict[str, Probe]
+    holds: Holds
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,8 @@ class Setup:
         Their rows, of nodal temperatures or of the reduced model's amplitudes.
     modes : ThermalModes or None
         The reduced thermal model; None if the march has the full one.
+    holds : Holds
+        What holds the bodies.
     """
 
     structure: Structure
@@ -100,6 +107,7 @@ class Setup:
     probes: dict[str, Probe]
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
+    holds: Holds
 
     @property
     def field(self) -> DisplacementField:
@@ -117,7 +125,7 @@ def set_up(case: Case) -> Setup:
     Raises
     ------
     InputError
-        A name does not exist in the structure, or parts do not fit.
+        A name does not exist in the structure, parts do not fit, or nothing holds a body.
     """
     before = elasticity_key(case)
     parts = make_parts(case)
@@ -138,6 +146,7 @@ def set_up(case: Case) -> Setup:
         case.convection_W_m2K,
         heat_sources(case, structure),
         list(case.held_temperatures),
+        joints,
     )
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
@@ -165,18 +174,19 @@ def set_up(case: Case) -> Setup:
             lambda: thermal_modes(heat, operators, condensed, rows, step, solver),
         )
         thermal = project_heat(heat, operators, step, modes)
-        machine = CondensedMachine(thermal, project_elasticity(condensed, modes), laws)
+        elastic = project_elasticity(condensed, modes)
     else:
-        machine = CondensedMachine(condense_heat(heat, operators, step, solver), condensed, laws)
+        thermal, elastic = condense_heat(heat, operators, step, solver), condensed
     return Setup(
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=machine,
+        machine=CondensedMachine(thermal, elastic, laws, holds=parts.holds),
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
         modes=modes,
+        holds=parts.holds,
     )
 
 
@@ -186,21 +196,27 @@ def make_parts(case: Case) -> Parts:
     Raises
     ------
     InputError
-        A name does not exist in the structure, a history is bad, or parts do not fit.
+        A name does not exist in the structure, a history is bad, parts do not fit, or nothing
+        holds a body.
     """
     structure = build_structure(case)
     check_names(case, structure)
     thermal_inputs(case)  # a bad history is found now, not after the factorisation
-    joints = tuple(
-        pair_joint(structure, name, section.along, section.across)
-        for name, section in case.joints.items()
-    )
+    joints = paired_joints(case, structure)
     probes = {
         name: probe for name, probe in structure.probes.items() if name in case.probes
     } | candidate_probes(case, structure)
     if not probes:
         raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
-    return Parts(structure, joints, probes)
+    return Parts(structure, joints, probes, checked_holds(case, structure, joints))
+
+
+def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
+    """Pair the sides of every joint of a case, in the order of the contact elements."""
+    return tuple(
+        pair_joint(structure, name, section.along, section.across)
+        for name, section in case.joints.items()
+    )
 
 
 def check_names(case: Case, structure: Structure) -> None:
@@ -224,11 +240,16 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     """Return the set-up of a case that differs only in its loads and joint laws.
 
     Nothing is condensed again: neither enters the condensation.
+
+    Raises
+    ------
+    InputError
+        Without the friction of the first case, nothing holds a body.
     """
+    check_held(setup.holds, with_friction(case, setup.joints))
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
-    machine = CondensedMachine(setup.machine.thermal, setup.machine.elastic, laws)
-    return replace(setup, machine=machine)
+    return replace(setup, machine=replace(setup.machine, laws=laws))
 
 
 def build_structure(case: Case) -> Structure:

@@ -30,6 +30,7 @@ from fesim.march import (
     staggered,
 )
 from fesim.setup import Setup, measured_points, set_up
+from meshes.covered import covered_areas
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 
@@ -206,6 +207,9 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "reduction_error": 0.0 if setup.modes is None else setup.modes.error,
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "displacement_of": " relative to ".join(measured_points(case)),
+        "covered_area_m2": json.dumps(
+            covered_areas(setup.structure, list(case.convection_W_m2K), setup.joints)
+        ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }
     return make_response(values, coords, attrs)

@@ -315,7 +315,8 @@ def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[
             if bare > 0.1 * area:
                 found.append(
                     f"joint {name!r}: side {letter} is {1e4 * bare:.4g} cm2 larger than what it "
-                    "shares, and nothing convects there: put the rest into a surface of its own"
+                    "shares, and nothing convects there: list it in convection_W_m2K, where what "
+                    "a joint covers does not count"
                 )
     return found
 

@@ -56,8 +56,12 @@ class PairedJoint:
         The points on each side, m.
     cells_a, cells_b : ndarray of int, shape (nq,)
         The cells behind the facets they lie on.
+    facets_a, facets_b : ndarray of int, shape (nq,)
+        These facets.
     weights : ndarray, shape (nq,)
-        Area weights, m2.
+        Area weights, m2, on side a.
+    weights_b : ndarray, shape (nq,)
+        The same on side b; they differ where the sides are not parallel.
     element : ndarray of int, shape (nq,)
         Contact element of each point, counted along the joint, part by part.
     area, centre : ndarray, shapes (m,) and (m, 3)
@@ -76,7 +80,10 @@ class PairedJoint:
     points_b: NDArray[np.float64]
     cells_a: NDArray[np.int64]
     cells_b: NDArray[np.int64]
+    facets_a: NDArray[np.int64]
+    facets_b: NDArray[np.int64]
     weights: NDArray[np.float64]
+    weights_b: NDArray[np.float64]
     element: NDArray[np.int64]
     area: NDArray[np.float64]
     centre: NDArray[np.float64]
@@ -146,7 +153,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     side_a, side_b = sides = tuple(
         _side(mesh, structure.surfaces[side]) for side in structure.joints[name]
     )
-    planes, points_a, points_b, weights, owners = [], [], [], [], []
+    planes, points_a, points_b, weights, weights_b, owners = [], [], [], [], [], []
     pieces, piece_cells = [], []
     for number, cell in enumerate(_contact_cells(mesh, name, sides, along, across)):
         planes.append(cell.plane)
@@ -156,6 +163,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
             points_b.append(side_b.lift(cell.plane, flat, j))
             # Areas are those of side a, not of its shadow on the plane.
             weights.append(weight / abs(side_a.normal[i] @ cell.plane.frame[2]))
+            weights_b.append(weight / abs(side_b.normal[j] @ cell.plane.frame[2]))
             owners.append(np.tile([i, j], (len(weight), 1)))
             pieces.append(side_a.lift(cell.plane, overlap, i))
             piece_cells.append(number)
@@ -173,6 +181,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     held, piece_element = np.unique(piece_cells, return_inverse=True)
     element = np.repeat(piece_element, [len(w) for w in weights])
     area = np.bincount(element, weight).astype(float)
+    facets_a, facets_b = side_a.facets[owner[:, 0]], side_b.facets[owner[:, 1]]
     frames = np.array([planes[k].frame for k in held])
     return PairedJoint(
         name=name,
@@ -180,9 +189,12 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
         tangents=frames[:, :2],
         points_a=np.ascontiguousarray(on_a),
         points_b=np.ascontiguousarray(on_b),
-        cells_a=mesh.f2t[0, side_a.facets[owner[:, 0]]],
-        cells_b=mesh.f2t[0, side_b.facets[owner[:, 1]]],
+        cells_a=mesh.f2t[0, facets_a],
+        cells_b=mesh.f2t[0, facets_b],
+        facets_a=facets_a,
+        facets_b=facets_b,
         weights=weight,
+        weights_b=np.concatenate(weights_b),
         element=element,
         area=area,
         centre=np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1),

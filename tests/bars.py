@@ -118,7 +118,7 @@ def conduct(
     joints = [pair_joint(structure, "joint", *grid)]
     operators = joint_operators(joints, spaces)
     given = [HeatSource(power, surface=name) for name, power in (sources or {}).items()]
-    heat = heat_operators(structure, spaces.heat, by_body, films or {}, given, held)
+    heat = heat_operators(structure, spaces.heat, by_body, films or {}, given, held, joints)
     return HeatParts(
         structure, spaces, joints, heat, operators, condense_heat(heat, operators, step, solver)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -130,6 +131,12 @@ def convergence(response: xr.Dataset) -> Convergence:
         modes=int(response.attrs.get("thermal_modes", 0)),
         reduction_error=float(response.attrs.get("reduction_error", 0.0)),
     )
+
+
+def covered_areas(response: xr.Dataset) -> dict[str, float]:
+    """Return the area of each convecting surface that joints cover, m2; it does not convect."""
+    found: dict[str, float] = json.loads(response.attrs.get("covered_area_m2", "{}"))
+    return found
 
 
 def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:

@@ -15,7 +15,7 @@ from fesim.setup import set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
 from thermojoint import arguments, console, verification_run
-from thermojoint.summary import convergence
+from thermojoint.summary import convergence, covered_areas
 
 #: Exit code of `verify` if a check is out of tolerance.
 OUT_OF_TOLERANCE = 1
@@ -68,6 +68,9 @@ def simulate(
     if save:
         state_file.save_state(finished.state, given, save)
     console.show_convergence(console.out(), {out.name: convergence(finished.response)})
+    if covered := covered_areas(finished.response):
+        parts = ", ".join(f"{1e4 * area:.4g} cm2 of {name!r}" for name, area in covered.items())
+        console.say(f"joints cover {parts} of the meshed part: no convection there")
     console.wrote(out, save, folder)
 
 

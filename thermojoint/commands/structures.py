@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,11 +12,14 @@ import typer
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from fesim.case import read_case
-from fesim.setup import UNITS, build_structure, check_names
+from fesim.case import Case, read_case
+from fesim.case_holds import checked_holds
+from fesim.setup import UNITS, build_structure, check_names, paired_joints
 from meshes.cad import mesh_cad, read_names
 from meshes.exchange import read_structure
+from meshes.inspection import Inspection
 from meshes.inspection import inspect as look_over
+from meshes.structure import Structure
 from thermojoint import arguments, console, inspection_report
 from thermojoint.pictures import check_png, write_pictures
 from thermojoint.view import Show, bare_structure, draw
@@ -82,9 +86,10 @@ def inspect(
         case = read_case(source)
         structure = build_structure(case)
         check_names(case, structure)
+        found = _with_loose_bodies(look_over(structure), case, structure)
     else:
         structure = read_structure(source, UNITS[unit.value])
-    found = look_over(structure)
+        found = look_over(structure)
     inspection_report.show(console.out(), str(source), found)
     if as_json:
         write_text(as_json, inspection_report.as_json(found))
@@ -93,6 +98,16 @@ def inspect(
     if out:
         write_pictures({out: bare_structure(structure)})
     console.wrote(as_json, skeleton, out)
+
+
+def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> Inspection:
+    """Add to the warnings what the supports and joints of a case do not hold."""
+    try:
+        checked_holds(case, structure, paired_joints(case, structure))
+    except InputError as error:
+        if str(error) not in found.warnings:
+            return replace(found, warnings=(*found.warnings, str(error)))
+    return found
 
 
 def view(

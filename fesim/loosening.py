@@ -1,0 +1,235 @@
+"""Rigid motions that joints set free on the way: contact elements open, or slide all together.
+
+What a contact element still holds is read from the law's tangent: along its normal while it is
+pressed, along its tangents while it sticks, across its slip while it slides. A body that slides as
+a whole has no stiffness along its slip, so that no equilibrium says where it is.
+
+The check costs next to nothing in a step: three contact elements that stick and do not lie in a
+line hold all that a joint can hold. Where a joint has less, one small factorisation decides; where
+that leaves a doubt, `Holds.unheld`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from artefacts.errors import ConvergenceError
+from fesim.joint_law import JointLaw, Traction
+from fesim.rigid_motions import Holds, described
+
+Array = NDArray[np.float64]
+
+#: A contact element under this share of its preload holds nothing; nor does it along a tangent with
+#: this share of its stiffness.
+NOTHING = 1e-6
+#: A pivot of the factorisation above this, relative to the largest entry, is not rounding.
+SURE = 1e-7
+#: An equilibrium that cannot be followed further is judged by what holds with this to spare.
+SPARE = 1e-2
+
+#: Columns of the table of contact elements.
+_LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What the check of a step needs, made once.
+
+    Attributes
+    ----------
+    holds : Holds
+        What can hold the bodies.
+    table : ndarray, shape (m, 6)
+        Least pressure that holds (Pa), tangential stiffness while sticking (Pa/m; 0 without
+        friction), group of elements between the same bodies, centre (m).
+    needed : ndarray of int, shape (groups,)
+        How many sticking elements of a group, each further from the others' line than rounding,
+        hold as much as all of it: 1 to 3.
+    rows : ndarray, shape (m, 3, 6 p)
+        Displacement of each contact element along normal and tangents by unit motions.
+    supports : ndarray, shape (6 p, 6 p)
+        Gram matrix of what the supports hold.
+    friction : ndarray, shape (m,)
+        mu.
+    """
+
+    holds: Holds
+    table: Array
+    needed: NDArray[np.int64]
+    rows: Array
+    supports: Array
+    friction: Array
+
+    def check(self, pressure: Array, tangent: Array) -> None:
+        """Raise ConvergenceError if a converged state leaves a body loose.
+
+        Parameters
+        ----------
+        pressure : ndarray, shape (m,)
+            Pa.
+        tangent : ndarray, shape (3, 3, m)
+            See `fesim.joint_law.Traction`.
+        """
+        if _as_at_rest(pressure, tangent, self.table, self.needed):
+            return
+        if _surely_held(pressure, tangent, self.table, self.rows, self.supports):
+            return
+        motions = self._unheld(pressure > self.table[:, _LEAST], tangent)
+        if motions.shape[1]:
+            raise _loose(self.holds, motions)
+
+    def explain(self, traction: Traction) -> None:
+        """Raise ConvergenceError if a body is about to come loose in a state.
+
+        Parameters
+        ----------
+        traction : Traction
+            The law in the last state that could be reached.
+        """
+        pressure = traction.value[0] + self.table[:, _LEAST] / NOTHING
+        size = np.hypot(*traction.value[1:])
+        slides = size > (1.0 - SPARE) * self.friction * pressure
+        first, second = traction.value[1:] / np.where(size > 0.0, size, 1.0)
+        across = np.array([[second * second, -first * second], [-first * second, first * first]])
+        tangent = traction.tangent.copy()
+        tangent[1:, 1:] = np.where(slides, -self.table[:, _STIFFNESS] * across, tangent[1:, 1:])
+        motions = self._unheld(pressure > SPARE / NOTHING * self.table[:, _LEAST], tangent)
+        if motions.shape[1]:
+            raise _loose(self.holds, motions)
+
+    def _unheld(self, pressed: NDArray[np.bool_], tangent: Array) -> Array:
+        normals, *tangents = self.holds.directions
+        stiffness = self.table[:, _STIFFNESS]
+        shear = -np.moveaxis(tangent[1:, 1:], -1, 0)
+        sizes, axes = np.linalg.eigh(0.5 * (shear + shear.transpose(0, 2, 1)))
+        held = (sizes > NOTHING * stiffness[:, None]) & (pressed & (stiffness > 0.0))[:, None]
+        element, which = np.nonzero(held)
+        along = np.einsum("ki,ikx->kx", axes[element, :, which], np.array(tangents)[:, element])
+        own = np.flatnonzero(pressed)
+        return self.holds.unheld(np.concatenate([own, element]), np.vstack([normals[own], along]))
+
+
+def watch_of(holds: Holds, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
+    """Prepare the check for the joints' laws and their numbers of contact elements."""
+    count = len(holds.centre)
+    per_law = [(NOTHING * law.preload, _rough_stiffness(law)) for law, _ in laws]
+    counts = [n for _, n in laws]
+    sides, group = np.unique(np.round(holds.share, 9), axis=0, return_inverse=True)
+    group = group.ravel()
+    table = np.empty((count, 6))
+    table[:, :_GROUP] = np.repeat(np.array(per_law).reshape(-1, 2), counts, axis=0)
+    table[:, _GROUP] = group
+    table[:, _PLACE:] = holds.centre
+    rows = np.stack([holds.frame.rows(holds.centre, d) for d in holds.directions], axis=1)
+    width = holds.supports.shape[1]
+    return Watch(
+        holds=holds,
+        table=table,
+        needed=np.array([_needed(holds.centre[group == k]) for k in range(len(sides))], dtype=int),
+        rows=np.einsum("mp,mdi->mdpi", holds.share, rows).reshape(count, 3, width),
+        supports=holds.supports.T @ holds.supports,
+        friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
+    )
+
+
+def _rough_stiffness(law: JointLaw) -> float:
+    return law.friction.stiffness if law.friction.coefficient > 0.0 else 0.0
+
+
+def _needed(centres: Array) -> int:
+    """One more than the dimension of what contact elements (k, 3) span, at most three."""
+    sizes = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)
+    return 1 + min(2, int(np.count_nonzero(sizes > 1e-6 * np.abs(centres).max())))
+
+
+def _loose(holds: Holds, motions: Array) -> ConvergenceError:
+    return ConvergenceError(
+        f"a body has come loose: joints that are open or slide no longer keep "
+        f"{described(holds, motions)}; hold it in [supports], or raise preload_MPa, "
+        "friction_coefficient or the number of contact elements"
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[np.int64]) -> bool:
+    """Whether every group of contact elements surely holds all that it holds at rest."""
+    count, groups = table.shape[0], needed.size
+    found = np.zeros(groups, dtype=np.int64)
+    whole = np.ones(groups, dtype=np.bool_)
+    corners = np.empty((groups, 2), dtype=np.int64)
+    for e in range(count):
+        k = int(table[e, _GROUP])
+        if found[k] >= needed[k]:
+            continue
+        stiffness = table[e, _STIFFNESS]
+        if pressure[e] <= table[e, _LEAST]:
+            whole[k] = False
+        elif stiffness > 0.0:
+            if tangent[1, 1, e] != -stiffness or tangent[1, 2, e] != 0.0:
+                whole[k] = False
+            elif found[k] < 2:
+                corners[k, found[k]] = e
+                found[k] += 1
+            else:
+                found[k] += _off_line(table, corners[k, 0], corners[k, 1], e)
+    held = True
+    for k in range(groups):
+        held = held and (found[k] >= needed[k] or whole[k])
+    return held
+
+
+@njit(cache=True, error_model="numpy")
+def _off_line(table: Array, a: int, b: int, c: int) -> bool:
+    """Whether the centre of contact element c is clearly off the line through those of a and b."""
+    x, y, z = table[b, 3] - table[a, 3], table[b, 4] - table[a, 4], table[b, 5] - table[a, 5]
+    u, v, w = table[c, 3] - table[a, 3], table[c, 4] - table[a, 4], table[c, 5] - table[a, 5]
+    cross = (y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2
+    return cross > 1e-4 * (x * x + y * y + z * z) * (u * u + v * v + w * w)
+
+
+@njit(cache=True, error_model="numpy")
+def _surely_held(
+    pressure: Array, tangent: Array, table: Array, rows: Array, supports: Array
+) -> bool:
+    """Whether Cholesky's pivots of the stiffness left to the rigid motions are all clear of zero.
+
+    Each contact element has unit stiffness along its normal and while it sticks.
+    """
+    size = supports.shape[0]
+    matrix = supports.copy()
+    for e in range(table.shape[0]):
+        if pressure[e] <= table[e, _LEAST]:
+            continue
+        stiffness = table[e, _STIFFNESS]
+        first = second = cross = 0.0
+        if stiffness > 0.0:
+            first, second = -tangent[1, 1, e] / stiffness, -tangent[2, 2, e] / stiffness
+            cross = -tangent[1, 2, e] / stiffness
+        for i in range(size):
+            n, a, b = rows[e, 0, i], rows[e, 1, i], rows[e, 2, i]
+            if n == 0.0 and a == 0.0 and b == 0.0:
+                continue
+            along, across = first * a + cross * b, cross * a + second * b
+            for j in range(i + 1):
+                matrix[i, j] += n * rows[e, 0, j] + along * rows[e, 1, j] + across * rows[e, 2, j]
+    largest = 0.0
+    for i in range(size):
+        largest = max(largest, matrix[i, i])
+    for j in range(size):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > SURE * largest:
+            return False
+        root = np.sqrt(pivot)
+        for i in range(j, size):
+            left = matrix[i, j]
+            for k in range(j):
+                left -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = left / root
+    return True

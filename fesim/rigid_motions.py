@@ -1,0 +1,309 @@
+"""Rigid motions that nothing holds, found from geometry alone before anything is factorised.
+
+A structure falls into pieces that share no node. Piece i moves rigidly by u(x) = t + w x (x - O):
+six numbers (t, w L) with one origin O and length L for all. Supports, springs and contact elements
+forbid some of these motions; what none of them forbids is the null space of their rows. A joint
+always holds along its normal and, where it has friction that sticks, along its tangents.
+
+With such a motion the stiffness of a structure is singular. The reference springs of
+`fesim.condensation` hide that, and rounding would decide how far the motion goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from skfem import Mesh
+
+from artefacts.errors import InputError
+from fesim.elasticity import DIRECTIONS
+from meshes.pairing import PairedJoint
+from meshes.structure import Structure
+
+Array = NDArray[np.float64]
+
+#: A rigid motion of unit size that moves what could hold it by less than this is not held: normals
+#: that turn by less (rad) are parallel but for the rounding of a mesh file.
+HELD = 1e-5
+#: A direction is called after an axis that it leaves by less than this, rad.
+NAMED = 1e-3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Origin O (3,), m, and length L, m, of the coordinates of rigid motions."""
+
+    origin: Array
+    length: float
+
+    def rows(self, points: Array, directions: Array) -> Array:
+        """Displacement of points (k, 3) along directions (k, 3) by unit motions, shape (k, 6)."""
+        arms = (points - self.origin) / self.length
+        return np.hstack([directions, np.cross(arms, directions)])
+
+
+@dataclass(frozen=True)
+class Holds:
+    """What can hold the pieces of a structure.
+
+    Attributes
+    ----------
+    frame : Frame
+        Of the motions of all p pieces.
+    pieces : tuple of str
+        What a message calls each piece.
+    supports : ndarray, shape (k, 6 p)
+        Orthonormal rows for each surface of fixed points, symmetry or springs.
+    share : ndarray, shape (m, p)
+        Part of side b of each contact element that is on each piece, less that of side a.
+    centre : ndarray, shape (m, 3)
+        Of each contact element, m.
+    directions : ndarray, shape (3, m, 3)
+        Its normal and its two tangents.
+    """
+
+    frame: Frame
+    pieces: tuple[str, ...]
+    supports: Array
+    share: Array
+    centre: Array
+    directions: Array
+
+    def unheld(self, element: NDArray[np.int64], direction: Array) -> Array:
+        """Motions left if contact elements hold along given directions, shape (6 p, motions).
+
+        Parameters
+        ----------
+        element : ndarray of int, shape (k,)
+            Which contact element holds; any of them any number of times.
+        direction : ndarray, shape (k, 3)
+            Along which unit vector.
+        """
+        blocks = [self.supports]
+        sides, group = np.unique(np.round(self.share, 9), axis=0, return_inverse=True)
+        group = group.ravel()[element]
+        for k in np.unique(group):
+            own = group == k
+            held = _span(self.frame, self.centre[element[own]], direction[own])
+            blocks.append(np.kron(sides[k], held))
+        rows = np.vstack(blocks)
+        _, sizes, motions = np.linalg.svd(rows)
+        return np.asarray(motions[np.count_nonzero(sizes > HELD) :].T)
+
+
+def holds_of(
+    structure: Structure,
+    joints: Sequence[PairedJoint],
+    fixed: Sequence[str],
+    symmetry: Mapping[str, str],
+    springs: Mapping[str, tuple[float, float, float]],
+) -> Holds:
+    """Return what can hold the pieces of a structure.
+
+    Parameters
+    ----------
+    structure : Structure
+        Mesh and names.
+    joints : sequence of PairedJoint
+        In the order of the contact elements.
+    fixed, symmetry, springs
+        As for `fesim.elasticity.elastic_operators`; a spring without stiffness holds nothing.
+    """
+    mesh = structure.mesh
+    piece = _piece_of_cells(mesh)
+    names = _names(structure, piece)
+    low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
+    frame = Frame(0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
+    along = {"x": 0, "y": 1, "z": 2}
+    held = [
+        *((name, (0, 1, 2)) for name in fixed),
+        *((name, (along[direction],)) for name, direction in symmetry.items()),
+        *(
+            (name, tuple(i for i in range(3) if stiffness[i] > 0.0))
+            for name, stiffness in springs.items()
+        ),
+    ]
+    supports = [np.empty((0, 6 * len(names)))]
+    for name, axes in held:
+        facets = structure.surface(name, "supports")
+        owner = piece[mesh.f2t[0, facets]]
+        for own in np.unique(owner):
+            nodes = np.unique(mesh.facets[:, facets[owner == own]])
+            points = np.tile(mesh.p[:, nodes].T, (len(axes), 1))
+            rows = _span(frame, points, np.repeat(np.eye(3)[list(axes)], len(nodes), axis=0))
+            supports.append(np.kron(np.eye(len(names))[own], rows))
+    return Holds(
+        frame=frame,
+        pieces=names,
+        supports=np.vstack(supports),
+        share=np.vstack(
+            [np.empty((0, len(names))), *(_share(joint, piece, len(names)) for joint in joints)]
+        ),
+        centre=np.vstack([np.empty((0, 3)), *(joint.centre for joint in joints)]),
+        directions=np.concatenate(
+            [
+                np.empty((3, 0, 3)),
+                *(np.stack([j.normal, *np.moveaxis(j.tangents, 1, 0)]) for j in joints),
+            ],
+            axis=1,
+        ),
+    )
+
+
+def check_held(holds: Holds, sticks: NDArray[np.bool_]) -> None:
+    """Refuse a structure with a rigid motion that nothing holds at rest.
+
+    Parameters
+    ----------
+    holds : Holds
+        What can hold it.
+    sticks : ndarray of bool, shape (m,)
+        Which contact elements have friction.
+
+    Raises
+    ------
+    InputError
+        Names the body and its motions.
+    """
+    count = len(holds.pieces)
+    touched = holds.supports.reshape(-1, count, 6).any(axis=(0, 2)) | holds.share.any(axis=0)
+    if not touched.all():
+        alone = holds.pieces[int(np.argmin(touched))]
+        raise InputError(
+            f"supports: {alone} has no support, spring or joint; hold it in [supports] or join it "
+            "to another body"
+        )
+    every, stuck = np.arange(len(sticks)), np.flatnonzero(sticks)
+    normal, first, second = holds.directions
+    motions = holds.unheld(
+        np.concatenate([every, stuck, stuck]), np.vstack([normal, first[stuck], second[stuck]])
+    )
+    if motions.shape[1]:
+        # A contact element acts at its centre alone: one of them is a hinge.
+        instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
+        raise InputError(
+            f"supports: no support, spring or joint keeps {described(holds, motions)}; hold it in "
+            f"[supports], or give its joints {instead}"
+        )
+
+
+def described(holds: Holds, motions: Array) -> str:
+    """Say which body can move how, e.g. "body 'bolt' from moving along x and y".
+
+    Parameters
+    ----------
+    holds : Holds
+        Names of the pieces.
+    motions : ndarray, shape (6 p, k)
+        Orthonormal motions, k at least 1; bodies that move on their own are named first.
+    """
+    count = len(holds.pieces)
+    # The projector on the motions does not depend on their basis: its blocks link what moves.
+    linked = np.linalg.norm((motions @ motions.T).reshape(count, 6, count, 6), axis=(1, 3)) > HELD
+    _, group = connected_components(linked, directed=False)
+    moving = [int(i) for i in np.flatnonzero(linked.diagonal())]
+    alone = [i for i in moving if _only(motions, [i]).shape[1]]
+    members = [alone[0]] if alone else [i for i in moving if group[i] == group[moving[0]]]
+    names = [holds.pieces[i] for i in members]
+    who = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} together"
+    own = _only(motions, members)[6 * members[0] : 6 * members[0] + 6]
+    shift = own[:3] @ _null(own[3:])
+    ways = []
+    if shifts := _axes(shift):
+        ways.append(f"moving along {_list(shifts)}")
+    if turns := _axes(own[3:]):
+        ways.append(f"turning about {_list(turns)}")
+    return f"{who} from {' and from '.join(ways)}"
+
+
+def _span(frame: Frame, points: Array, directions: Array) -> Array:
+    """Orthonormal rows (r, 6) that displacements of points along directions (k, 3) forbid.
+
+    What counts as zero is judged on the size of the points' own spread: a small seat holds a large
+    body against tilting.
+    """
+    if not len(points):
+        return np.empty((0, 6))
+    centre = points.mean(axis=0)
+    reach = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    # A single point, but for rounding, forbids no turning about itself.
+    own = Frame(centre, reach if reach > 1e-9 * frame.length else frame.length)
+    _, sizes, local = np.linalg.svd(
+        own.rows(points, directions) / np.sqrt(len(points)), full_matrices=False
+    )
+    kept = local[sizes > HELD]
+    # Row (d, r) acts on d . v + r . w, with v at the centre: there it is d . (t + w x (c - O)).
+    there = frame.rows(np.tile(centre, (len(kept), 1)), kept[:, :3])
+    there[:, 3:] += own.length / frame.length * kept[:, 3:]
+    return np.asarray(np.linalg.svd(there, full_matrices=False)[2])
+
+
+def _piece_of_cells(mesh: Mesh) -> NDArray[np.int64]:
+    """Number of the connected piece that each cell belongs to."""
+    cells, nodes = mesh.nelements, mesh.p.shape[1]
+    cell = np.tile(np.arange(cells), len(mesh.t))
+    size = cells + nodes
+    touches = coo_array((np.ones(cell.size), (cell, cells + mesh.t.ravel())), (size, size))
+    label = connected_components(touches, directed=False)[1][:cells]
+    return np.unique(label, return_inverse=True)[1].ravel()
+
+
+def _names(structure: Structure, piece: NDArray[np.int64]) -> tuple[str, ...]:
+    found = []
+    for number in range(int(piece.max()) + 1):
+        own = np.flatnonzero(piece == number)
+        bodies = [name for name, cells in structure.bodies.items() if np.isin(cells, own).any()]
+        name = f"bod{'y' if len(bodies) == 1 else 'ies'} {_list([repr(b) for b in bodies])}"
+        if not all(np.isin(structure.bodies[body], own).all() for body in bodies):
+            x, y, z = structure.mesh.p[:, structure.mesh.t[:, own]].mean(axis=(1, 2))
+            name = f"the piece of {name} around ({x:.4g}, {y:.4g}, {z:.4g}) m"
+        found.append(name)
+    return tuple(found)
+
+
+def _share(joint: PairedJoint, piece: NDArray[np.int64], count: int) -> Array:
+    share = np.zeros((len(joint.area), count))
+    for cells, sign in ((joint.cells_b, 1.0), (joint.cells_a, -1.0)):
+        part = joint.weights / joint.area[joint.element]
+        np.add.at(share, (joint.element, piece[cells]), sign * part)
+    return share
+
+
+def _only(motions: Array, members: Sequence[int]) -> Array:
+    """Motions (6 p, r) in which nothing but some pieces moves."""
+    others = np.ones(len(motions), dtype=bool)
+    for i in members:
+        others[6 * i : 6 * i + 6] = False
+    return motions @ _null(motions[others])
+
+
+def _null(rows: Array) -> Array:
+    """Orthonormal basis (n, r) of what `rows` (k, n) make zero."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    _, sizes, vectors = np.linalg.svd(rows)
+    return np.asarray(vectors[np.count_nonzero(sizes > HELD) :].T)
+
+
+def _axes(vectors: Array) -> list[str]:
+    """Names of what vectors (3, k) span: coordinate axes as far as they do, else components."""
+    if not vectors.size:
+        return []
+    left, sizes, _ = np.linalg.svd(vectors)
+    basis = left[:, : np.count_nonzero(sizes > HELD)]
+    found = [i for i in range(3) if np.linalg.norm(basis[i]) > np.cos(NAMED)]
+    names = [DIRECTIONS[i] for i in found]
+    rest = basis @ np.linalg.svd(basis[found])[2][len(found) :].T if found else basis
+    for vector in rest.T:
+        whole = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        names.append("({})".format(", ".join(f"{x + 0.0:.2g}" for x in np.round(whole, 3))))
+    return names
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
