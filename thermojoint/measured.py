@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 
 import numpy as np
 import xarray as xr
 
-from artefacts.errors import InputError, unknown_name
+from artefacts.errors import InputError, shown_point, unknown_name
 from calibrate.model import Model
 from estimator.fchs import Estimate
 from estimator.validation import readings, sensor_noise
@@ -31,7 +31,12 @@ _LARGEST = 5000.0
 Sample = tuple[float, ...]
 
 
-def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> Iterator[Sample]:
+def read_samples(
+    lines: Iterable[str],
+    sensors: Sequence[str],
+    where: str,
+    on_first: Callable[[Mapping[str, float]], None] | None = None,
+) -> Iterator[Sample]:
     """Yield the samples of a CSV as its lines come in.
 
     Parameters
@@ -42,6 +47,8 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
         Names of the sensors at the joint, e.g. T1 and T2.
     where : str
         Name of the file, for error messages.
+    on_first : callable, optional
+        Called with the first row as it was read: column to value.
 
     Yields
     ------
@@ -84,6 +91,8 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
                     f"{line}: {name} is {value:g}, no temperature; leave the row out, gaps are "
                     "allowed"
                 )
+        if on_first is not None and last == -math.inf:
+            on_first(dict(zip(wanted, values, strict=True)))
         last = values[0]
         if wanted is above_ambient:
             yield tuple(values)
@@ -137,8 +146,9 @@ def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
             found[role] = names[int(distance.argmin())]
         else:
             raise InputError(
-                f"response: no probe at sensor {role!r} of the model, {model.sensors[role]} m; "
-                f"the nearest, {names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
+                f"response: no probe at sensor {role!r} of the model, "
+                f"{shown_point(model.sensors[role])} m; the nearest, "
+                f"{names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
             )
     return found
 
