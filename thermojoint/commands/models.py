@@ -20,7 +20,7 @@ from estimator.assembly import start
 from estimator.fchs import initial_state, stream
 from estimator.state_file import load_state, save_state
 from fesim.case import read_case
-from thermojoint import arguments, console, measured, study
+from thermojoint import arguments, console, measured, plausibility, study
 from thermojoint.provenance import provenance_of
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes
@@ -56,9 +56,14 @@ def calibrate(
     arguments.check_writable(out)
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
-    others = {level: read_response(path) for level, path in map(arguments.level_and_file, given)}
+    named = [
+        (level, path, read_response(path)) for level, path in map(arguments.level_and_file, given)
+    ]
+    others = {level: response for level, _, response in named}
     if len(others) < len(given):
         raise InputError("--input: a heat input is given twice; give each once")
+    for path, response in ((reference, base), *((path, response) for _, path, response in named)):
+        console.warn(plausibility.of_response(response, str(path)))
     with console.progress_bars() as report:
         report("calibrating", 0, 1)
         calibrated = study.calibrate_responses(base, others, apart)
@@ -134,9 +139,16 @@ def estimate(
     with arguments.opened(temperatures) as source:
         samples: Iterator[measured.Sample]
         if source is None:
-            samples = measured.response_samples(read_response(temperatures), table)
+            response = read_response(temperatures)
+            console.warn(plausibility.of_response(response, where))
+            samples = measured.response_samples(response, table)
         else:
-            samples = measured.read_samples(source, sensors, where)
+            samples = measured.read_samples(
+                source,
+                sensors,
+                where,
+                lambda first: console.warn(plausibility.of_sample(first, where)),
+            )
         nominal, samples = measured.nominal_interval(samples, interval, where)
         machine = start(table, nominal, 60.0 * run_length)
         state = load_state(machine, resume) if resume else initial_state(machine)
@@ -183,6 +195,8 @@ def validate(
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")
+    for name, response in given.items():
+        console.warn(plausibility.of_response(response, name))
     if noise_pp is not None:
         # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
         given = {
@@ -214,5 +228,6 @@ def reproduce(
     arguments.check_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
+    console.warn(plausibility.of_case(given, str(case or "reference machine")))
     run_all(given, out)
     console.wrote(out)
