@@ -5,7 +5,9 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
 
-.PHONY: reproduce test lint types check bench clean
+.PHONY: install reproduce test lint types check bench clean
+
+install: $(INSTALLED)
 
 reproduce: $(INSTALLED)
 	$(BIN)/thermojoint reproduce --out $(OUT)

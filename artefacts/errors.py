@@ -43,3 +43,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> Inpu
     near = get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
     return InputError(f"{where}: no {kind} named {name!r}; {hint}")
+
+
+def shown_point(point: Iterable[float]) -> str:
+    """Return coordinates as an error message shows them."""
+    return f"({', '.join(f'{float(x):.6g}' for x in point)})"

@@ -79,6 +79,12 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     return response
 
 
+def _plain(value: object) -> object:
+    """Return an attribute of a file, of whatever type, as Python's own number, text or list."""
+    array = np.asarray(value)
+    return array.item() if array.ndim == 0 else array.tolist()
+
+
 def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
     """Return the times of a response, in s."""
     if "time" not in response.coords:
@@ -155,10 +161,10 @@ def read_response(path: Path) -> xr.Dataset:
         raise InputError(
             f"{path}: not a readable NetCDF file, perhaps truncated; simulate it again"
         ) from error
-    found = response.attrs.get("schema"), int(response.attrs.get("schema_version", 0))
-    if found != (SCHEMA, SCHEMA_VERSION):
+    found = [_plain(response.attrs.get(name)) for name in ("schema", "schema_version")]
+    if found != [SCHEMA, SCHEMA_VERSION]:
         raise InputError(
-            f"{path}: schema {found[0]!r} version {found[1]}, expected {SCHEMA!r} version "
+            f"{path}: schema {found[0]!r} version {found[1]!r}, expected {SCHEMA!r} version "
             f"{SCHEMA_VERSION}; write it again with this version"
         )
     return check_response(response, str(path))

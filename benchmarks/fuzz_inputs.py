@@ -96,8 +96,13 @@ file = "FILE"
 left = "iron"
 right = "iron"
 [joints.joint]
+preload_MPa = 4.41
 along = 2
 across = 2
+roughness_um = 1.25
+asperity_slope = 0.14
+hardness_GPa = 1.961
+friction_coefficient = 0.6
 normal_law = "back-burdekin"
 back_burdekin = { coefficient_um = 0.6, exponent = 0.5 }
 [supports]

@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 PROPORTIONAL = 1e-3
 SMALLEST_DIFFERENCE = 4.0
 SHORTLIST = 60
+#: s: the larger the part of a difference that is there by now, the faster the pair.
+EARLY = 30.0
 #: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
 #: calibrated (`calibrate.chain`), as if a temperature deviation were known to this rms.
 DEVIATION_UNCERTAINTY = 0.12
@@ -181,7 +183,7 @@ def choose_heat_pair(
         size = difference[-1]
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.max([np.abs(s[:, [i]] - s - difference).max(0) for s in scaled], axis=0) / size
-            early = difference[min(15, len(t) - 1)] / size
+            early = _at(t, difference, t[0] + EARLY) / size
         falls = (np.diff(difference, axis=0) < -1e-6 * np.abs(size)).any(axis=0)
         good = (size > SMALLEST_DIFFERENCE) & (off < PROPORTIONAL) & ~falls
         shortlist += [
@@ -312,6 +314,13 @@ def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
         dim="probe",
     )
     return response.drop_dims("probe").merge(joined).assign_attrs(response.attrs)
+
+
+def _at(t: Array, values: Array, time: float) -> Array:
+    """Values (n, m), sampled at times t (n,), at one time; straight lines between samples."""
+    k = min(max(int(np.searchsorted(t, time)), 1), len(t) - 1)
+    part = min((time - t[k - 1]) / (t[k] - t[k - 1]), 1.0)
+    return np.asarray((1.0 - part) * values[k - 1] + part * values[k])
 
 
 def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> float:

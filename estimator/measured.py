@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 
 import xarray as xr
@@ -26,7 +26,12 @@ _LARGEST = 5000.0
 Sample = tuple[float, ...]
 
 
-def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> Iterator[Sample]:
+def read_samples(
+    lines: Iterable[str],
+    sensors: Sequence[str],
+    where: str,
+    on_first: Callable[[Mapping[str, float]], None] | None = None,
+) -> Iterator[Sample]:
     """Yield the samples of a CSV as its lines come in.
 
     Parameters
@@ -37,6 +42,8 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
         Names of the sensors at the joint, e.g. T1 and T2.
     where : str
         Name of the file, for error messages.
+    on_first : callable, optional
+        Called with the first row as it was read: column to value.
 
     Yields
     ------
@@ -79,6 +86,8 @@ def read_samples(lines: Iterable[str], sensors: Sequence[str], where: str) -> It
                     f"{line}: {name} is {value:g}, no temperature; leave the row out, gaps are "
                     "allowed"
                 )
+        if on_first is not None and last == -math.inf:
+            on_first(dict(zip(wanted, values, strict=True)))
         last = values[0]
         if wanted is above_ambient:
             yield tuple(values)

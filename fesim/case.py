@@ -6,7 +6,6 @@ Units stand in the key names; everything is turned into SI by `fesim.setup`.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,8 +13,9 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from artefacts import toml
 from artefacts.errors import InputError, unknown_name
-from artefacts.refusal import refusal
+from artefacts.refusal import first_error, keys_at, quoting, refusal
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -68,8 +68,8 @@ class MaterialSection(_Section):
 class BackBurdekinSection(_Section):
     """``[joints.NAME.back_burdekin]``: approach = coefficient * pressure^exponent, um and MPa."""
 
-    coefficient_um: Positive = 0.6
-    exponent: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    coefficient_um: Positive
+    exponent: Annotated[float, Field(gt=0.0, le=1.0)]
 
 
 class ConductanceSection(_Section):
@@ -88,20 +88,25 @@ class ConductanceSection(_Section):
 
 
 class JointSection(_Section):
-    """``[joints.NAME]``: contact elements, surfaces and friction of one joint."""
+    """``[joints.NAME]``: contact elements, surfaces and friction of one joint.
+
+    What is one machine's has no default: preload, surfaces, friction.
+    ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
+    for v = 0.25 and 0.80 for v = 0.33.
+    """
 
     side_a: str | None = None
     side_b: str | None = None
-    preload_MPa: Positive = 4.41
-    along: Annotated[int, Field(ge=1)] = 9
+    preload_MPa: Positive
+    along: Annotated[int, Field(ge=1)]
     across: Annotated[int, Field(ge=1)] = 1
-    roughness_um: Positive = 1.25
-    asperity_slope: Positive = 0.14
-    hardness_GPa: Positive = 1.961
+    roughness_um: Positive
+    asperity_slope: Positive
+    hardness_GPa: Positive
     normal_law: Literal["surface", "back-burdekin"] = "surface"
-    back_burdekin: BackBurdekinSection = BackBurdekinSection()
+    back_burdekin: BackBurdekinSection | None = None
     conductance: ConductanceSection = ConductanceSection()
-    friction_coefficient: NotNegative = 0.6
+    friction_coefficient: NotNegative
     tangential_stiffness_ratio: Positive = 0.844
 
     @model_validator(mode="after")
@@ -114,6 +119,11 @@ class JointSection(_Section):
             )
         if (self.side_a is None) != (self.side_b is None):
             raise ValueError("give both side_a and side_b, or neither")
+        if self.normal_law == "back-burdekin" and self.back_burdekin is None:
+            raise ValueError(
+                'normal_law = "back-burdekin" needs back_burdekin = { coefficient_um = ..., '
+                "exponent = ... }"
+            )
         return self
 
 
@@ -176,7 +186,7 @@ class SourceSection(_Section):
 
     surface: str | None = None
     body: str | None = None
-    reference_power_W: Positive = 295.0
+    reference_power_W: Positive
     count: Annotated[int, Field(ge=1)] = 1
     reading: Literal["per source", "total"] = "per source"
     heat_input: HeatInput | None = None
@@ -213,8 +223,8 @@ class HeldTemperatureSection(_Section):
 class MarchSection(_Section):
     """``[march]``."""
 
-    step_s: Positive = 2.0
-    duration_min: Positive = 35.0
+    step_s: Positive
+    duration_min: Positive
     coupling: Literal["staggered", "iterated"] = "staggered"
     thermal: Literal["reduced", "full"] = "reduced"
     solver: Literal["pardiso", "superlu"] | None = None
@@ -281,8 +291,8 @@ class Case(_Section):
     heat_input: HeatInput | None = None
     ambient: AmbientSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
-    march: MarchSection = MarchSection()
-    displacement: DisplacementSection = DisplacementSection(point="A", relative_to="B")
+    march: MarchSection
+    displacement: DisplacementSection
     probes: dict[str, ProbeSection] = {}
     candidates: list[CandidatesSection] = []
     output: OutputSection = OutputSection()
@@ -317,20 +327,12 @@ def read_case(path: Path) -> Case:
         The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read; give a TOML case file") from error
-    return parse_case(text, str(path), path.parent)
+    return parse_case(toml.read_text(path, "case"), str(path), path.parent)
 
 
 def parse_case(text: str, where: str, folder: Path) -> Case:
     """Validate the text of a case file; see `read_case`."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: no valid TOML: {error}") from error
-    return case_from_data(data, where, folder)
+    return case_from_data(toml.parse(text, where), where, folder)
 
 
 def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
@@ -378,42 +380,27 @@ def _with_file_at(place: tuple[str, ...], data: Any, change: Callable[[str], str
     return data | {key: _with_file_at(place[1:], data[key], change) for key in keys}
 
 
+#: Sections of several kinds: pydantic puts the kind into a location, behind the section.
+_KIND_SECTIONS = (("structure",), ("heat_input",), ("sources", "*", "heat_input"))
+
+
 def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
-    first = error.errors()[0]
-    # A key may be called like a tag: only what stands before the last part can be one.
-    *inner, last = first["loc"] or ("case",)
-    place = [*(str(part) for part in inner if part not in _UNION_TAGS), str(last)]
-    at = f"{where}: {'.'.join(place)}"
-    if first["type"] == "extra_forbidden":
-        return unknown_name(
-            "key", place[-1], _known_keys(place[:-1]), ".".join([where, *place[:-1]])
-        )
-    return refusal(first, at)
+    first = first_error(error)
+    place = _without_kind([str(part) for part in first["loc"]]) or ["case"]
+    if first["type"] != "extra_forbidden":
+        return refusal(first, f"{where}: {'.'.join(place)}")
+    *section, key = place
+    refused = unknown_name("key", key, keys_at(Case, section), ".".join([where, *section]))
+    if section and isinstance(first["input"], dict):
+        return InputError(f"{refused}; {quoting(f'{section[-1]}.{key}')}")
+    return refused
 
 
-#: Names that pydantic puts into a location to tell which member of a union it tried.
-_UNION_TAGS = {"box_milling_machine", "mesh", "step", "ramp", "triangle", "sampled"}
-
-
-def _known_keys(place: list[str]) -> list[str]:
-    """Every key allowed at a place in the file, over all kinds a section may have."""
-    models: list[Any] = [Case]
-    for part in place:
-        found: list[Any] = []
-        for model in models:
-            if (
-                isinstance(model, type)
-                and issubclass(model, BaseModel)
-                and part in model.model_fields
-            ):
-                found += _models_in(model.model_fields[part].annotation)
-            else:
-                found.append(model)
-        models = found
-    return sorted({key for model in models for key in model.model_fields})
-
-
-def _models_in(annotation: object) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]
+def _without_kind(place: list[str]) -> list[str]:
+    for section in _KIND_SECTIONS:
+        size = len(section)
+        if len(place) > size and all(
+            known in ("*", part) for known, part in zip(section, place, strict=False)
+        ):
+            return place[:size] + place[size + 1 :]
+    return place

@@ -59,12 +59,12 @@ def joint_law(
         )
     )
     normal: SurfaceNormalLaw | BackBurdekinLaw
-    if section.normal_law == "surface":
+    given = section.back_burdekin
+    if section.normal_law == "surface" or given is None:
         normal = SurfaceNormalLaw(hardness, roughness, preload)
     else:
-        exponent = section.back_burdekin.exponent
-        coefficient = 1e-6 * section.back_burdekin.coefficient_um / 1e6**exponent
-        normal = BackBurdekinLaw(coefficient, exponent, preload)
+        coefficient = 1e-6 * given.coefficient_um / 1e6**given.exponent
+        normal = BackBurdekinLaw(coefficient, given.exponent, preload)
     stiffness = -float(normal.slope(np.zeros(1))[0])
     chosen = section.conductance
     if chosen.law == "cmy-exact":

@@ -55,15 +55,21 @@ def sampled_history(times: Array, values: Array, where: str = "history") -> Hist
     back = np.flatnonzero(np.diff(times) <= 0.0)
     if back.size:
         i = int(back[0]) + 1
+        swapped = "; perhaps the columns are swapped" if (np.diff(values) > 0.0).all() else ""
         raise InputError(
             f"{where}: time {times[i]:g} s of sample {i + 1} does not come after "
-            f"{times[i - 1]:g} s; times must increase strictly"
+            f"{times[i - 1]:g} s; times must increase strictly{swapped}"
         )
     return lambda time: np.interp(time, times, values)
 
 
 def read_history(path: Path, column: str = "heat_input") -> History:
-    """Read a sampled history from a CSV file with the columns ``time_s`` and `column`.
+    """Read a history from a CSV file; see `read_samples` and `sampled_history`."""
+    return sampled_history(*read_samples(path, column), str(path))
+
+
+def read_samples(path: Path, column: str) -> tuple[Array, Array]:
+    """Read times (s) and values from a CSV file with the columns ``time_s`` and `column`.
 
     Raises
     ------
@@ -99,7 +105,7 @@ def read_history(path: Path, column: str = "heat_input") -> History:
         )
         for wanted in ("time_s", column)
     )
-    return sampled_history(times, values, str(path))
+    return times, values
 
 
 def _number(text: str, where: str) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from artefacts.errors import InputError, unknown_name
+from artefacts.toml import as_key
 from fesim.cache import remembered
 from fesim.case import CandidatesSection, Case, MillingMachineSection
 from fesim.case_holds import checked_holds, with_friction
@@ -285,7 +286,10 @@ def build_structure(case: Case) -> Structure:
             raise unknown_name("joint", name, sides, "joints")
     unused = set(sides) - set(joints)
     if unused:
-        raise InputError(f"joints: the structure's joint {min(unused)!r} has no section; add it")
+        name = min(unused)
+        raise InputError(
+            f"joints: the structure's joint {name!r} has no section; add [joints.{as_key(name)}]"
+        )
     factor = (
         structure.symmetry_factor
         if isinstance(section, MillingMachineSection)
@@ -320,7 +324,9 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
             raise unknown_name("material", material, made, f"bodies.{body}")
     for body in structure.bodies:
         if body not in case.bodies:
-            raise InputError(f'bodies: body {body!r} has no material; add {body} = "MATERIAL"')
+            raise InputError(
+                f'bodies: body {body!r} has no material; add {as_key(body)} = "MATERIAL"'
+            )
     return {body: made[case.bodies[body]] for body in structure.bodies}
 
 

@@ -28,7 +28,7 @@ from skfem import (
 from skfem.element import Element
 from skfem.mapping import Mapping as CellMaps
 
-from artefacts.errors import InputError
+from artefacts.errors import InputError, shown_point
 from meshes.structure import Probe, Structure
 
 #: A point may lie outside its cell by this much in the cell's own coordinates (0 to 1).
@@ -248,8 +248,8 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
             probe = probes[name]
             where = f" of body {probe.body!r}" if probe.body else ""
             raise InputError(
-                f"probe {name!r} at {probe.position} m lies in no cell{where}; move it into the "
-                "structure"
+                f"probe {name!r} at {shown_point(probe.position)} m lies in no cell{where}; "
+                "move it into the structure"
             )
     return found
 

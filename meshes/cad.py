@@ -9,7 +9,6 @@ on them; those without a name are gathered as ``BODY_outer``.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import combinations, product
@@ -18,8 +17,10 @@ from typing import Any
 
 import pydantic
 
+from artefacts import toml
 from artefacts.errors import InputError
 from artefacts.files import whole_file
+from artefacts.refusal import dotted_name
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 #: A face may be this far from a point that names it, relative to the size of the part.
@@ -47,19 +48,14 @@ def read_names(path: Path) -> dict[str, list[Point]]:
     InputError
         The file is missing, no TOML, or holds something else.
     """
+    data = toml.parse(toml.read_text(path, "names"), str(path))
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         found = FaceNames.model_validate(data).surfaces_mm
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read; give a TOML file of names") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: no valid TOML: {error}") from error
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         at = ".".join(str(part) for part in first["loc"])
-        raise InputError(
-            f"{path}: {at}: write [surfaces_mm] with NAME = [[x, y, z], ...]"
-        ) from error
+        write = dotted_name(first) or "write [surfaces_mm] with NAME = [[x, y, z], ...]"
+        raise InputError(f"{path}: {at}: {write}") from error
     return {
         name: [(1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in points]
         for name, points in found.items()

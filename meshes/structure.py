@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError, unknown_name
+from artefacts.errors import InputError, shown_point, unknown_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -136,8 +136,8 @@ def _check_probes(structure: Structure) -> None:
             (x < low - slack).any() | (x > high + slack).any()
         ):
             raise InputError(
-                f"structure: probe {name!r} at {tuple(x)} m lies outside the mesh, which spans "
-                f"{tuple(low)} to {tuple(high)} m; mend its position or its unit"
+                f"structure: probe {name!r} at {shown_point(x)} m lies outside the mesh, which "
+                f"spans {shown_point(low)} to {shown_point(high)} m; mend its position or its unit"
             )
         if probe.body is not None:
             structure.body(probe.body, f"probe {name!r}")

@@ -82,7 +82,10 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     renumber[used] = np.arange(used.size)
     extent = float(np.ptp(points[used], axis=0).max())
     if extent > LARGEST_EXTENT:
-        raise InputError(f'{path}: the mesh is {extent:g} m long; if it is in mm, say unit = "mm"')
+        raise InputError(
+            f'{path}: the mesh is {extent:g} m long; if it is in mm, say unit = "mm" in '
+            "[structure], or --unit mm where there is no case"
+        )
     mesh = from_meshio(meshio.Mesh(points[used], [(straight, renumber[cells[:, :corners]])]))
     # Only now: the tables of edges and faces of a damaged mesh would mean nothing.
     _check_cells(mesh, path)

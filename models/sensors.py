@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from artefacts.arrays import Array
-from artefacts.errors import InputError, unknown_name
+from artefacts.errors import InputError, shown_point, unknown_name
 from artefacts.response import axes_of, probes_of
 from models.parameters import Model
 
@@ -112,8 +112,9 @@ def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
             found[role] = names[int(distance.argmin())]
         else:
             raise InputError(
-                f"response: no probe at sensor {role!r} of the model, {model.sensors[role]} m; "
-                f"the nearest, {names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
+                f"response: no probe at sensor {role!r} of the model, "
+                f"{shown_point(model.sensors[role])} m; the nearest, "
+                f"{names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
             )
     return found
 

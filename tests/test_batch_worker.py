@@ -7,7 +7,7 @@ from batch_cases import levels, study_in, write_study
 from artefacts.errors import InputError, UnreadableError
 from fesim.batch import worker
 from fesim.batch.study import read_study
-from fesim.batch.summary import is_open
+from fesim.batch.summary import figures_of, is_open, is_sliding
 from fesim.batch.worker import Task, run
 from fesim.case import case_from_data
 from fesim.history import read_history
@@ -114,6 +114,22 @@ def test_only_a_condensation_that_is_made_takes_time(tmp_path):
     assert second.setup_seconds == 0.0
     assert first.seconds > 0.0
     assert second.seconds > 0.0
+
+
+def test_an_element_slides_in_the_steps_that_change_its_slip():
+    slip = np.zeros((4, 2, 2))
+    slip[2:, 1, 0] = 1e-9
+    slip[3, 0, 1] = 1e-14  # what the gap equations leave
+    assert is_sliding(slip).tolist() == [[False, False], [False, True], [False, False]]
+
+
+def test_a_run_that_goes_on_is_open_by_its_preload_not_by_its_first_row(coarse_response):
+    going_on = coarse_response.isel(time=slice(10, None)).copy(deep=True)
+    pressure = going_on["pressure"].to_numpy()
+    pressure[:, 0] = 1.0  # open all the time, at a millionth of its preload
+    going_on = going_on.assign(pressure=(going_on["pressure"].dims, pressure))
+    area = going_on["contact_area"].to_numpy()
+    assert figures_of(going_on)["open_share_final"] == pytest.approx(area[0] / area.sum())
 
 
 def test_an_element_is_open_below_a_thousandth_of_its_own_preload():

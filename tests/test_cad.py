@@ -165,6 +165,7 @@ def test_wrong_files_are_refused_before_gmsh_starts(tmp_path, part, out, message
     [
         ("[surfaces]\nfoot = [[0, 0, 0]]\n", "surfaces: write"),
         ("[surfaces_mm]\nfoot = [[0, 0]]\n", "write .surfaces_mm. with NAME"),
+        ("[surfaces_mm]\nfoot.left = [[0, 0, 0]]\n", 'write it in quotes: "foot.left"'),
         ("[surfaces_mm\n", "no valid TOML"),
     ],
 )
@@ -172,3 +173,8 @@ def test_a_file_of_names_is_checked(tmp_path, text, message):
     (tmp_path / "names.toml").write_text(text)
     with pytest.raises(InputError, match=message):
         read_names(tmp_path / "names.toml")
+
+
+def test_a_byte_order_mark_may_lead_a_file_of_names(tmp_path):
+    (tmp_path / "names.toml").write_text("[surfaces_mm]\nfoot = [[0, 0, 0]]\n", "utf-8-sig")
+    assert read_names(tmp_path / "names.toml") == {"foot": [(0.0, 0.0, 0.0)]}

@@ -186,6 +186,91 @@ def test_no_property_that_is_not_positive_and_finite_gets_in(place, value):
 
 
 @pytest.mark.parametrize(
+    ("place", "key"),
+    [
+        (("materials", "mesh"), "density_kg_m3"),
+        (("materials", "step"), "poisson_ratio"),
+        (("sources", "triangle"), "reference_power_W"),
+        (("joints", "sampled"), "preload_MPa"),
+    ],
+)
+def test_a_section_that_is_called_like_a_kind_is_named_as_it_is_called(place, key):
+    data = changed(place, {})
+    section, name = place
+    data[section][name] = next(iter(DATA[section].values())) | {key: "much"}
+    said = refusal(data)
+    assert said.startswith(f"machine.toml: {section}.{name}.{key}: ")
+
+
+def test_a_bad_value_of_a_kind_is_named_without_the_kind():
+    assert refusal(changed(("structure", "half"), "maybe")).startswith(
+        "machine.toml: structure.half: "
+    )
+    data = changed(("sources", "bearings", "heat_input"), {"kind": "step", "level": "much"})
+    assert refusal(data).startswith("machine.toml: sources.bearings.heat_input.level: ")
+
+
+def test_keys_of_a_section_called_like_a_key_are_known():
+    data = changed(("materials", "poisson_ratio"), DATA["materials"]["screw"] | {"densty": 1.0})
+    assert "did you mean 'density_kg_m3'?" in refusal(data)
+
+
+def test_a_misspelt_key_that_must_be_there_is_told_as_misspelt():
+    knee = {key: value for key, value in DATA["joints"]["knee"].items() if key != "preload_MPa"}
+    said = refusal(changed(("joints", "knee"), knee | {"preload_mpa": 4.41}))
+    assert said.endswith("no key named 'preload_mpa'; did you mean 'preload_MPa'?")
+
+
+#: What belongs to one machine and not to machines.
+NO_DEFAULT = [
+    *(
+        ("joints", "knee", name)
+        for name in (
+            *("preload_MPa", "along", "roughness_um", "asperity_slope", "hardness_GPa"),
+            "friction_coefficient",
+        )
+    ),
+    ("joints", "knee", "back_burdekin", "coefficient_um"),
+    ("joints", "knee", "back_burdekin", "exponent"),
+    ("sources", "bearings", "reference_power_W"),
+    ("march",),
+    ("march", "step_s"),
+    ("march", "duration_min"),
+    ("displacement",),
+]
+
+
+@pytest.mark.parametrize("place", NO_DEFAULT)
+def test_what_is_one_machines_has_no_default(place):
+    assert refusal(without(place)) == f"machine.toml: {'.'.join(place)} is missing; add it"
+
+
+def test_the_constants_of_a_law_that_is_asked_for_must_be_given():
+    data = without(("joints", "knee", "back_burdekin"))
+    case_from_data(data, "case", Path())
+    data["joints"]["knee"]["normal_law"] = "back-burdekin"
+    assert "needs back_burdekin = { coefficient_um" in refusal(data)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ('[bodies]\ntable = "cast_iron"\nslide.left = "cast_iron"\n', "slide.left"),
+        ("[convection_W_m2K]\nslide.a = 6.0\n", "slide.a"),
+        ("[convection_W_m2K]\nslide.a.top = 6.0\n", "slide.a.top"),
+        ('[supports]\nsymmetry.cut.x = "x"\n', "cut.x"),
+        ("[joints.slide.left]\npreload_MPa = 1.0\n", "slide.left"),
+        ("[probes.T.1]\nposition_mm = [0.0, 0.0, 0.0]\n", "T.1"),
+        ("[held_temperatures.slide.a]\nrise_K = 1.0\n", "slide.a"),
+    ],
+)
+def test_a_dotted_name_without_quotes_is_told_to_need_them(text, name):
+    parts = tomllib.loads(text)
+    said = refusal({**DATA, **parts})
+    assert said.endswith(f'if the name is {name}, write it in quotes: "{name}"')
+
+
+@pytest.mark.parametrize(
     ("section", "kind"), [("structure", "gear_box"), ("heat_input", "sine"), ("structure", None)]
 )
 def test_an_unknown_kind_is_refused(section, kind):
@@ -244,6 +329,12 @@ def test_text_that_is_no_toml_is_refused_with_its_line(text):
     with pytest.raises(InputError, match=r"machine\.toml: no valid TOML: .*\(at ") as caught:
         parse_case(text, "machine.toml", Path())
     assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_may_lead(tmp_path):
+    path = tmp_path / "machine.toml"
+    path.write_text(REFERENCE, encoding="utf-8-sig")
+    assert read_case(path) == parse_case(REFERENCE, "reference", Path())
 
 
 @given(text=st.text(max_size=60))

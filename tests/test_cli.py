@@ -9,9 +9,11 @@ import sys
 import tomllib
 from contextlib import contextmanager
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from artefacts.response import read_response, write_response
 from models.model_file import Provenance, read_model, write_model
@@ -214,6 +216,36 @@ def test_every_command_has_help_with_an_example(command, name):
     assert f"thermojoint {name}" in out
 
 
+def stripped(text):
+    """Text without what a terminal puts around and between its words."""
+    return re.sub(r"[\s│─╭╮╰╯]", "", re.sub(r"\x1b\[[0-9;]*m", "", text))
+
+
+HELPED = typer.main.get_command(cli.app).commands
+
+
+@pytest.mark.parametrize("name", HELPED)
+def test_help_keeps_its_brackets(command, name):
+    """Rich takes words in brackets for styles, unless they are escaped."""
+    _, out, _ = command(name, "--help")
+    texts = [HELPED[name].help, *(getattr(one, "help", None) for one in HELPED[name].params)]
+    for text in filter(None, texts):
+        plain = re.sub(r"\[/?bold\]", "", text)
+        for bracketed in re.findall(r"\\?(\[[^\[\]]+\])", plain):
+            assert stripped(bracketed) in stripped(out), bracketed
+
+
+def test_every_option_that_a_message_advises_exists():
+    known = {option for one in HELPED.values() for param in one.params for option in param.opts} | {
+        "--version",
+        "--help",
+    }
+    for package in ("artefacts", "calibrate", "estimator", "fesim", "meshes", "thermojoint"):
+        for path in (Path(cli.__file__).parents[1] / package).rglob("*.py"):
+            advised = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", path.read_text("utf-8")))
+            assert advised <= known, path
+
+
 def test_the_version_is_printed(command):
     code, out, _ = command("--version")
     assert code == 0
@@ -316,6 +348,48 @@ def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand,
         for name in ("half", "rest", "whole")
     )
     assert np.array_equal(np.concatenate([half, rest]), whole)
+
+
+def test_a_simulation_ends_with_what_a_person_wants_to_know(command, files_at_hand, tmp_path):
+    out = tmp_path / "out.nc"
+    code, told, _ = command("simulate", files_at_hand / "case.toml", "--out", out)
+    assert code == 0
+    response = read_response(out)
+    displacement = 1e6 * response["displacement"].to_numpy()
+    assert "Displacement of A relative to B (µm)" in told
+    for axis, track in zip("xyz", displacement.T, strict=True):
+        (row,) = (line for line in told.splitlines() if line.startswith(f"│ {axis} "))
+        final, peak = (float(cell) for cell in row.split("│")[2:4])
+        assert final == pytest.approx(track[-1], abs=1e-3)
+        assert abs(peak) == pytest.approx(np.abs(track).max(), abs=1e-3)
+    hottest = response["temperature"].max("time")
+    probe = hottest["probe"].to_numpy()[hottest.to_numpy().argmax()]
+    assert f"{float(hottest.max()):.4g} K above the initial ambient; probe {probe}, after" in told
+    last = 1e-6 * response["pressure"].to_numpy()[-1]
+    assert f"Contact pressure: {last.min():.4g} to {last.max():.4g} MPa at the end" in told
+    assert re.search(r"at the end: [\d.]+% open \(at most [\d.]+%\), [\d.]+% sliding", told)
+    assert told.index("Displacement") < told.index("Contact pressure") < told.index("Solver")
+
+
+def test_an_implausible_case_is_simulated_with_a_warning(command, tmp_path):
+    text = lasting(0.1).replace("density_kg_m3 = 7200.0", "density_kg_m3 = 7.2", 1)
+    (tmp_path / "case.toml").write_text(text)
+    code, _, err = command("simulate", tmp_path / "case.toml", "--out", tmp_path / "out.nc")
+    assert code == 0
+    warnings = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert "7.2 g/cm3 would be 7200 kg/m3" in warnings[0]
+
+
+def test_a_measured_csv_in_kelvin_is_estimated_with_a_warning(command, files_at_hand, tmp_path):
+    rows = "".join(f"{2 * k},0.1,293.15,293.2\n" for k in range(3))
+    (tmp_path / "kelvin.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n" + rows)
+    given = [files_at_hand / "model.json", tmp_path / "kelvin.csv"]
+    code, _, err = command("estimate", *given, "--out", tmp_path / "out.csv")
+    assert code == 0
+    told = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert [line.partition(" = ")[0].rpartition(" ")[2] for line in told] == ["T1_K", "T2_K"]
+    assert all("absolute temperature" in line for line in told)
 
 
 def test_snapshots_are_written_where_they_are_asked_for(command, tmp_path):

@@ -71,10 +71,15 @@ def test_one_line_with_exit_code_2_passes(ended):
     assert ended(2, "thermojoint: case.toml: no such thing\n") == "refused"
 
 
+def test_a_warning_before_the_one_line_passes(ended):
+    assert ended(2, "warning: case.toml: odd\nthermojoint: no such thing\n") == "refused"
+
+
 @pytest.mark.parametrize(
     "said",
     [
         "",
+        "warning: odd\n",
         "no such thing\n",
         "thermojoint: one\nthermojoint: two\n",
         "[stdin] something else\nthermojoint: one\n",

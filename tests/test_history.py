@@ -119,6 +119,7 @@ def test_a_csv_with_a_single_row_holds_its_value(tmp_path):
         ("time_s,heat_input\n0,1\n1,much\n", "line 3: 'much' is no number"),
         ("time_s,heat_input\n0,1\n1,\n", "line 3: '' is no number"),
         ("time_s,heat_input\n0,1\n2,1\n1,1\n", "time 1 s of sample 3 does not come after 2 s"),
+        ("time_s,heat_input\n0,0\n1,30\n1,300\n", "perhaps the columns are swapped"),
         ("time_s,heat_input\n0,1\n1,2,3\n", "line 3 has 3 values for 2 columns"),
         ("time_s,heat_input\n", "one or more"),
         ("", "column 'time_s' is missing; found nothing"),

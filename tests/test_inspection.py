@@ -1,5 +1,6 @@
 """What `inspect` finds in structures whose contents are known."""
 
+import io
 import json
 import tomllib
 from dataclasses import replace
@@ -7,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, two_bars
+from rich.console import Console
 from skfem import MeshHex, MeshTet
 
 from fesim.case import case_from_data
@@ -16,7 +18,7 @@ from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine
 from meshes.quality import cell_quality
 from meshes.structure import Structure
-from thermojoint.inspection_report import as_json, case_skeleton
+from thermojoint.inspection_report import as_json, case_skeleton, show
 
 
 def test_cubes_are_perfect_and_slanted_ones_are_worse():
@@ -136,6 +138,27 @@ def test_slivers_are_told_with_their_place():
 def test_what_was_found_is_valid_json():
     data = json.loads(as_json(inspect(BARS)))
     assert data["joints"]["joint"]["overlap"] == pytest.approx(AREA)
+
+
+LONG_NAME = "Gehaeuse_Unterteil_rechts_Rev_C_4711-0815-003"
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_long_names_are_printed_whole(width):
+    bodies = {f"{LONG_NAME}_{name}": cells for name, cells in BARS.bodies.items()}
+    joint = "_".join(bodies)
+    renamed = replace(BARS, bodies=bodies, joints={joint: BARS.joints["joint"]}, probes={})
+    told = io.StringIO()
+    show(Console(file=told, width=width, highlight=False, markup=False), "x.msh", inspect(renamed))
+    for name in (*bodies, joint):
+        assert name in told.getvalue()
+
+
+def test_short_names_stand_in_tables():
+    told = io.StringIO()
+    show(Console(file=told, width=100, highlight=False, markup=False), "x.msh", inspect(BARS))
+    assert "│ left_end " in told.getvalue()
+    assert "│ joint │" in told.getvalue()
 
 
 def test_the_skeleton_names_what_is_there(tmp_path):

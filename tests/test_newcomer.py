@@ -1,7 +1,10 @@
-"""The page for newcomers does what it says: every file in it is written, every command is run."""
+"""The page for newcomers does what it says: its files are in the examples, its commands are run."""
 
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +12,20 @@ import pytest
 import typer
 import xarray as xr
 from skfem import MeshHex
-from step_files import write_step
 
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint.cli import app
 
-PAGE = Path(__file__).parents[1] / "docs" / "your-own-machine.md"
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "your-own-machine.md"
+CLAMP = ROOT / "examples" / "clamp"
+#: What follows the language of a block: "once" for what sets the environment up, "cad" for what
+#: needs Gmsh, or the name of a file.
 BLOCKS = re.findall(r"^```(\w+)([^\n]*)\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
+
+FILES = {rest.strip(): content for _, rest, content in BLOCKS if "." in rest}
 
 COMMANDS = [
     (page.name, line)
@@ -63,35 +71,60 @@ def clamp_mesh():
     )
 
 
-def run(command):
+def run(command, patch):
     words = shlex.split(command)
-    assert words[0] == "thermojoint"
-    app(words[1:], standalone_mode=False)
+    if words[0] == "cd":
+        patch.chdir(words[1])
+    elif words[0] == "thermojoint":
+        app(words[1:], standalone_mode=False)
+    else:
+        subprocess.run(command, shell=True, check=True)
 
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """Follow the page from top to bottom in an empty folder."""
-    folder = tmp_path_factory.mktemp("newcomer")
+    """Follow the page from top to bottom, with the files that a clone has."""
+    root = tmp_path_factory.mktemp("newcomer")
+    folder = root / "examples" / "clamp"
+    folder.mkdir(parents=True)
+    for name in ("clamp.step", *FILES):
+        shutil.copy(CLAMP / name, folder)
+    if gmsh is None:
+        write_structure(clamp_mesh(), folder / "clamp.msh")
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        if gmsh is not None:
-            # A block on a bed.
-            solids = [
-                ("bed", "addBox", 0, 0, 0, 150, 40, 20),
-                ("block", "addBox", 50, 0, 20, 50, 40, 20),
-            ]
-            write_step(folder / "clamp.step", solids)
-        else:
-            write_structure(clamp_mesh(), folder / "clamp.msh")
+        patch.chdir(root)
         for language, rest, content in BLOCKS:
-            if language == "sh":
-                if "cad" not in rest or gmsh is not None:
-                    for command in content.strip().splitlines():
-                        run(command)
-            elif language != "python":
-                (folder / rest.strip()).write_text(content)
+            left_out = ["once"] if gmsh is not None else ["once", "cad"]
+            if language == "sh" and rest.strip() not in left_out:
+                for command in content.strip().splitlines():
+                    run(command, patch)
     return folder
+
+
+def test_every_file_of_the_page_is_in_the_examples_as_it_stands_there():
+    assert set(FILES) == {"names.toml", "clamp.toml", "spindle.csv"}
+    for name, content in FILES.items():
+        assert (CLAMP / name).read_text("utf-8") == content, name
+
+
+@pytest.mark.skipif(gmsh is None, reason="needs Gmsh")
+def test_the_script_makes_the_cad_file_of_the_page(tmp_path):
+    done = [sys.executable, CLAMP / "clamp.py", tmp_path / "clamp.step"]
+    subprocess.run(done, check=True, capture_output=True)
+    made, kept = (
+        path.read_text("utf-8") for path in (tmp_path / "clamp.step", CLAMP / "clamp.step")
+    )
+    for what in ("MANIFOLD_SOLID_BREP", "ADVANCED_FACE", "PRODUCT('bed'", "PRODUCT('block'"):
+        assert made.count(what) == kept.count(what) > 0
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_the_environment_is_set_up_by_one_command():
+    (once,) = (content for _, rest, content in BLOCKS if rest.strip() == "once")
+    make, activate = once.strip().splitlines()
+    told = subprocess.run([*make.split(), "-n"], cwd=ROOT, check=False, capture_output=True)
+    assert told.returncode == 0
+    assert activate == ". .venv/bin/activate"
 
 
 def test_every_command_of_the_page_leaves_its_file(followed):
@@ -107,6 +140,9 @@ def test_the_clamp_does_what_physics_says(followed):
     assert float(response["heat_flow"][60].sum()) < -5.0
     tip, base = (response["temperature"].sel(probe=name) for name in ("tip", "base"))
     assert float(tip[60]) > float(base[60]) > 0.0
+    # It goes on from where it ended.
+    rest = xr.load_dataset(followed / "rest.nc")
+    assert float(rest["time"][0]) == pytest.approx(605.0)
     # It rises, and sinks again when the spindle slows down.
     height = response["displacement"].sel(axis="z")
     assert float(height[60]) > 1e-6

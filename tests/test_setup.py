@@ -20,6 +20,15 @@ PROBES = {
     "T1": {"position_mm": [625.0, 450.0, 87.5]},
 }
 
+KNEE = {
+    "preload_MPa": 4.41,
+    "along": 9,
+    "roughness_um": 1.25,
+    "asperity_slope": 0.14,
+    "hardness_GPa": 1.961,
+    "friction_coefficient": 0.6,
+}
+
 
 @pytest.fixture
 def edit(coarse_data):
@@ -64,21 +73,21 @@ NAMES = [
         "structure.dimensions_mm: no dimension named 'wal'; did you mean 'wall'?",
     ),
     (("structure", "dimensions_mm"), {"wall": 300.0}, "does not fit"),
-    (("joints", "kne"), {}, "no joint named 'kne'; did you mean 'knee'?"),
+    (("joints", "kne"), KNEE, "no joint named 'kne'; did you mean 'knee'?"),
     (("joints",), {}, "joint 'knee' has no section"),
     (
         ("joints", "knee"),
-        {"side_a": "knee.a", "side_b": "knee.c"},
+        KNEE | {"side_a": "knee.a", "side_b": "knee.c"},
         "no surface named 'knee.c'; did you mean",
     ),
     (
         ("joints", "knee"),
-        {"side_a": "column_base", "side_b": "screw_foot"},
+        KNEE | {"side_a": "column_base", "side_b": "screw_foot"},
         "do not face each other",
     ),
     (
         ("joints", "knee"),
-        {"side_a": "column_base", "side_b": "knee.b"},
+        KNEE | {"side_a": "column_base", "side_b": "knee.b"},
         "its sides do not face each other",
     ),
     (("probes", "a", "body"), "spindle", "probe 'a': no body named 'spindle'"),
@@ -364,7 +373,11 @@ def test_stiff_springs_hold_like_a_support_and_soft_ones_give_way(edit):
             "no surface named 'feet'",
         ),
         (("held_temperatures",), {"foot": {"rise_K": 1.0}}, "no surface named 'foot'"),
-        (("sources", "x"), {"body": "scre"}, "sources.x.body: no body named 'scre'"),
+        (
+            ("sources", "x"),
+            {"body": "scre", "reference_power_W": 1.0},
+            "sources.x.body: no body named 'scre'",
+        ),
         (("ambient",), {"file": "none.csv"}, "none.csv: no such history file"),
     ],
 )

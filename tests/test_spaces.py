@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from bars import two_bars
 from hypothesis import given
 from hypothesis import strategies as st
 from skfem import MeshHex, MeshTet
 
+from artefacts.errors import InputError
 from fesim.case import CandidatesSection
 from fesim.setup import candidate_probes
-from fesim.spaces import cells_at
-from meshes.structure import Structure
+from fesim.spaces import cells_at, probe_cells
+from meshes.structure import Probe, Structure
 
 #: A bar with cells of 100 mm at one end and of 2 mm at the other.
 GRADED = MeshHex.init_tensor(
@@ -63,3 +65,10 @@ def test_candidates_leave_out_what_a_body_of_tetrahedra_does_not_hold():
     found = candidate_probes(case, structure)
     lattice = [(a, b + 0.5) for a in range(10, 100, 10) for b in range(2, 100, 10)]
     assert set(found) == {f"s{a}_{b}_20" for a, b in lattice if b < 100.0 - 0.9 * a}
+
+
+def test_a_point_outside_is_told_as_plain_numbers():
+    structure = two_bars()
+    probe = Probe(tuple(np.array([0.05, 0.03, 9.0])), "left")
+    with pytest.raises(InputError, match=r"probe 'far' at \(0.05, 0.03, 9\) m lies in no cell"):
+        probe_cells(structure, {"far": probe})

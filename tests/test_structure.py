@@ -63,7 +63,10 @@ def test_joints_need_two_separate_surfaces():
 
 
 def test_probes_lie_in_the_mesh_and_name_a_body_that_exists():
-    refused("probe 'far' .* lies outside", probes={"far": Probe((100.0, 30.0, 20.0))})
+    refused(
+        r"probe 'far' at \(100, 30, 20\) m lies outside .* \(0, 0, 0\) to",
+        probes={"far": Probe((100.0, 30.0, 20.0))},
+    )
     refused("probe 'far'", probes={"far": Probe((np.nan, 0.0, 0.0))})
     refused("did you mean 'left'", probes={"near": Probe((0.0, 0.0, 0.0), "lefty")})
 

@@ -25,6 +25,8 @@ from fesim.batch import run
 from fesim.batch.crew import Crew
 from fesim.batch.local import local_crew
 from fesim.batch.study import Study, StudyCase, brief, read_study, shown
+from thermojoint.console import warn
+from thermojoint.plausibility import of_cases
 
 #: Workers that are shown one by one; of more only the number.
 SHOWN_WORKERS = 8
@@ -33,6 +35,7 @@ SHOWN_WORKERS = 8
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
     """Run a study file's batch and show how it goes."""
     study = read_study(path)
+    warn(of_cases((one.case for one in study.cases), str(path)))
     with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
         crew = crew_of(workers, scheduler, say)
         return run.run_batch(study, out, crew, watch=watch, tell=tell, stopped=stopped)

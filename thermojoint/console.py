@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import xarray as xr
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -19,8 +20,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from fesim.batch.summary import figures_of
 from thermojoint import paper_values
-from thermojoint.summary import Convergence, PressureShare, SchemeErrors
+from thermojoint.summary import Convergence, PressureShare, SchemeErrors, result_lines
 from thermojoint.tables import NOTE, PrintedTable
 
 #: Called with (what is being worked on, done, in all).
@@ -66,6 +68,12 @@ def progress_bars() -> Iterator[Report]:
 def say(text: str) -> None:
     """Print one line about what was done, on standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Print a line for each warning, on standard error."""
+    for line in lines:
+        say(f"warning: {line}")
 
 
 def wrote(*paths: Path | None) -> None:
@@ -167,6 +175,22 @@ def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> 
             ),
         )
     _titled(console, title, table)
+
+
+def show_results(console: Console, response: xr.Dataset) -> None:
+    """Print what a simulated response comes to: displacement, temperature, and the joint."""
+    figures = figures_of(response)
+    table = Table()
+    table.add_column("axis")
+    for name in ("final", "peak"):
+        table.add_column(name, justify="right")
+    for axis in response["axis"].to_numpy():
+        at = (figures[f"displacement_{axis}_{kind}_um"] for kind in ("final", "peak"))
+        # To the nanometre, and without the sign of a zero: less is rounding.
+        table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
+    _titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)
+    for line in result_lines(response, figures):
+        console.print(line)
 
 
 def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:

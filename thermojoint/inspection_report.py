@@ -5,12 +5,20 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
+from artefacts.toml import as_key, as_text
 from meshes.inspection import Inspection
+
+_ANY_WIDTH = 100_000
+Row = tuple[str, ...]
+#: Names of the columns, and the rows; what a row is about stands first.
+Rows = tuple[Row, list[Row]]
 
 
 def as_json(found: Inspection) -> str:
@@ -21,22 +29,38 @@ def as_json(found: Inspection) -> str:
 def show(console: Console, name: str, found: Inspection) -> None:
     """Print what is in the mesh and what looks wrong."""
     size = " x ".join(f"{1e3 * length:.4g}" for length in found.extent)
-    console.print(f"{name}: {found.cells} {found.kind}, {found.nodes} nodes, {size} mm")
+    console.print(
+        f"{name}: {found.cells} {found.kind}, {found.nodes} nodes, {size} mm", soft_wrap=True
+    )
     quality = ", ".join(f"{what} {value:.2f}" for what, value in found.quality.items())
     at = ", ".join(f"{1e3 * x:.4g}" for x in found.worst_cell)
-    console.print(f"quality of the cells (1 is best): {quality}; worst at ({at}) mm")
-    for table in (_bodies(found), _surfaces(found), _joints(found), _probes(found)):
-        if table.row_count:
-            console.print(table)
+    console.print(
+        f"quality of the cells (1 is best): {quality}; worst at ({at}) mm", soft_wrap=True
+    )
+    for header, rows in (_bodies(found), _surfaces(found), _joints(found), _probes(found)):
+        if rows:
+            _print(console, header, rows)
     if found.unnamed_area > 0.0:
         console.print(
             f"{1e4 * found.unnamed_area:.4g} cm2 of the boundary have no name: nothing convects "
             "there"
         )
     for warning in found.warnings:
-        console.print(f"warning: {warning}", style="yellow")
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     if not found.warnings:
         console.print("nothing looks wrong")
+
+
+#: What a draft says of each joint: there to be changed.
+_JOINT = (
+    "preload_MPa = 1.0         # pressure at the start",
+    "along = 9                 # contact elements along its longer side",
+    "across = 3",
+    "roughness_um = 1.0        # ground surfaces; turned or milled ones have more",
+    "asperity_slope = 0.15",
+    "hardness_GPa = 2.0        # of the softer side: 0.0098 x its hardness HB",
+    "friction_coefficient = 0.2",
+)
 
 
 def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
@@ -53,7 +77,7 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         "",
         "[structure]",
         'kind = "mesh"',
-        f"file = {_text(Path(seen).as_posix())}",
+        f"file = {as_text(Path(seen).as_posix())}",
         *([f'unit = "{unit}"'] if unit != "m" else []),
         "",
         "[materials.cast_iron]",
@@ -65,19 +89,15 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         "expansion_1_K = 13.7e-6",
         "",
         "[bodies]",
-        *(f'{_key(name)} = "cast_iron"' for name in found.bodies),
-        *(
-            line
-            for name in found.joints
-            for line in ("", f"[joints.{_key(name)}]", "preload_MPa = 4.41", "along = 9")
-        ),
+        *(f'{as_key(name)} = "cast_iron"' for name in found.bodies),
+        *(line for name in found.joints for line in ("", f"[joints.{as_key(name)}]", *_JOINT)),
         *([] if found.joints else ["", "[joints]"]),
         "",
         "[supports]",
         f"fixed = []                # one of: {', '.join(free)}",
         "",
         "[convection_W_m2K]",
-        *(f"{_key(name)} = 6.0" for name in free),
+        *(f"{as_key(name)} = 6.0" for name in free),
         "",
         "[sources.heat]",
         f'surface = "..."           # one of: {", ".join(free)}; or body = "..."',
@@ -87,62 +107,70 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         'kind = "step"',
         "level = 1.0",
         "",
-        "[displacement]",
-        f"point = {_text(place or 'P')}",
+        "[march]",
+        "step_s = 5.0",
+        "duration_min = 30.0",
         "",
-        f"[probes.{_key('P')}]",
+        "[displacement]",
+        f"point = {as_text(place or 'P')}",
+        "",
+        f"[probes.{as_key('P')}]",
         "position_mm = [0.0, 0.0, 0.0]",
         "",
     ]
     return "\n".join(lines)
 
 
-def _key(name: str) -> str:
-    """Return a name as a TOML key."""
-    bare = name.replace("_", "").replace("-", "")
-    return name if bare.isascii() and bare.isalnum() else _text(name)
+def _print(console: Console, header: Row, rows: Sequence[Row]) -> None:
+    """Print a table, or each row as a paragraph where it would not fit: names stay whole.
+
+    What is cut or folded could not be copied into a case.
+    """
+    table = Table(*(what.replace(" (", "\n(") for what in header))
+    for row in rows:
+        table.add_row(*row)
+    unlimited = console.options.update(max_width=_ANY_WIDTH)
+    if Measurement.get(console, unlimited, table).maximum <= console.width:
+        console.print(table)
+        return
+    for name, *values in rows:
+        console.print(f"{header[0]} {name}", soft_wrap=True)
+        facts = (f"{what} {value}" for what, value in zip(header[1:], values, strict=True))
+        console.print(f"  {'; '.join(facts)}", soft_wrap=True)
 
 
-def _text(value: str) -> str:
-    """Return a TOML string: escaped as in JSON, but for the surrogate pairs that TOML refuses."""
-    return json.dumps(value, ensure_ascii=False)
+def _bodies(found: Inspection) -> Rows:
+    return ("body", "cells", "volume (cm3)", "extent (mm)"), [
+        (
+            name,
+            str(body.cells),
+            f"{1e6 * body.volume:.4g}",
+            " x ".join(f"{1e3 * length:.4g}" for length in body.extent),
+        )
+        for name, body in found.bodies.items()
+    ]
 
 
-def _bodies(found: Inspection) -> Table:
-    table = Table("body", "cells", "volume, cm3", "extent, mm")
-    for name, body in found.bodies.items():
-        extent = " x ".join(f"{1e3 * length:.4g}" for length in body.extent)
-        table.add_row(name, str(body.cells), f"{1e6 * body.volume:.4g}", extent)
-    return table
-
-
-def _surfaces(found: Inspection) -> Table:
-    table = Table("surface", "facets", "area, cm2", "mean normal", "of body")
-    for name, surface in found.surfaces.items():
-        normal = ", ".join(f"{x:.2f}" for x in surface.normal)
-        table.add_row(
+def _surfaces(found: Inspection) -> Rows:
+    return ("surface", "facets", "area (cm2)", "mean normal", "of body"), [
+        (
             name,
             str(surface.facets),
             f"{1e4 * surface.area:.4g}",
-            normal,
+            ", ".join(f"{x:.2f}" for x in surface.normal),
             ", ".join(surface.bodies),
         )
-    return table
+        for name, surface in found.surfaces.items()
+    ]
 
 
-def _joints(found: Inspection) -> Table:
-    table = Table(
-        "joint",
-        "side a, cm2",
-        "side b, cm2",
-        "shared, cm2",
-        "gap, mm",
-        "angle, °",
-        "normals",
-        "meshes",
+def _joints(found: Inspection) -> Rows:
+    header = (
+        *("joint", "side a (cm2)", "side b (cm2)", "shared (cm2)"),
+        *("gap (mm)", "angle (°)", "normals", "meshes"),
     )
-    for name, joint in found.joints.items():
-        table.add_row(
+    return header, [
+        (
             name,
             *(f"{1e4 * area:.4g}" for area in (joint.area_a, joint.area_b, joint.overlap)),
             f"{1e3 * joint.gap[0]:.3g} to {1e3 * joint.gap[1]:.3g}",
@@ -150,12 +178,12 @@ def _joints(found: Inspection) -> Table:
             str(joint.parts),
             "match" if joint.matching else "do not match",
         )
-    return table
+        for name, joint in found.joints.items()
+    ]
 
 
-def _probes(found: Inspection) -> Table:
-    table = Table("point", "position, mm", "body")
-    for name, (position, body) in found.probes.items():
-        place = ", ".join(f"{1e3 * x:.4g}" for x in position)
-        table.add_row(name, place, body or "")
-    return table
+def _probes(found: Inspection) -> Rows:
+    return ("point", "position (mm)", "body"), [
+        (name, ", ".join(f"{1e3 * x:.4g}" for x in position), body or "")
+        for name, (position, body) in found.probes.items()
+    ]

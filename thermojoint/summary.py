@@ -110,6 +110,43 @@ class SchemeErrors:
     estimated: float
 
 
+def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
+    """Return what happened to temperatures and joint, in words.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A simulated one.
+    figures : mapping
+        Its `fesim.batch.summary.figures_of`.
+    """
+    temperature = response["temperature"].to_numpy()
+    step, probe = np.unravel_index(temperature.argmax(), temperature.shape)
+    lines = [
+        f"Temperature: at most {temperature[step, probe]:.4g} K above the initial ambient; probe "
+        f"{response['probe'].to_numpy()[probe]}, after {_lasting(response, int(step))}."
+    ]
+    if "open_share_final" not in figures:
+        return lines
+    last = 1e-6 * response["pressure"].to_numpy()[-1]
+    lines.append(
+        f"Contact pressure: {last.min():.4g} to {last.max():.4g} MPa at the end, "
+        f"{figures['pressure_min_MPa']:.4g} to {figures['pressure_max_MPa']:.4g} MPa in the run."
+    )
+    shares = (
+        f"{figures[f'{what}_share_final']:.1%} {what} (at most {figures[f'{what}_share_peak']:.1%})"
+        for what in ("open", "sliding")
+    )
+    lines.append(f"Area of the joints at the end: {', '.join(shares)}.")
+    return lines
+
+
+def _lasting(response: xr.Dataset, step: int) -> str:
+    """Return the time of a sample as a person says it."""
+    seconds = float(response["time"][step])
+    return f"{seconds:.4g} s" if seconds < 60.0 else f"{seconds / 60.0:.4g} min"
+
+
 def convergence(response: xr.Dataset) -> Convergence:
     """Return the solver's figures of a simulated response.
 

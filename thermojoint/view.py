@@ -16,9 +16,10 @@ from fesim.march import Step
 from fesim.setup import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
-from thermojoint.console import Report
+from thermojoint.console import Report, warn
 from thermojoint.figures import check_format, pressure_figure, response_figure, write_figure
 from thermojoint.pictures import check_png, write_pictures
+from thermojoint.plausibility import of_case
 from thermojoint.scenes import (
     Scene,
     deformed_scene,
@@ -79,6 +80,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
         return
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
+    warn(of_case(case, str(source)))
     if show is Show.structure:
         write_pictures({out: whole_structure(case, build_structure(case))})
         return

@@ -92,7 +92,17 @@ def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
         "structure": {"kind": "mesh", "file": str(file)},
         "materials": {"iron": dict(IRON), "steel": dict(STEEL)},
         "bodies": {"left": "iron", "right": "steel"},
-        "joints": {"joint": {"along": 3, "across": 2}},
+        "joints": {
+            "joint": {
+                "preload_MPa": 4.41,
+                "along": 3,
+                "across": 2,
+                "roughness_um": 1.25,
+                "asperity_slope": 0.14,
+                "hardness_GPa": 1.961,
+                "friction_coefficient": 0.6,
+            }
+        },
         "supports": {
             "symmetry": {
                 **{"left_end": "x", "right_end": "x"},

@@ -31,9 +31,7 @@ def _paths(value: Any, above: str) -> Iterator[str]:  # noqa: ANN401 - any JSON 
         yield from _paths(part, f"{above}.{key}" if above else str(key))
 
 
-def with_values(
-    data: Mapping[str, Any], values: Mapping[str, Any], whole: Mapping[str, Any]
-) -> dict[str, Any]:
+def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a copy of a case's data with other values at some paths.
 
     Parameters
@@ -42,23 +40,12 @@ def with_values(
         The case as read from TOML; sections left to their defaults may be missing.
     values : mapping of str to value
         By path; each path is one of `known_paths`.
-    whole : mapping
-        The case dumped, defaults and all: where a section is missing, the rest of it comes from
-        here. A section that is left out may have other defaults than its keys have one by one.
     """
     changed = deepcopy(dict(data))
     for path, value in values.items():
         *above, last = path.split(".")
         place: Any = changed
-        default: Any = whole
         for key in above:
-            default = _part(default, key)
-            if isinstance(place, dict) and key not in place:
-                place[key] = deepcopy(default)
-            place = _part(place, key)
+            place = place[int(key)] if isinstance(place, list) else place.setdefault(key, {})
         place[int(last) if isinstance(place, list) else last] = deepcopy(value)
     return changed
-
-
-def _part(value: Any, key: str) -> Any:  # noqa: ANN401 - any JSON value
-    return value[int(key)] if isinstance(value, list) else value[key]

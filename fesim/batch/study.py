@@ -6,7 +6,6 @@ Grids, lists and a Latin hypercube vary values of one case; the batch is their p
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -19,8 +18,9 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.stats import qmc
 
+from artefacts import toml
 from artefacts.errors import InputError, unknown_name
-from artefacts.refusal import refusal
+from artefacts.refusal import first_error, keys_at, refusal
 from fesim.batch.paths import known_paths, with_values
 from fesim.case import Case, case_from_data, parse_case
 from fesim.loads import thermal_inputs
@@ -180,9 +180,9 @@ def read_study(path: Path) -> Study:
         refused.
     """
     path = Path(path)
-    given = _parse(_text(path, "study"), str(path))
+    given = _parse(toml.read_text(path, "study"), str(path))
     source = path.parent / given.case
-    text = _text(source, "case")
+    text = toml.read_text(source, "case")
     base = parse_case(text, str(source), source.parent)
     known = known_paths(base)
     for name in varied_paths(given):
@@ -192,14 +192,13 @@ def read_study(path: Path) -> Study:
         raise InputError(f"{path}: {count} cases; {MOST_CASES} are the most, take fewer values")
 
     digest = cache(file_digest)
-    data = tomllib.loads(text)
-    whole = base.model_dump(mode="json")
+    data = toml.parse(text, str(source))
     found: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
     loads: set[str] = set()
     for number, values in enumerate(combinations(given), start=1):
         where = f"{path}: case {number} ({shown(values)})"
-        case = case_from_data(with_values(data, values, whole), where, source.parent)
+        case = case_from_data(with_values(data, values), where, source.parent)
         load = case.model_dump_json(include=LOADS)
         try:
             one = StudyCase(case_id(case, digest), condensation_key(case, digest), values, case)
@@ -294,38 +293,19 @@ def _count(given: StudyFile) -> int:
     return count
 
 
-def _text(path: Path, what: str) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read; give a TOML {what} file") from error
-
-
 def _parse(text: str, where: str) -> StudyFile:
     try:
-        return StudyFile.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: no valid TOML: {error}") from error
+        return StudyFile.model_validate(toml.parse(text, where))
     except pydantic.ValidationError as error:
         raise _one_line(error, where) from error
 
 
-#: Keys allowed in each section, by the section's place without the numbers in it.
-_KEYS: dict[tuple[str, ...], list[str]] = {
-    (): ["case", "title", "grid", "list", "latin_hypercube"],
-    ("grid",): list(GridSection.model_fields),
-    ("list",): list(ListSection.model_fields),
-    ("latin_hypercube",): list(LatinHypercubeSection.model_fields),
-    ("latin_hypercube", "ranges"): list(RangeSection.model_fields),
-}
-
-
 def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
-    first = error.errors()[0]
+    first = first_error(error)
     place = first["loc"]
     # Sections count from 1 where a person reads.
     at = ".".join([where, *(str(part + 1 if isinstance(part, int) else part) for part in place)])
     if first["type"] == "extra_forbidden":
-        section = tuple(part for part in place[:-1] if isinstance(part, str))
-        return unknown_name("key", str(place[-1]), _KEYS[section], at.rpartition(".")[0])
+        known = keys_at(StudyFile, place[:-1])
+        return unknown_name("key", str(place[-1]), known, at.rpartition(".")[0])
     return refusal(first, at)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -11,6 +13,9 @@ Figures = dict[str, float]
 #: A contact element with less than this share of its preload is open. Not zero: the pressure of
 #: rough surfaces fades without end.
 OPEN_BELOW = 1e-3
+#: A contact element whose slip changes by more than this in a step, m, slides. Not zero: without
+#: friction an element at rest creeps by less than the gap equations are solved to.
+SLIDES_ABOVE = 1e-12
 
 #: Column to what it says; the columns of every summary, in this order.
 FIGURES = {
@@ -23,6 +28,8 @@ FIGURES = {
     "pressure_max_MPa": "highest contact pressure of the run",
     "open_share_peak": "largest share of the joints' area below 1e-3 of its preload",
     "open_share_final": "the same at the end",
+    "sliding_share_peak": "largest share of the joints' area that slides in a step",
+    "sliding_share_final": "the same in the last step",
     "temperature_max_K": "highest temperature of a probe above the initial ambient",
     "gap_residual_m": "largest residual of the gap equations",
     "heat_balance": "largest error of the heat balance, relative",
@@ -34,15 +41,42 @@ FIGURES = {
 COUNTS = ("steps", "iterations", "cuts")
 
 
-def is_open(pressure: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_open(
+    pressure: NDArray[np.float64], preload: NDArray[np.float64] | None = None
+) -> NDArray[np.bool_]:
     """Return which contact elements are open when: under `OPEN_BELOW` of their preload.
 
     Parameters
     ----------
     pressure : ndarray, shape (time, contact)
-        Of a simulated response, Pa; its first row is the preload.
+        Of a simulated response, Pa.
+    preload : ndarray, shape (contact,), optional
+        Pa; default the first row, which it is unless the run went on from a saved state.
     """
-    return pressure < OPEN_BELOW * pressure[0]
+    return pressure < OPEN_BELOW * (pressure[0] if preload is None else preload)
+
+
+def is_sliding(slip: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which contact elements slide in each step: their slip changes by `SLIDES_ABOVE`.
+
+    Parameters
+    ----------
+    slip : ndarray, shape (time, contact, 2)
+        Of a simulated response, m.
+
+    Returns
+    -------
+    ndarray of bool, shape (time - 1, contact)
+        In the step that ends with each sample but the first.
+    """
+    return np.linalg.norm(np.diff(slip, axis=0), axis=2) > SLIDES_ABOVE
+
+
+def preloads(response: xr.Dataset) -> NDArray[np.float64]:
+    """Return the preload of every contact element, Pa, from the case that a response carries."""
+    joints = json.loads(response.attrs["case"])["joints"]
+    names = response["contact_joint"].to_numpy()
+    return np.array([1e6 * joints[str(name)]["preload_MPa"] for name in names])
 
 
 def figures_of(response: xr.Dataset) -> Figures:
@@ -58,11 +92,15 @@ def figures_of(response: xr.Dataset) -> Figures:
     pressure = response["pressure"].to_numpy()
     if pressure.shape[1]:
         area = response["contact_area"].to_numpy()
-        opened = is_open(pressure) @ area / area.sum()
+        parted = is_open(pressure, preloads(response))
+        sliding = is_sliding(response["slip"].to_numpy()) & ~parted[1:]
+        opened, slid = (which @ area / area.sum() for which in (parted, sliding))
         figures["pressure_min_MPa"] = 1e-6 * float(pressure.min())
         figures["pressure_max_MPa"] = 1e-6 * float(pressure.max())
         figures["open_share_peak"] = float(opened.max())
         figures["open_share_final"] = float(opened[-1])
+        figures["sliding_share_peak"] = float(slid.max())
+        figures["sliding_share_final"] = float(slid[-1])
     figures["temperature_max_K"] = float(response["temperature"].max())
     figures["gap_residual_m"] = float(response["gap_residual"].max())
     figures["heat_balance"] = float(np.abs(response["heat_balance"]).max())

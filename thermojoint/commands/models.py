@@ -24,7 +24,7 @@ from fesim.case import read_case
 from models.assembly import assemble as assemble_model
 from models.assembly_file import write_assembly
 from models.model_file import read_model, read_provenance, write_model
-from thermojoint import arguments, console
+from thermojoint import arguments, console, plausibility
 from thermojoint.reproduce import reproduce as run_all
 from thermojoint.summary import compare_schemes
 from thermojoint.tables import printed_tables, tables_json
@@ -62,9 +62,14 @@ def calibrate(
     arguments.check_writable(out)
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
-    others = {level: read_response(path) for level, path in map(arguments.level_and_file, given)}
+    named = [
+        (level, path, read_response(path)) for level, path in map(arguments.level_and_file, given)
+    ]
+    others = {level: response for level, _, response in named}
     if len(others) < len(given):
         raise InputError("--input: a heat input is given twice; give each once")
+    for path, response in ((reference, base), *((path, response) for _, path, response in named)):
+        console.warn(plausibility.of_response(response, str(path)))
     with console.progress_bars() as report:
         report("calibrating", 0, 1)
         calibrated = chain.calibrate_responses(base, others, apart)
@@ -138,9 +143,16 @@ def estimate(
     with arguments.opened(temperatures) as source:
         samples: Iterator[measured.Sample]
         if source is None:
-            samples = measured.response_samples(read_response(temperatures), table)
+            response = read_response(temperatures)
+            console.warn(plausibility.of_response(response, where))
+            samples = measured.response_samples(response, table)
         else:
-            samples = measured.read_samples(source, list(table.linear.direct), where)
+            samples = measured.read_samples(
+                source,
+                list(table.linear.direct),
+                where,
+                lambda first: console.warn(plausibility.of_sample(first, where)),
+            )
         nominal, samples = measured.nominal_interval(samples, interval, where)
         estimator, state = started(model, nominal, 60.0 * length, resume)
         with arguments.output(out) as target:
@@ -209,6 +221,8 @@ def validate(
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")
+    for name, response in given.items():
+        console.warn(plausibility.of_response(response, name))
     if noise_pp is not None:
         # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
         given = {
@@ -240,5 +254,6 @@ def reproduce(
     arguments.check_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
+    console.warn(plausibility.of_case(given, str(case or "reference machine")))
     run_all(given, out)
     console.wrote(out)

@@ -14,7 +14,7 @@ from fesim.case import read_case
 from fesim.setup import set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
-from thermojoint import arguments, console, verification_run
+from thermojoint import arguments, console, plausibility, verification_run
 from thermojoint.summary import convergence, covered_areas
 
 #: Exit code of `verify` if a check is out of tolerance.
@@ -50,11 +50,13 @@ def simulate(
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:
         arguments.check_folder(folder)
+    console.warn(plausibility.of_case(given, str(case)))
     begin = state_file.load_state(resume, given) if resume else None
     with console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(given)
         report("setting up", 1, 1)
+        console.warn(plausibility.of_structure(setup.structure, str(case)))
         finished = run_case(
             given,
             setup=setup,
@@ -67,6 +69,7 @@ def simulate(
     write_response(finished.response, out)
     if save:
         state_file.save_state(finished.state, given, save)
+    console.show_results(console.out(), finished.response)
     console.show_convergence(console.out(), {out.name: convergence(finished.response)})
     if covered := covered_areas(finished.response):
         parts = ", ".join(f"{1e4 * area:.4g} cm2 of {name!r}" for name, area in covered.items())

@@ -20,7 +20,7 @@ from meshes.exchange import read_structure
 from meshes.inspection import Inspection
 from meshes.inspection import inspect as look_over
 from meshes.structure import Structure
-from thermojoint import arguments, console, inspection_report
+from thermojoint import arguments, console, inspection_report, plausibility
 from thermojoint.pictures import check_png, write_pictures
 from thermojoint.view import Show, bare_structure, draw
 
@@ -41,7 +41,9 @@ def mesh(
     order: Annotated[int, typer.Option(min=1, max=2, help="1, or 2 for curved cells.")] = 1,
     names: Annotated[
         Path | None,
-        typer.Option(help="TOML: [surfaces_mm] with NAME = [[x, y, z], ...], points on faces."),
+        typer.Option(
+            help="TOML: \\[surfaces_mm] with NAME = \\[\\[x, y, z], ...], points on faces."
+        ),
     ] = None,
 ) -> None:
     """Mesh a CAD part with its names; needs Gmsh, the extra 'gmsh'.
@@ -84,6 +86,7 @@ def inspect(
         if skeleton:
             raise InputError(f"--case {skeleton}: {source} is a case already; give its mesh file")
         case = read_case(source)
+        console.warn(plausibility.of_case(case, str(source)))
         structure = build_structure(case)
         check_names(case, structure)
         found = _with_loose_bodies(look_over(structure), case, structure)
