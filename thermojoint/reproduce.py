@@ -23,6 +23,7 @@ from thermojoint import console, study
 from thermojoint.calibration_input import check_drivable, check_placeable
 from thermojoint.figures import (
     displacements_figure,
+    heat_text,
     pressure_figure,
     temperatures_figure,
     write_figure,
@@ -49,8 +50,8 @@ CAPTIONS = {
     "at T1 and T2, heat input 3.0",
     "figure-09-nonlinear-displacement": "Figure 9: actual and estimated nonlinear displacement, "
     "heat input 3.0",
-    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, with and "
-    "without sensor noise",
+    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, and with "
+    "the sensor noise put on it",
     "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
     "the triangle, with sensor noise",
     "temperature": "Temperature at the end of the step, heat input 2.0",
@@ -170,6 +171,7 @@ def paper_figures(
     sensors = list(model.linear.direct)
     on_steep = deviations(model, reference, steep)
     on_triangle = deviations(model, reference, triangle)
+    noise = study.joint_noise(triangle)
     return {
         "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
         "figure-08-temperature-deviation": temperatures_figure(
@@ -178,19 +180,26 @@ def paper_figures(
                 sensor: {"simulated": on_steep[:, j], "estimator": times.deviation[:, j]}
                 for j, sensor in enumerate(sensors)
             },
+            heat_text(steep),
         ),
         "figure-09-nonlinear-displacement": displacements_figure(
-            np.asarray(times.time), _nonlinear(model, reference, steep, times)
+            np.asarray(times.time), _nonlinear(model, reference, steep, times), heat_text(steep)
         ),
         "figure-10-noisy-deviation": temperatures_figure(
-            np.asarray(noisy.time),
+            triangle["time"].to_numpy(),
             {
-                sensor: {"with noise": noisy.deviation[:, j], "simulated": on_triangle[:, j]}
+                sensor: {
+                    "with noise": on_triangle[:, j] + noise[sensor],
+                    "simulated": on_triangle[:, j],
+                }
                 for j, sensor in enumerate(sensors)
             },
+            heat_text(triangle),
         ),
         "figure-11-noisy-displacement": displacements_figure(
-            np.asarray(noisy.time), _nonlinear(model, reference, triangle, noisy)
+            np.asarray(noisy.time),
+            _nonlinear(model, reference, triangle, noisy),
+            heat_text(triangle),
         ),
     }
 
