@@ -64,6 +64,8 @@ class Provenance:
         Model, e.g. "deformation.x", to its largest calibration error, µm.
     reports : dict
         Model to the text of its fit report.
+    at_bound : dict
+        Model to the names of its parameters that ended at a bound.
     """
 
     case: str
@@ -71,6 +73,7 @@ class Provenance:
     max_abs_error_K: dict[str, float] = field(default_factory=dict)
     max_abs_error_um: dict[str, float] = field(default_factory=dict)
     reports: dict[str, str] = field(default_factory=dict)
+    at_bound: dict[str, list[str]] = field(default_factory=dict)
 
 
 class _Strict(BaseModel):
@@ -133,6 +136,7 @@ class _Provenance(_Strict):
     max_abs_error_K: dict[str, float]
     max_abs_error_um: dict[str, float]
     reports: dict[str, str]
+    at_bound: dict[str, list[str]] = {}  # files of before have none
 
 
 class _File(_Strict):

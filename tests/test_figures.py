@@ -15,6 +15,7 @@ from thermojoint import pictures
 from thermojoint.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.figures import (
     displacements_figure,
+    heat_text,
     pressure_figure,
     response_figure,
     temperatures_figure,
@@ -29,7 +30,7 @@ from thermojoint.scenes import (
     probe_position,
 )
 from thermojoint.structure_scene import structure_scene
-from thermojoint.summary import convergence, pressure_share
+from thermojoint.summary import convergence, pressure_share, verdict
 from thermojoint.view import FIELDS, field_scene, whole_structure
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -102,8 +103,8 @@ def test_an_unknown_picture_format_is_refused_and_leaves_nothing(tmp_path, coars
 @given(constant=st.floats(5.0, 200.0), change=st.floats(1e4, 1e7), sign=st.sampled_from((-1, 1)))
 def test_a_pressure_that_settles_exponentially_has_the_exponential_share(constant, change, sign):
     found = pressure_share(settling([constant], [sign * change]), at_s=60.0)
-    assert found.share[0] == pytest.approx(-np.expm1(-60.0 / constant), rel=1e-3)
-    assert bool(found.compressed[0]) is (sign > 0)
+    assert found.rows[0].share == pytest.approx(-np.expm1(-60.0 / constant), rel=1e-3)
+    assert (found.rows[0].final_MPa > 0.0) is (sign > 0)
 
 
 def test_the_least_share_counts_compressed_elements_only():
@@ -111,9 +112,10 @@ def test_the_least_share_counts_compressed_elements_only():
     assert found.least_compressed == pytest.approx(-np.expm1(-1.0), rel=1e-3)
 
 
-def test_an_element_whose_pressure_stays_has_no_share():
-    found = pressure_share(settling([30.0, 30.0], [1e6, 0.0]))
-    assert np.isnan(found.share[1])
+def test_an_element_whose_pressure_ends_near_where_it_began_has_no_share():
+    found = pressure_share(settling([30.0, 30.0, 30.0], [1e6, 0.0, -0.05e6]))
+    assert [row.share is None for row in found.rows] == [False, True, True]
+    assert found.rows[2].final_MPa == pytest.approx(-0.05)
 
 
 def test_a_response_too_short_for_a_share_is_refused():
@@ -241,3 +243,36 @@ def test_the_report_escapes_what_it_shows_and_loads_nothing(tmp_path, coarse_res
     assert "a &lt; b" in page
     assert 'src="data:image/svg+xml;base64,' in page
     assert "http" not in page
+
+
+def judged(case, axis, linear, fchs):
+    return [
+        {"case": case, "axis": axis, "estimator": name, "max_abs_error_um": error}
+        for name, error in (("linear", linear), ("fchs", fchs))
+    ]
+
+
+def test_the_verdict_says_what_was_reached_and_what_was_not():
+    rows = judged("step-1.5", "x", 0.93, 0.64) + judged("step-3.0", "y", 6.05, 6.55)
+    text = verdict(rows + judged("triangle", "x", 0.26, 0.08))
+    assert "1 of 3 rows: triangle x." in text
+    assert "step-1.5 x (0.64 against 0.1 µm), step-3.0 y (6.55 against 0.5 µm)" in text
+    assert "in 2 of 3" in text
+    assert text.endswith("smaller one in step-3.0 y (6.55 against 6.05 µm).")
+
+
+def test_the_verdict_claims_nothing_for_the_paper_on_another_machine():
+    text = verdict(judged("warm-up", "z", 1.0, 0.5))
+    assert "paper" not in text
+    assert "in 1 of 1" in text
+    assert verdict([]) == ""
+
+
+def test_every_figure_says_its_heat_input(coarse_response):
+    assert heat_text(coarse_response) == "heat input 1 (590 W)"
+    measured = coarse_response[["heat_input", "temperature", "displacement"]]
+    assert heat_text(measured) == "heat input 1"
+    ramp = measured.assign(heat_input=measured["time"] / 30.0)
+    assert heat_text(ramp) == "heat input up to 2"
+    for figure in (response_figure(coarse_response), pressure_figure(coarse_response)):
+        assert "heat input 1 (590 W)" in figure.get_suptitle()

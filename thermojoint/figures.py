@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _SIZE = (7.0, 4.2)
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
+_NOISY_WIDTH = 0.4
 #: Above this many contact elements their curves get no label of their own.
 _LABELLED = 12
 
@@ -211,9 +212,15 @@ def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) 
             factor * values,
             linestyle=_STYLES[k % len(_STYLES)],
             color=_SHADES[k % len(_SHADES)],
-            linewidth=1.2,
+            linewidth=_NOISY_WIDTH if _is_noisy(values) else 1.2,
             label=label,
         )
+
+
+def _is_noisy(values: Array) -> bool:
+    """Tell whether a curve turns at most samples, so that a thick line would be one black band."""
+    turns = np.diff(np.sign(np.diff(values)))
+    return bool(np.count_nonzero(turns) > 0.3 * max(turns.size, 1))
 
 
 def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:

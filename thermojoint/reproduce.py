@@ -33,7 +33,7 @@ from thermojoint.pictures import write_pictures
 from thermojoint.placement import with_roles
 from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
-from thermojoint.summary import compare_schemes, convergence, pressure_share
+from thermojoint.summary import compare_schemes, convergence, pressure_share, verdict
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
 
@@ -123,7 +123,7 @@ def reproduce(case: Case, out: Path) -> None:
     data = ReportData(
         title=case.title,
         facts=facts(case, responses[REFERENCE]),
-        tables=printed_tables(tables),
+        tables=printed_tables(tables, provenance.at_bound),
         validation=validated.rows,
         schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
         blocks=validated.blocks,
@@ -149,6 +149,9 @@ def show(terminal: Console, data: ReportData) -> None:
         console.show_share(terminal, data.share)
     if data.placement:
         terminal.print(data.placement)
+    if data.validation:
+        terminal.print()
+        terminal.print(verdict(data.validation))
 
 
 def paper_figures(
