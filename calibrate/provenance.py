@@ -13,7 +13,7 @@ _MICRO = 1e6
 
 
 def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
-    """Return errors (K, µm), fit reports and versions of a calibration.
+    """Return errors (K, µm), fit reports, bounds reached and versions of a calibration.
 
     Parameters
     ----------
@@ -42,6 +42,7 @@ def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
         max_abs_error_um=micro,
         reports={name: report(name, fit) for name, fit in fits.items()}
         | {"averaging": averaging_report(calibrated)},
+        at_bound={name: list(fit.at_bound) for name, fit in fits.items() if fit.at_bound},
     )
 
 

@@ -61,6 +61,8 @@ class Provenance:
         Model, e.g. "deformation.x", to its largest calibration error, µm.
     reports : dict
         Model to the text of its fit report.
+    at_bound : dict
+        Model to the names of its parameters that ended at a bound.
     """
 
     __pydantic_config__ = STRICT
@@ -70,6 +72,7 @@ class Provenance:
     max_abs_error_K: dict[str, float] = field(default_factory=dict)
     max_abs_error_um: dict[str, float] = field(default_factory=dict)
     reports: dict[str, str] = field(default_factory=dict)
+    at_bound: dict[str, list[str]] = field(default_factory=dict)
 
 
 _MODEL: TypeAdapter[Model] = TypeAdapter(Model)

@@ -20,9 +20,9 @@ from models.model_file import read_model, read_provenance
 from models.parameters import DeformationModel, RingModel
 from thermojoint import arguments, reproduce
 from thermojoint.cli import app
-from thermojoint.console import paper_claim
 from thermojoint.paper import inputs
 from thermojoint.paper.inputs import check_drivable, check_placeable
+from thermojoint.summary import paper_claim
 
 PAGE = (Path(__file__).parents[1] / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]

@@ -12,8 +12,10 @@ from artefacts.response import make_response
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
 from thermojoint import pictures
+from thermojoint.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.figures import (
     displacements_figure,
+    heat_text,
     pressure_figure,
     response_figure,
     temperatures_figure,
@@ -23,15 +25,16 @@ from thermojoint.report import Picture, ReportData, report_html
 from thermojoint.scene_file import load_scene, save_scene
 from thermojoint.scenes import (
     boundary_faces,
+    finished,
     mirror_of,
-    pressure_scene,
     probe_position,
-    structure_scene,
 )
-from thermojoint.summary import convergence, pressure_share
+from thermojoint.structure_scene import structure_scene
+from thermojoint.summary import convergence, pressure_share, verdict
 from thermojoint.view import FIELDS, field_scene, whole_structure
 
 PNG = b"\x89PNG\r\n\x1a\n"
+Y = (0.0, 1.0, 0.0)
 
 
 def settling(constants, changes, end=2100.0):
@@ -83,10 +86,11 @@ def test_no_two_contact_elements_look_alike():
 
 def test_axes_say_their_units_and_displacements_are_in_micrometres():
     times = np.array([0.0, 60.0])
-    figure = displacements_figure(times, {"x": {"actual": np.array([0.0, 1e-6])}})
+    figure = displacements_figure(times, {"x": {"actual": np.array([0.0, 1e-6])}}, "heat input 2")
     assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(1.0)
     assert "µm" in figure.axes[0].get_ylabel()
-    figure = temperatures_figure(times, {"T1": {"simulated": times}, "T2": {"simulated": times}})
+    curves = {"T1": {"simulated": times}, "T2": {"simulated": times}}
+    figure = temperatures_figure(times, curves, "heat input 2")
     assert ["K" in axes.get_ylabel() for axes in figure.axes] == [True, True]
 
 
@@ -99,8 +103,8 @@ def test_an_unknown_picture_format_is_refused_and_leaves_nothing(tmp_path, coars
 @given(constant=st.floats(5.0, 200.0), change=st.floats(1e4, 1e7), sign=st.sampled_from((-1, 1)))
 def test_a_pressure_that_settles_exponentially_has_the_exponential_share(constant, change, sign):
     found = pressure_share(settling([constant], [sign * change]), at_s=60.0)
-    assert found.share[0] == pytest.approx(-np.expm1(-60.0 / constant), rel=1e-3)
-    assert bool(found.compressed[0]) is (sign > 0)
+    assert found.rows[0].share == pytest.approx(-np.expm1(-60.0 / constant), rel=1e-3)
+    assert (found.rows[0].final_MPa > 0.0) is (sign > 0)
 
 
 def test_the_least_share_counts_compressed_elements_only():
@@ -108,9 +112,10 @@ def test_the_least_share_counts_compressed_elements_only():
     assert found.least_compressed == pytest.approx(-np.expm1(-1.0), rel=1e-3)
 
 
-def test_an_element_whose_pressure_stays_has_no_share():
-    found = pressure_share(settling([30.0, 30.0], [1e6, 0.0]))
-    assert np.isnan(found.share[1])
+def test_an_element_whose_pressure_ends_near_where_it_began_has_no_share():
+    found = pressure_share(settling([30.0, 30.0, 30.0], [1e6, 0.0, -0.05e6]))
+    assert [row.share is None for row in found.rows] == [False, True, True]
+    assert found.rows[2].final_MPa == pytest.approx(-0.05)
 
 
 def test_a_response_too_short_for_a_share_is_refused():
@@ -146,13 +151,15 @@ def test_boundary_faces_go_around_their_facets():
 def test_the_pressure_map_covers_the_joint_on_both_halves(coarse_setup, coarse_response):
     pressure = coarse_response["pressure"].to_numpy()[-1]
     mirror = mirror_of(coarse_setup.structure, {"symmetry": "z"})
-    surfaces = pressure_scene(coarse_setup, pressure, mirror).panels[0].surfaces
-    maps = [surface for surface in surfaces if surface.values is not None]
-    assert len(maps) == 2
-    for surface in maps:
-        assert polygon_areas(surface) == pytest.approx(coarse_response["contact_area"].to_numpy())
-        assert surface.values == pytest.approx(pressure / 1e6)
-    assert maps[0].points[:, 2].max() < 0.25 < maps[1].points[:, 2].min()
+    stage = make_stage(coarse_setup, (0.0, 1.0, 0.0), mirror)
+    nothing = np.zeros(len(stage.nodes))
+    fields = Fields(60.0, np.zeros(1), nothing, np.outer(nothing, np.ones(3)), pressure)
+    (surface,) = (s for s in pressure_panel(stage, fields).surfaces if s.values is not None)
+    area = coarse_response["contact_area"].to_numpy()
+    assert polygon_areas(surface) == pytest.approx(np.tile(area, 2))
+    assert surface.values == pytest.approx(np.tile(pressure / 1e6, 2))
+    across = surface.points[surface.faces, 2]
+    assert across[: area.size].max() < 0.25 < across[area.size :].min()
 
 
 def test_the_structure_is_drawn_whole_with_its_points(coarse_case, coarse_setup):
@@ -173,11 +180,12 @@ def test_a_point_that_does_not_exist_cannot_be_marked():
 
 
 def test_a_scene_survives_the_way_to_another_process(tmp_path, coarse_case, coarse_setup):
-    scene = whole_structure(coarse_case, coarse_setup.structure)
+    (scene,) = finished([whole_structure(coarse_case, coarse_setup.structure)])
     save_scene(scene, tmp_path / "scene.npz")
     back = load_scene(tmp_path / "scene.npz")
     for panel, other in zip(scene.panels, back.panels, strict=True):
-        assert (panel.title, panel.markers, panel.view) == (other.title, other.markers, other.view)
+        assert panel.markers == other.markers
+        assert (panel.title, panel.camera, panel.frame) == (other.title, other.camera, other.frame)
         for surface, copy in zip(panel.surfaces, other.surfaces, strict=True):
             assert np.array_equal(surface.points, copy.points)
             assert np.array_equal(surface.faces, copy.faces)
@@ -190,13 +198,14 @@ def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coars
         tmp_path / f"{show}.png": field_scene(show, coarse_case, coarse_setup, rest)
         for show in FIELDS
     }
-    assert set(pictures.write_pictures(files, pyvista=False).values()) == {"matplotlib"}
+    used = pictures.write_pictures(files, pyvista=False, height=120)
+    assert set(used.values()) == {"matplotlib"}
     assert all(path.read_bytes().startswith(PNG) for path in files)
 
 
 def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [], Y)
     path = tmp_path / "structure.png"
     assert pictures.write_pictures({path: scene}) == {path: "matplotlib"}
     assert [file.name for file in tmp_path.iterdir()] == ["structure.png"]
@@ -205,15 +214,16 @@ def test_a_renderer_that_dies_leaves_the_picture_to_matplotlib(monkeypatch, tmp_
 
 @pytest.mark.parametrize("name", ["structure.svg", "structure.jpg", "structure"])
 def test_a_picture_under_a_name_that_is_no_png_is_refused(name, tmp_path):
-    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [], Y)
     with pytest.raises(InputError, match=r"PNG files; name it structure\.png"):
         pictures.write_pictures({tmp_path / "good.png": scene, tmp_path / name: scene})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_fallback_picture_says_that_it_is_one():
-    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [])
-    assert "matplotlib" in pictures.matplotlib_picture(scene).get_supxlabel()
+    scene = structure_scene(box_milling_machine(element_size=0.1), ["bearings"], [], Y)
+    figure = pictures.sheet(*finished([scene]), None, height=120).figure
+    assert pictures.FALLBACK_NOTE in [text.get_text() for text in figure.texts]
 
 
 def test_the_report_escapes_what_it_shows_and_loads_nothing(tmp_path, coarse_response):
@@ -233,3 +243,36 @@ def test_the_report_escapes_what_it_shows_and_loads_nothing(tmp_path, coarse_res
     assert "a &lt; b" in page
     assert 'src="data:image/svg+xml;base64,' in page
     assert "http" not in page
+
+
+def judged(case, axis, linear, fchs):
+    return [
+        {"case": case, "axis": axis, "estimator": name, "max_abs_error_um": error}
+        for name, error in (("linear", linear), ("fchs", fchs))
+    ]
+
+
+def test_the_verdict_says_what_was_reached_and_what_was_not():
+    rows = judged("step-1.5", "x", 0.93, 0.64) + judged("step-3.0", "y", 6.05, 6.55)
+    text = verdict(rows + judged("triangle", "x", 0.26, 0.08))
+    assert "1 of 3 rows: triangle x." in text
+    assert "step-1.5 x (0.64 against 0.1 µm), step-3.0 y (6.55 against 0.5 µm)" in text
+    assert "in 2 of 3" in text
+    assert text.endswith("smaller one in step-3.0 y (6.55 against 6.05 µm).")
+
+
+def test_the_verdict_claims_nothing_for_the_paper_on_another_machine():
+    text = verdict(judged("warm-up", "z", 1.0, 0.5))
+    assert "paper" not in text
+    assert "in 1 of 1" in text
+    assert verdict([]) == ""
+
+
+def test_every_figure_says_its_heat_input(coarse_response):
+    assert heat_text(coarse_response) == "heat input 1 (590 W)"
+    measured = coarse_response[["heat_input", "temperature", "displacement"]]
+    assert heat_text(measured) == "heat input 1"
+    ramp = measured.assign(heat_input=measured["time"] / 30.0)
+    assert heat_text(ramp) == "heat input up to 2"
+    for figure in (response_figure(coarse_response), pressure_figure(coarse_response)):
+        assert "heat input 1 (590 W)" in figure.get_suptitle()

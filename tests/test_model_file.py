@@ -100,6 +100,7 @@ SOURCE = Provenance(
     max_abs_error_K={"thermal": 0.003},
     max_abs_error_um={"deformation.x": 0.05},
     reports={"thermal": "K  3.372"},
+    at_bound={"thermal": ["a"]},
 )
 
 
@@ -207,3 +208,8 @@ def test_a_model_that_could_not_be_read_again_is_not_written(tmp_path):
     with pytest.raises(InputError, match="'b' is missing"):
         write_model(replace(MODEL, sensors={"a": (0.0, 0.0, 0.0)}), path, SOURCE)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_before_bounds_were_recorded_is_read(path):
+    edit(path, lambda content: content["provenance"].pop("at_bound"))
+    assert read_provenance(path).at_bound == {}

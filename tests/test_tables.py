@@ -100,3 +100,23 @@ def test_the_terminal_shows_both_columns_and_says_why_they_differ(hand_made_mode
     assert "3.372" in text
     assert "8.25e-06" in text
     assert NOTE[:40] in text
+
+
+def test_a_value_at_the_bound_of_its_fit_is_marked(hand_made_model):
+    bounds = {"thermal": ["a"], "sources": ["alpha2"], "sources.x": ["d1"]}
+    printed = printed_tables(tables_json(hand_made_model, ERRORS), bounds)
+    marked = [
+        (block.title, row.name)
+        for table in printed
+        for block in table.blocks
+        for row in block.rows
+        if row.at_bound
+    ]
+    assert marked == [
+        ("Thermal model (Eqs. 2, 7)", "a"),
+        ("Fictitious source 2", "alpha"),
+        ("Source 1, x", "d"),
+    ]
+    terminal = Console(record=True, width=100)
+    console.show_tables(terminal, printed)
+    assert terminal.export_text().count(" * ") == 3 + NOTE.count(" * ")

@@ -10,7 +10,7 @@ from skfem import MeshHex
 from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
-from thermojoint import pictures, view
+from thermojoint import renderer, view
 from thermojoint.cli import app
 
 LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
@@ -93,7 +93,7 @@ def test_a_snapshot_without_joints_is_the_structure_alone(simulated):
 @pytest.mark.parametrize("show", ["structure", "temperature", "deformation"])
 @pytest.mark.parametrize("source", ["case.toml", "bar.nc"])
 def test_what_has_no_joint_is_drawn(simulated, source, show, tmp_path, monkeypatch):
-    monkeypatch.setattr(pictures, "find_spec", lambda name: None)
+    monkeypatch.setattr(renderer, "find_spec", lambda name: None)
     out = tmp_path / "bar.png"
     command = ["view", str(simulated / source), "--show", show, "--out", str(out)]
     app(command, standalone_mode=False)

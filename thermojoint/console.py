@@ -22,7 +22,14 @@ from rich.table import Table
 
 from fesim.batch.summary import figures_of
 from thermojoint import paper_values
-from thermojoint.summary import Convergence, PressureShare, SchemeErrors, result_lines
+from thermojoint.summary import (
+    STILL,
+    Convergence,
+    PressureShare,
+    SchemeErrors,
+    paper_claim,
+    result_lines,
+)
 from thermojoint.tables import NOTE, PrintedTable
 
 #: Called with (what is being worked on, done, in all).
@@ -100,7 +107,12 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
             table.add_section()
             table.add_row(block.title, style="bold")
             for row in block.rows:
-                table.add_row(row.name, row.unit, number(row.ours), number(row.paper))
+                table.add_row(
+                    row.name,
+                    row.unit,
+                    f"{number(row.ours)}{' *' if row.at_bound else ''}",
+                    number(row.paper),
+                )
         _titled(console, printed.title, table)
     console.print(NOTE)
     console.print(f"Paper: {paper_values.CITATION}.")
@@ -132,13 +144,6 @@ def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]])
             number(claim),
         )
     _titled(console, title, table)
-
-
-def paper_claim(row: Mapping[str, str | float]) -> float | None:
-    """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
-    if row["estimator"] != "fchs" or row["axis"] not in paper_values.TABLE1_DEFORMATION:
-        return None
-    return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
 
 
 def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
@@ -217,19 +222,20 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
 
 
 def show_share(console: Console, share: PressureShare) -> None:
-    """Print the share of the steady contact pressure reached, for each contact element."""
+    """Print how far the contact pressure of each contact element has come by a given time."""
     table = Table()
     title = (
-        f"Share of the final change of contact pressure after {share.at_s:g} s "
-        f"(paper, under compression: {paper_values.PRESSURE_SHARE:.0%})"
+        f"Change of contact pressure after {share.at_s:g} s "
+        f"(paper, under compression: {paper_values.PRESSURE_SHARE:.0%} of the final change)"
     )
     table.add_column("contact element", justify="right")
-    table.add_column("pressure")
-    table.add_column("share", justify="right")
-    for name, value, rises in zip(share.contact, share.share, share.compressed, strict=True):
-        shown = f"{value:.0%}" if value == value else "–"
-        table.add_row(str(name), "rises" if rises else "falls", shown)
+    for name in (f"after {share.at_s:g} s (MPa)", "at the end (MPa)", "share"):
+        table.add_column(name, justify="right")
+    for row in share.rows:
+        part = "–" if row.share is None else f"{round(100 * row.share)} %"
+        table.add_row(str(row.contact), f"{row.early_MPa:+.2f}", f"{row.final_MPa:+.2f}", part)
     _titled(console, title, table)
+    console.print(f"No share where the final change is below {STILL:.0%} of the largest one.")
 
 
 def _titled(console: Console, title: str, table: Table) -> None:

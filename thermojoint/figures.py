@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _SIZE = (7.0, 4.2)
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
+_NOISY_WIDTH = 0.4
 #: Above this many contact elements their curves get no label of their own.
 _LABELLED = 12
 
@@ -70,7 +71,7 @@ def pressure_figure(response: xr.Dataset) -> Figure:
     if labelled:
         _name_ends(axes[0], minutes[-1], change[-1], [str(number) for number in numbers])
     preload = float(response["pressure"].isel(time=0).max()) / 1e6
-    axes[0].set_title(f"Contact pressure from the preload of {preload:.2f} MPa", fontsize=10)
+    figure.suptitle(f"{heat_text(response)}, preload {preload:.2f} MPa", fontsize=10)
     axes[0].set_ylabel("change of contact pressure (MPa),\ncompression negative")
     _finish(axes, legend=labelled, outside=True)
     return figure
@@ -94,7 +95,20 @@ def pressure_along(response: xr.Dataset) -> Array:
     return np.asarray(pressure @ (share / share.sum(axis=0)))
 
 
-def temperatures_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]) -> Figure:
+def heat_text(response: xr.Dataset) -> str:
+    """Return the heat input of a response in words; of a simulated one with the power of it all."""
+    heat = response["heat_input"].to_numpy()
+    at = int(np.abs(heat).argmax())
+    steady = bool(np.allclose(heat[1:], heat[at], rtol=1e-6, atol=0.0))
+    text = f"heat input {'' if steady else 'up to '}{heat[at]:g}"
+    if "source_power" not in response or not response["source_power"].size:
+        return text
+    return f"{text} ({float(response['source_power'][at].sum()):.0f} W)"
+
+
+def temperatures_figure(
+    times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str
+) -> Figure:
     """Figures 8 and 10: temperature deviations, one panel for each sensor.
 
     Parameters
@@ -103,8 +117,11 @@ def temperatures_figure(times: Array, curves: Mapping[str, Mapping[str, Array]])
         s.
     curves : mapping
         Sensor to {label: deviation from the linear structure in K, shape (k,)}.
+    heat : str
+        The heat input in words (`heat_text`).
     """
     figure, axes = _figure(len(curves))
+    figure.suptitle(heat, fontsize=10)
     for axis, (sensor, series) in zip(axes, curves.items(), strict=True):
         _draw(axis, times, series, 1.0)
         axis.set_ylabel(f"deviation at {sensor} (K)")
@@ -112,7 +129,9 @@ def temperatures_figure(times: Array, curves: Mapping[str, Mapping[str, Array]])
     return figure
 
 
-def displacements_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]) -> Figure:
+def displacements_figure(
+    times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str
+) -> Figure:
     """Figures 9 and 11: nonlinear displacement, one panel for each axis.
 
     Parameters
@@ -121,8 +140,11 @@ def displacements_figure(times: Array, curves: Mapping[str, Mapping[str, Array]]
         s.
     curves : mapping
         Axis to {label: nonlinear displacement in m, shape (k,)}.
+    heat : str
+        The heat input in words (`heat_text`).
     """
     figure, axes = _figure(len(curves))
+    figure.suptitle(heat, fontsize=10)
     for axis, (direction, series) in zip(axes, curves.items(), strict=True):
         _draw(axis, times, series, 1e6)
         axis.set_ylabel(f"nonlinear displacement {direction} (µm)")
@@ -140,6 +162,7 @@ def response_figure(response: xr.Dataset) -> Figure:
     """
     times = response["time"].to_numpy()
     figure, axes = _figure(3)
+    figure.suptitle(heat_text(response), fontsize=10)
     _draw(axes[0], times, {"heat input": response["heat_input"].to_numpy()}, 1.0)
     axes[0].set_ylabel("heat input (reference = 1)")
     probes = [str(name) for name in response["probe"].to_numpy()][: len(_STYLES)]
@@ -154,7 +177,7 @@ def response_figure(response: xr.Dataset) -> Figure:
     return figure
 
 
-def write_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
+def write_figure(figure: Figure, path: Path, dpi: float = 150) -> None:
     """Write `figure` to `path`, whole or not at all; the suffix is the format (`check_format`)."""
     suffix = check_format(path)
     with whole_file(Path(path)) as part:
@@ -189,9 +212,15 @@ def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) 
             factor * values,
             linestyle=_STYLES[k % len(_STYLES)],
             color=_SHADES[k % len(_SHADES)],
-            linewidth=1.2,
+            linewidth=_NOISY_WIDTH if _is_noisy(values) else 1.2,
             label=label,
         )
+
+
+def _is_noisy(values: Array) -> bool:
+    """Tell whether a curve turns at most samples, so that a thick line would be one black band."""
+    turns = np.diff(np.sign(np.diff(values)))
+    return bool(np.count_nonzero(turns) > 0.3 * max(turns.size, 1))
 
 
 def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:

@@ -1,53 +1,49 @@
-"""Scenes to PNG files: with pyvista off-screen where that works, else with matplotlib.
-
-VTK can end the whole process where there is no OpenGL, so it renders in a process of its own
-(``python -m thermojoint.pictures scene.npz picture.png ...``). What it leaves undone is drawn by
-matplotlib, and the picture says so.
-"""
+"""Scenes to PNG files: the panels with their titles, labels, axes and colour bars on one sheet."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
-from collections.abc import Mapping
-from contextlib import suppress
-from importlib.util import find_spec
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from matplotlib.image import AxesImage
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 
 from artefacts.errors import InputError
-from artefacts.files import whole_file
+from thermojoint.colour_scale import ColourScale
 from thermojoint.figures import write_figure
-from thermojoint.scene_file import load_scene, save_scene
-from thermojoint.scenes import Array, Panel, Scene, Surface
+from thermojoint.labels import place_labels
+from thermojoint.renderer import Pixels, painted, pixel_size, rendered
+from thermojoint.scenes import Panel, Scene, finished
 
-#: A renderer that takes longer than this hangs, s.
-TIMEOUT_S = 180.0
-_COLOURS = "viridis"
-_PANEL_PIXELS = (900, 800)
-_BAR = {
-    "vertical": True,
-    "position_x": 0.86,
-    "position_y": 0.2,
-    "height": 0.6,
-    "width": 0.06,
-    "n_labels": 5,
-    "color": "black",
-    "title_font_size": 16,
-    "label_font_size": 16,
-}
+#: Height of the panels of a still picture, pixels.
+HEIGHT = 840
+FALLBACK_NOTE = "drawn with matplotlib: pyvista cannot render here"
+#: Of a sheet, inches; a panel is this high whatever its pixels.
+_PANEL, _ABOVE, _BELOW, _GAP = 6.0, 0.75, 0.95, 0.2
+_TRIAD = 0.85
+_ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
 
 
-def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict[Path, str]:
+@dataclass(frozen=True)
+class Sheet:
+    """A figure and the parts of it that change from one scene of a film to the next."""
+
+    figure: Figure
+    images: tuple[AxesImage, ...]
+    caption: Text
+
+
+def write_pictures(
+    pictures: Mapping[Path, Scene], pyvista: bool = True, height: int = HEIGHT
+) -> dict[Path, str]:
     """Write each scene to its file; every file exists afterwards.
 
     Parameters
@@ -56,6 +52,8 @@ def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict
         PNG file to scene.
     pyvista : bool
         Try pyvista first.
+    height : int
+        Of the panels, pixels.
 
     Returns
     -------
@@ -69,16 +67,12 @@ def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict
     """
     for path in pictures:
         check_png(path)
-    drawn = _with_pyvista(pictures) if pyvista and find_spec("pyvista") else {}
+    films = [finished([scene]) for scene in pictures.values()]
+    drawn = rendered(films, height) if pyvista else (None for _ in films)
     used = {}
-    for path, scene in pictures.items():
-        if path in drawn:
-            with whole_file(path) as part:
-                part.write_bytes(drawn[path])
-            used[path] = "pyvista"
-        else:
-            write_figure(matplotlib_picture(scene), path, dpi=110)
-            used[path] = "matplotlib"
+    for path, (scene,), images in zip(pictures, films, drawn, strict=True):
+        write_figure(sheet(scene, images, height).figure, path, dpi=height / _PANEL)
+        used[path] = "matplotlib" if images is None else "pyvista"
     return used
 
 
@@ -94,178 +88,116 @@ def check_png(path: Path) -> None:
         raise InputError(f"{path}: 3-D pictures are PNG files; name it {path.stem}.png")
 
 
-def _with_pyvista(pictures: Mapping[Path, Scene]) -> dict[Path, bytes]:
-    """Render in another process; what it did not finish is left out."""
-    with tempfile.TemporaryDirectory(prefix="thermojoint-") as name:
-        folder = Path(name)
-        arguments, results = [], {}
-        for k, (path, scene) in enumerate(pictures.items()):
-            source, results[path] = folder / f"{k}.npz", folder / f"{k}.png"
-            save_scene(scene, source)
-            arguments += [str(source), str(results[path])]
-        # Should it hang, what is finished is used and matplotlib draws the rest.
-        with suppress(subprocess.TimeoutExpired):
-            subprocess.run(
-                [sys.executable, "-m", "thermojoint.pictures", *arguments],
-                capture_output=True,
-                timeout=TIMEOUT_S,
-                check=False,
-            )
-        return {path: png.read_bytes() for path, png in results.items() if _is_png(png)}
+def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
+    """Lay a finished scene out: its panels (painted here if there are no `images`) and all around.
 
-
-def _is_png(path: Path) -> bool:
-    """Tell whether a PNG file is there to its last chunk."""
-    return path.is_file() and path.read_bytes()[-8:-4] == b"IEND"
-
-
-def render(scene: Scene, path: Path) -> None:
-    """Draw `scene` with pyvista, off-screen, into `path`; may end the process without OpenGL."""
-    import pyvista
-
-    count = len(scene.panels)
-    # Its stubs want literals where names are meant.
-    plotter: Any = pyvista.Plotter(
-        off_screen=True,
-        shape=(1, count),
-        border=False,
-        window_size=[_PANEL_PIXELS[0] * count, _PANEL_PIXELS[1]],
-    )
-    limits = _limits(scene)
-    for k, panel in enumerate(scene.panels):
-        plotter.subplot(0, k)
-        plotter.set_background("white")
-        plotter.add_text(panel.title, font_size=11, color="black", position="upper_edge")
-        for surface in panel.surfaces:
-            size = np.full((len(surface.faces), 1), surface.faces.shape[1])
-            mesh = pyvista.PolyData(surface.points, np.hstack([size, surface.faces]).ravel())
-            look: dict[str, Any] = {"opacity": surface.opacity, "show_edges": surface.opacity > 0.5}
-            look |= {"edge_color": "#5a5f66", "line_width": 0.5}
-            if surface.values is None:
-                plotter.add_mesh(mesh, color=surface.colour, ambient=0.35, **look)
-            else:
-                plotter.add_mesh(
-                    mesh,
-                    scalars=surface.values,
-                    clim=limits,
-                    cmap=_COLOURS,
-                    lighting=False,  # shading would change what the colours mean
-                    scalar_bar_args=_BAR | {"title": scene.bar, "fmt": _number_format(limits[1])},
-                    **look,
-                )
-        for marker in panel.markers:  # one by one: VTK leaves out labels of a set that overlap
-            plotter.add_point_labels(
-                np.array([marker.position]),
-                [f"{marker.label} •" if marker.left else f"• {marker.label}"],
-                always_visible=True,
-                show_points=False,
-                font_size=22,
-                text_color="black",
-                shape=None,
-                justification_horizontal="right" if marker.left else "left",
-                justification_vertical="center",
-            )
-        plotter.view_vector(panel.view, viewup=(0.0, 1.0, 0.0))
-    plotter.screenshot(str(path))
-    plotter.close()
-
-
-def matplotlib_picture(scene: Scene) -> Figure:
-    """Draw `scene` with matplotlib: the same surfaces, sorted by depth face by face."""
-    count = len(scene.panels)
-    figure = Figure(figsize=(7.5 * count, 6.8), layout="constrained")
+    Parameters
+    ----------
+    scene : Scene
+        See `scenes.finished`.
+    images : sequence of ndarray, optional
+        As `renderer.rendered` yields them.
+    height : int
+        Of the panels, pixels.
+    """
+    widths = [_PANEL * pixel_size(panel.frame, height)[0] / height for panel in scene.panels]
+    lefts = _GAP + np.concatenate([[0.0], np.cumsum(np.add(widths, _GAP))])
+    total, high = float(lefts[-1]), _ABOVE + _PANEL + _BELOW
+    figure = Figure(figsize=(total, high), dpi=height / _PANEL)
     FigureCanvasAgg(figure)
-    norm = Normalize(*_limits(scene))
-    for k, panel in enumerate(scene.panels):
-        axes = figure.add_subplot(1, count, k + 1, projection="3d")
-        axes.set_title(panel.title, fontsize=10)
-        every = _turned(np.concatenate([surface.points for surface in panel.surfaces]))
-        low, high = every.min(axis=0), every.max(axis=0)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        axes.set_box_aspect(high - low)
+    caption = figure.text(0.5, 1.0 - 0.12 / high, scene.caption, fontsize=12, ha="center", va="top")
+    if images is None:
+        note = 1.0 - _GAP / total
+        figure.text(note, 0.03 / high, FALLBACK_NOTE, fontsize=7, ha="right", va="bottom")
+    shown = images if images is not None else [painted(panel, height) for panel in scene.panels]
+    artists = []
+    before = None
+    for panel, image, left, width in zip(scene.panels, shown, lefts, widths, strict=False):
+        axes = figure.add_axes((left / total, _BELOW / high, width / total, _PANEL / high))
         axes.set_axis_off()
-        view = _turned(np.array([panel.view]))[0]
-        axes.view_init(
-            elev=np.degrees(np.arctan2(view[2], np.hypot(view[0], view[1]))),
-            azim=np.degrees(np.arctan2(view[1], view[0])),
-        )
-        axes.add_collection3d(_polygons(panel, norm))
-        for marker in panel.markers:
-            x, y, z = _turned(np.array([marker.position]))[0]
-            text = f"{marker.label} •" if marker.left else f"• {marker.label}"
-            side = "right" if marker.left else "left"
-            axes.text(x, y, z, text, fontsize=11, zorder=1000, ha=side, va="center")
-    if scene.bar:
-        figure.colorbar(ScalarMappable(norm, _COLOURS), ax=figure.axes, label=scene.bar, shrink=0.6)
-    figure.supxlabel("drawn with matplotlib: pyvista cannot render here", fontsize=8)
-    return figure
+        artists.append(axes.imshow(image, extent=panel.frame, aspect="auto"))
+        axes.set(xlim=panel.frame[:2], ylim=panel.frame[2:])
+        axes.set_title(panel.title, fontsize=11)
+        _name_points(axes, panel)
+        if panel.camera != before:
+            corner = (left / total, 0.05 / high, _TRIAD / total, _TRIAD / high)
+            _draw_triad(figure.add_axes(corner), panel)
+        before = panel.camera
+    for scale, start, end in _bars(scene, lefts, widths):
+        across = min(end - start, 1.2 * _PANEL)
+        left = start + 0.5 * (end - start - across)
+        bar = figure.add_axes((left / total, 0.58 / high, across / total, 0.2 / high))
+        _draw_bar(bar, scale)
+    return Sheet(figure, tuple(artists), caption)
 
 
-def _polygons(panel: Panel, norm: Normalize) -> Poly3DCollection:
-    """All faces of a panel in one collection, so that they are sorted together."""
-    light = np.array([0.3, -0.6, 0.75]) / np.linalg.norm([0.3, -0.6, 0.75])
-    polygons: list[Array] = []
-    colours = []
-    for surface in panel.surfaces:
-        corners = _turned(surface.points)[surface.faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        facing = np.abs(normal / np.where(length > 0.0, length, 1.0) @ light)
-        shade = _base_colours(surface, norm)
-        shade[:, :3] *= (0.65 + 0.35 * facing)[:, None]
-        shade[:, 3] = surface.opacity
-        polygons += list(corners)
-        colours.append(shade)
-    return Poly3DCollection(
-        polygons,
-        facecolors=np.concatenate(colours),
-        edgecolors=(0.4, 0.4, 0.4, 0.25),
-        linewidths=0.3,
+def _bars(
+    scene: Scene, lefts: np.ndarray, widths: Sequence[float]
+) -> list[tuple[ColourScale, float, float]]:
+    """Colour scales with the left and the right end of their bars, inches.
+
+    Neighbours that show the same from the same side share one.
+    """
+    bars: list[tuple[ColourScale, float, float]] = []
+    before = None
+    for panel, left, width in zip(scene.panels, lefts, widths, strict=False):
+        if panel.scale is not None:
+            start = float(left) + _TRIAD + _GAP
+            if bars and before == (panel.scale, panel.camera):
+                start = bars.pop()[1]
+            bars.append((panel.scale, start, float(left + width)))
+        before = (panel.scale, panel.camera)
+    return bars
+
+
+def _draw_bar(axes: Axes, scale: ColourScale) -> None:
+    bar = axes.figure.colorbar(
+        ScalarMappable(scale.norm, scale.colours),
+        cax=axes,
+        orientation="horizontal",
+        spacing="uniform",
+        ticks=list(scale.levels),
     )
+    bar.ax.set_xticklabels([f"{level:.4g}" for level in scale.levels], fontsize=9)
+    bar.ax.minorticks_off()
+    bar.set_label(scale.title, fontsize=10)
 
 
-def _base_colours(surface: Surface, norm: Normalize) -> Array:
-    """Colour of every face, RGBA, shape (m, 4)."""
-    if surface.values is None:
-        return np.tile(np.array(to_rgba(surface.colour)), (len(surface.faces), 1))
-    values = surface.values
-    if len(values) == len(surface.points):
-        values = values[surface.faces].mean(axis=1)
-    return np.asarray(colormaps[_COLOURS](norm(values)), dtype=float)
+def _draw_triad(axes: Axes, panel: Panel) -> None:
+    """Draw the directions x, y and z as the panel's camera sees them."""
+    axes.set(xlim=(-1.4, 1.4), ylim=(-1.4, 1.4))
+    axes.set_axis_off()
+    arrows = panel.camera.project(np.eye(3))
+    for k in np.argsort(arrows[:, 2]):  # the one that points at the eye last
+        name, colour = "xyz"[k], ("#c0392b", "#2e7d32", "#1f5fa8")[k]
+        x, y = arrows[k, :2]
+        axes.annotate(
+            "",
+            (x, y),
+            (0.0, 0.0),
+            arrowprops=_ARROW | {"color": colour},
+        )
+        away = np.array([x, y]) / max(np.hypot(x, y), 0.35)
+        along, above = np.array([x, y]) + 0.28 * away
+        axes.text(along, above, name, color=colour, fontsize=10, ha="center", va="center")
 
 
-def _turned(points: Array) -> Array:
-    """From y up to z up, as matplotlib has it."""
-    return np.column_stack([points[:, 0], -points[:, 2], points[:, 1]])
-
-
-def _limits(scene: Scene) -> tuple[float, float]:
-    """Range of the values drawn over all panels."""
-    values = [
-        surface.values[surface.faces].ravel()
-        if len(surface.values) == len(surface.points)
-        else surface.values
-        for panel in scene.panels
-        for surface in panel.surfaces
-        if surface.values is not None
+def _name_points(axes: Axes, panel: Panel) -> None:
+    """Write the markers' labels where they do not cover each other, with a line to the point."""
+    if not panel.markers:
+        return
+    points = panel.camera.project(np.array([marker.position for marker in panel.markers]))[:, :2]
+    axes.plot(*points.T, "o", color="black", markersize=4, markeredgecolor="white")
+    texts = [
+        axes.text(0.0, 0.0, marker.label, fontsize=11, weight="bold", ha="center", va="center")
+        for marker in panel.markers
     ]
-    if not values:
-        return 0.0, 1.0
-    every = np.concatenate(values)
-    low, high = float(every.min()), float(every.max())
-    return (low, high) if high > low else (low, low + 1.0)
-
-
-def _number_format(largest: float) -> str:
-    """Format with three digits or so for numbers up to `largest`."""
-    power = int(np.floor(np.log10(abs(largest)))) if largest else 0
-    return f"%.{max(0, 2 - power)}f"
-
-
-def _main(arguments: list[str]) -> None:
-    for source, target in zip(arguments[::2], arguments[1::2], strict=True):
-        render(load_scene(Path(source)), Path(target))
-
-
-if __name__ == "__main__":
-    _main(sys.argv[1:])
+    scale = (panel.frame[3] - panel.frame[2]) / axes.get_window_extent().height
+    boxes = [text.get_window_extent() for text in texts]
+    sizes = scale * np.array([(box.width + 6.0, box.height + 2.0) for box in boxes])
+    for text, point, middle in zip(
+        texts, points, place_labels(points, sizes, panel.frame), strict=True
+    ):
+        text.set_position(middle)
+        text.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+        axes.plot(*np.transpose([point, middle]), color="black", linewidth=0.7, zorder=1.5)

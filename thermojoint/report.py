@@ -12,8 +12,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from artefacts.errors import InputError
 from artefacts.files import write_text
 from thermojoint import paper_values
-from thermojoint.console import number, paper_claim
-from thermojoint.summary import Convergence, PressureShare, SchemeErrors
+from thermojoint.console import number
+from thermojoint.summary import (
+    STILL,
+    Convergence,
+    PressureShare,
+    SchemeErrors,
+    paper_claim,
+    verdict,
+)
 from thermojoint.tables import NOTE, PrintedTable
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -94,6 +101,8 @@ def report_html(data: ReportData) -> str:
     template = environment.get_template("report.html.j2")
     return template.render(
         data=data,
+        verdict=verdict(data.validation),
+        still=STILL,
         note=NOTE,
         citation=paper_values.CITATION,
         paper_share=paper_values.PRESSURE_SHARE,

@@ -27,6 +27,7 @@ from models.sensors import roles_in
 from thermojoint import console
 from thermojoint.figures import (
     displacements_figure,
+    heat_text,
     pressure_figure,
     temperatures_figure,
     write_figure,
@@ -35,7 +36,7 @@ from thermojoint.paper import inputs
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.pictures import write_pictures
 from thermojoint.report import Picture, ReportData, write_report
-from thermojoint.summary import compare_schemes, convergence, pressure_share
+from thermojoint.summary import compare_schemes, convergence, pressure_share, verdict
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
 
@@ -52,8 +53,8 @@ CAPTIONS = {
     "at T1 and T2, heat input 3.0",
     "figure-09-nonlinear-displacement": "Figure 9: actual and estimated nonlinear displacement, "
     "heat input 3.0",
-    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, with and "
-    "without sensor noise",
+    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, and with "
+    "the sensor noise put on it",
     "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
     "the triangle, with sensor noise",
     "temperature": "Temperature at the end of the step, heat input 2.0",
@@ -126,7 +127,7 @@ def reproduce(case: Case, out: Path) -> None:
     data = ReportData(
         title=case.title,
         facts=facts(case, responses[REFERENCE]),
-        tables=printed_tables(tables),
+        tables=printed_tables(tables, provenance.at_bound),
         validation=validated.rows,
         schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
         blocks=validated.blocks,
@@ -152,6 +153,9 @@ def show(terminal: Console, data: ReportData) -> None:
         console.show_share(terminal, data.share)
     if data.placement:
         terminal.print(data.placement)
+    if data.validation:
+        terminal.print()
+        terminal.print(verdict(data.validation))
 
 
 def paper_figures(
@@ -174,6 +178,7 @@ def paper_figures(
     sensors = list(model.linear.direct)
     on_steep = deviations(model, reference, steep)
     on_triangle = deviations(model, reference, triangle)
+    noise = study.joint_noise(triangle)
     return {
         "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
         "figure-08-temperature-deviation": temperatures_figure(
@@ -182,19 +187,26 @@ def paper_figures(
                 sensor: {"simulated": on_steep[:, j], "estimator": times.deviation[:, j]}
                 for j, sensor in enumerate(sensors)
             },
+            heat_text(steep),
         ),
         "figure-09-nonlinear-displacement": displacements_figure(
-            np.asarray(times.time), _nonlinear(model, reference, steep, times)
+            np.asarray(times.time), _nonlinear(model, reference, steep, times), heat_text(steep)
         ),
         "figure-10-noisy-deviation": temperatures_figure(
-            np.asarray(noisy.time),
+            triangle["time"].to_numpy(),
             {
-                sensor: {"with noise": noisy.deviation[:, j], "simulated": on_triangle[:, j]}
+                sensor: {
+                    "with noise": on_triangle[:, j] + noise[sensor],
+                    "simulated": on_triangle[:, j],
+                }
                 for j, sensor in enumerate(sensors)
             },
+            heat_text(triangle),
         ),
         "figure-11-noisy-displacement": displacements_figure(
-            np.asarray(noisy.time), _nonlinear(model, reference, triangle, noisy)
+            np.asarray(noisy.time),
+            _nonlinear(model, reference, triangle, noisy),
+            heat_text(triangle),
         ),
     }
 

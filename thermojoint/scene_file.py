@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermojoint.scenes import Array, Marker, Panel, Scene, Surface
+from thermojoint.camera import Array, Camera
+from thermojoint.colour_scale import ColourScale
+from thermojoint.scenes import Marker, Panel, Scene, Surface
 
 
 def save_scene(scene: Scene, path: Path) -> None:
@@ -23,11 +26,20 @@ def save_scene(scene: Scene, path: Path) -> None:
             if surface.values is not None:
                 arrays[f"{key}.values"] = surface.values
             surfaces.append({"colour": surface.colour, "opacity": surface.opacity})
-        markers = [[list(marker.position), marker.label, marker.left] for marker in panel.markers]
+        if panel.close_to is not None:
+            arrays[f"{p}.close_to"] = panel.close_to
         panels.append(
-            {"title": panel.title, "surfaces": surfaces, "markers": markers, "view": panel.view}
+            {
+                "title": panel.title,
+                "surfaces": surfaces,
+                "camera": asdict(panel.camera),
+                "markers": [[list(marker.position), marker.label] for marker in panel.markers],
+                "shows": panel.shows,
+                "window": panel.window,
+                "scale": None if panel.scale is None else asdict(panel.scale),
+            }
         )
-    head = np.array(json.dumps({"bar": scene.bar, "panels": panels}))
+    head = np.array(json.dumps({"caption": scene.caption, "panels": panels}))
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, head=head, **arrays)
 
@@ -47,6 +59,17 @@ def load_scene(path: Path) -> Scene:
                 )
                 for s, look in enumerate(panel["surfaces"])
             )
-            markers = tuple(Marker(tuple(at), label, left) for at, label, left in panel["markers"])
-            panels.append(Panel(panel["title"], surfaces, markers, tuple(panel["view"])))
-    return Scene(tuple(panels), head["bar"])
+            camera, window, scale = panel["camera"], panel["window"], panel["scale"]
+            panels.append(
+                Panel(
+                    panel["title"],
+                    surfaces,
+                    Camera(tuple(camera["view"]), tuple(camera["up"])),
+                    tuple(Marker(tuple(at), label) for at, label in panel["markers"]),
+                    panel["shows"],
+                    file.get(f"{p}.close_to"),
+                    None if window is None else tuple(window),
+                    scale and ColourScale(scale["label"], tuple(scale["levels"]), scale["even"]),
+                )
+            )
+    return Scene(tuple(panels), head["caption"])

@@ -1,8 +1,8 @@
-"""What a 3-D picture shows, as plain arrays: surfaces, markers and a view, for any renderer."""
+"""What a 3-D picture shows, as plain arrays: surfaces, markers and a camera, for any renderer."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,19 +10,15 @@ from numpy.typing import NDArray
 from skfem import Mesh
 
 from artefacts.errors import unknown_name
-from fesim.march import Step
-from fesim.setup import Setup
-from meshes.pairing import PairedJoint
 from meshes.structure import Structure
-from meshes.volume_cells import corner_mesh
+from thermojoint.camera import Array, Camera, Vector, Window, window_around
+from thermojoint.colour_scale import ColourScale, colour_scale
 
-Array = NDArray[np.float64]
-
-#: Largest displacement in the picture of the deformed shape, relative to the structure's size.
-_EXAGGERATED = 0.06
-_BODY_COLOURS = ("#c9ccd1", "#9db7d5", "#8f8f8f", "#d9c39a", "#a9c9a4")
-_SIDE_COLOUR, _SOURCE_COLOUR = "#e0a100", "#c8301a"
+BODY_COLOURS = ("#c9ccd1", "#9db7d5", "#8f8f8f", "#d9c39a", "#a9c9a4")
 _AXES = {"x": 0, "y": 1, "z": 2}
+#: Supports whose normals cancel to less than this part of their area do not say what is up.
+_AGREE = 0.5
+_UP_WITHOUT_SUPPORTS: Vector = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -38,43 +34,73 @@ class Surface:
     colour : str
         Used where there are no values.
     opacity : float
-        0 to 1.
+        0 to 1; of what is 0 the edges are drawn.
     values : ndarray, shape (n,) or (m,), optional
         What the colour map shows, at the points or on the faces.
     """
 
     points: Array
     faces: NDArray[np.int64]
-    colour: str = _BODY_COLOURS[0]
+    colour: str = BODY_COLOURS[0]
     opacity: float = 1.0
     values: Array | None = None
 
 
 @dataclass(frozen=True)
 class Marker:
-    """A labelled point, m; its label stands to the right of it or to the left."""
+    """A labelled point, m."""
 
-    position: tuple[float, float, float]
+    position: Vector
     label: str
-    left: bool = False
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One view: from where the camera looks (`view`, any length), and what it sees."""
+    """One view.
+
+    Attributes
+    ----------
+    title : str
+        Above it.
+    surfaces : tuple of Surface
+        What it shows.
+    camera : Camera
+        From where.
+    markers : tuple of Marker
+        Points to name.
+    shows : str
+        What the values of its surfaces are, with their unit; empty if there are none.
+    close_to : ndarray, shape (n, 3), optional
+        What the picture is to hold, m; default everything.
+    window : Window, optional
+        What it holds, in the plane of projection; given by `finished`.
+    scale : ColourScale, optional
+        Given by `finished` if there are values.
+    """
 
     title: str
     surfaces: tuple[Surface, ...]
+    camera: Camera
     markers: tuple[Marker, ...] = ()
-    view: tuple[float, float, float] = (-1.0, 0.5, 1.6)
+    shows: str = ""
+    close_to: Array | None = None
+    window: Window | None = None
+    scale: ColourScale | None = None
+
+    @property
+    def frame(self) -> Window:
+        """The window of a panel that is `finished`."""
+        if self.window is None:
+            raise ValueError("a scene is to be finished before it is drawn")
+        return self.window
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture: panels side by side and what their colours mean (empty: no colour map)."""
+    """A picture: panels side by side, and a line above them that says when and under what heat."""
 
     panels: tuple[Panel, ...]
-    bar: str = ""
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -91,6 +117,51 @@ class Mirror:
         return image
 
 
+def finished(scenes: Sequence[Scene]) -> list[Scene]:
+    """Give every panel a window and a colour scale that suit all scenes: those of a film, or one.
+
+    Panels that show the same have the same scale.
+    """
+    values: dict[str, list[Array]] = {}
+    for panel in (panel for scene in scenes for panel in scene.panels):
+        values.setdefault(panel.shows, []).extend(_drawn(panel))
+    scales = {shows: colour_scale(shows, found) for shows, found in values.items() if found}
+    windows = [
+        window_around(np.concatenate([_held(panel) for panel in panels]))
+        for panels in zip(*(scene.panels for scene in scenes), strict=True)
+    ]
+    return [
+        replace(
+            scene,
+            panels=tuple(
+                replace(panel, window=window, scale=scales.get(panel.shows))
+                for panel, window in zip(scene.panels, windows, strict=True)
+            ),
+        )
+        for scene in scenes
+    ]
+
+
+def _drawn(panel: Panel) -> list[Array]:
+    """Values that a panel shows, without those of points that no face uses."""
+    return [
+        surface.values[np.unique(surface.faces)]
+        if len(surface.values) == len(surface.points)
+        else surface.values
+        for surface in panel.surfaces
+        if surface.values is not None
+    ]
+
+
+def _held(panel: Panel) -> Array:
+    """What a panel's window is to hold, projected."""
+    if panel.close_to is not None:
+        return panel.camera.project(panel.close_to)
+    points = [surface.points[np.unique(surface.faces)] for surface in panel.surfaces]
+    points += [np.array([marker.position]) for marker in panel.markers]
+    return panel.camera.project(np.concatenate(points))
+
+
 def mirror_of(structure: Structure, symmetry: Mapping[str, str]) -> Mirror | None:
     """Return the first symmetry plane of a case ({surface: axis}), or None."""
     for name, axis in symmetry.items():
@@ -98,6 +169,41 @@ def mirror_of(structure: Structure, symmetry: Mapping[str, str]) -> Mirror | Non
         k = _AXES[axis]
         return Mirror(k, float(structure.mesh.p[k, nodes].mean()))
     return None
+
+
+def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
+    """Return the axis along which a structure stands up from its supports.
+
+    It is the axis nearest to the opposite of the supports' outward normals, weighted by area.
+    Where they cancel (a beam held at both ends) or there are none, it is z, as in CAD.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure.
+    supports : iterable of str
+        Surfaces that hold it.
+    """
+    facets = [structure.surface(name, "supports") for name in supports]
+    if not facets:
+        return _UP_WITHOUT_SUPPORTS
+    areas = outward_areas(structure.mesh, np.unique(np.concatenate(facets)))
+    down = areas.sum(axis=0)
+    if np.linalg.norm(down) < _AGREE * np.linalg.norm(areas, axis=1).sum():
+        return _UP_WITHOUT_SUPPORTS
+    axis = int(np.abs(down).argmax())
+    up = -np.sign(down[axis]) * np.eye(3)[axis]
+    return float(up[0]), float(up[1]), float(up[2])
+
+
+def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
+    """Outward normals of boundary `facets`, as long as their areas, m2, shape (n, 3)."""
+    corners = mesh.p.T[boundary_faces(mesh, facets)]
+    # Of a quadrilateral the diagonals; of a triangle two edges: half their product in both cases.
+    last = corners[:, 3] - corners[:, 1] if corners.shape[1] == 4 else corners[:, 2] - corners[:, 1]
+    area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], last)
+    inward = mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T - corners.mean(axis=1)
+    return np.asarray(-area * np.sign(np.einsum("ni,ni->n", area, inward))[:, None])
 
 
 def boundary_faces(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -108,223 +214,68 @@ def boundary_faces(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(mesh.t[corners[local].T, cells].T, dtype=np.int64)
 
 
-def structure_scene(
-    structure: Structure,
-    sources: Sequence[str],
-    points: Sequence[Marker],
-    mirror: Mirror | None = None,
-) -> Scene:
-    """Structure as in the paper's Figure 6: a cross-section, and the joint with one side apart.
-
-    Parameters
-    ----------
-    structure : Structure
-        The structure.
-    sources : sequence of str
-        Surfaces where heat enters.
-    points : sequence of Marker
-        Points and sensors to name.
-    mirror : Mirror, optional
-        Symmetry plane of a half model: the first view looks onto it.
-    """
-    named = dict.fromkeys(sources, _SOURCE_COLOUR) | {
-        side: _SIDE_COLOUR for sides in structure.joints.values() for side in sides
-    }
-    plain = _bodies(structure, named)
-    heated = [_part(structure, structure.surface(name), _SOURCE_COLOUR) for name in sources]
-    named_points = (*points, *(Marker(_centre(part), "Q", left=True) for part in heated))
-    marked = tuple(
-        _part(structure, structure.surface(name), colour) for name, colour in named.items()
-    )
-    section = Panel(
-        "cross-section (heat source Q red, joint yellow)" if mirror else "structure",
-        (*plain.values(), *marked),
-        named_points,
-        _onto(structure, mirror),
-    )
-    side_a = next(iter(structure.joints.values()))[0] if structure.joints else None
-    if side_a is None:
-        return Scene((section,))
-    holder, shift = _away_from(structure, side_a)
-    apart = tuple(
-        surface if name == holder else _ghost(surface, shift) for name, surface in plain.items()
-    )
-    side = _part(structure, structure.surface(side_a), _SIDE_COLOUR)
-    here = tuple(marker for marker in named_points if _in_body(structure, marker, holder))
-    joint = Panel(
-        f"{holder} with its contact strips, the rest drawn apart",
-        _whole((*apart, side), mirror),
-        here,
-        (1.6, 0.9, 1.3),
-    )
-    return Scene((section, joint))
-
-
-def temperature_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Scene:
-    """Temperature on the structure's surface, K above the initial ambient, whole and cut open."""
-    at_nodes = setup.nodal_temperature(step.state)[setup.spaces.heat.nodal_dofs[0]]
-    surface = _skin(setup.structure, values=at_nodes)
-    panels = [Panel("outside", _whole((surface,), mirror))]
-    if mirror is not None:
-        panels.append(Panel("cut open", (surface,), view=_onto(setup.structure, mirror)))
-    return Scene(tuple(panels), "temperature (K)")
-
-
-def deformed_scene(setup: Setup, step: Step, mirror: Mirror | None = None) -> Scene:
-    """Exaggerated deformed shape, coloured by the size of the displacement, over the cold shape."""
-    mesh = setup.structure.mesh
-    field = setup.field.solve(setup.nodal_temperature(step.state), step.remainder)
-    at_nodes = field.reshape(-1, 3)[setup.spaces.elastic.nodal_dofs[0]]
-    size = np.linalg.norm(at_nodes, axis=1)
-    extent = float(np.ptp(mesh.p, axis=1).max())
-    largest = float(size.max())
-    factor = _round(_EXAGGERATED * extent / largest) if largest > 0.0 else 1.0
-    cold = _skin(setup.structure)
-    ghost = replace(cold, opacity=0.1)
-    warm = replace(cold, points=cold.points + factor * at_nodes, values=1e6 * size)
-    view = _onto(setup.structure, mirror)
-    title = f"displacement drawn {factor:g} times too large"
-    return Scene((Panel(title, (ghost, warm), view=view),), "displacement (µm)")
-
-
-def pressure_scene(setup: Setup, pressure: Array, mirror: Mirror | None = None) -> Scene:
-    """Contact pressure (Pa, shape (m,)) on every contact element; there is a joint or more."""
-    structure = setup.structure
-    sides = structure.joints[setup.joints[0].name]
-    holder, _ = _away_from(structure, sides[0])
-    body = replace(_bodies(structure, {})[holder], opacity=0.35)
-    maps = []
-    start = 0
-    for joint in setup.joints:
-        count = len(joint.area)
-        maps.append(_contact_map(joint, pressure[start : start + count] / 1e6))
-        start += count
-    title = f"contact pressure on {', '.join(joint.name for joint in setup.joints)}"
-    panel = Panel(title, _whole((body, *maps), mirror), view=(1.6, 0.7, 1.1))
-    return Scene((panel,), "pressure (MPa)")
-
-
-def _contact_map(joint: PairedJoint, values: Array) -> Surface:
-    """Rectangles with the centroid and the second moments of the contact elements."""
-    sides = []
-    for tangent in joint.tangents.transpose(1, 0, 2):
-        along = np.einsum("qi,iq->q", tangent[joint.element], joint.points_a)
-        mean = np.bincount(joint.element, joint.weights * along) / joint.area
-        spread = joint.weights * (along - mean[joint.element]) ** 2
-        # A rectangle of length l has the second moment l2/12 about its centre.
-        sides.append(np.sqrt(12.0 * np.bincount(joint.element, spread) / joint.area))
-    lift = 1e-3 * joint.normal
-    corners = [
-        joint.centre
-        + lift
-        + 0.5
-        * (
-            i * sides[0][:, None] * joint.tangents[:, 0]
-            + j * sides[1][:, None] * joint.tangents[:, 1]
-        )
-        for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
-    points = np.stack(corners, axis=1).reshape(-1, 3)
-    return Surface(points, np.arange(len(points)).reshape(-1, 4), values=values)
-
-
-def _bodies(structure: Structure, named: Mapping[str, str]) -> dict[str, Surface]:
+def bodies(structure: Structure, named: Iterable[str] = ()) -> dict[str, Surface]:
     """Outer surface of every body, without the facets of the `named` surfaces."""
     mesh = structure.mesh
     taken = [structure.surface(name) for name in named]
     facets = np.setdiff1d(mesh.boundary_facets(), np.concatenate(taken) if taken else [])
     owner = mesh.f2t[0, facets]
     return {
-        name: _part(structure, facets[np.isin(owner, cells)], _BODY_COLOURS[k % len(_BODY_COLOURS)])
+        name: part(structure, facets[np.isin(owner, cells)], BODY_COLOURS[k % len(BODY_COLOURS)])
         for k, (name, cells) in enumerate(structure.bodies.items())
     }
 
 
-def _skin(structure: Structure, values: Array | None = None) -> Surface:
-    """Whole boundary with values at the mesh's nodes; its points are all of them."""
-    mesh = corner_mesh(structure.mesh)
-    faces = boundary_faces(mesh, mesh.boundary_facets())
-    return Surface(np.ascontiguousarray(mesh.p.T), faces, values=values)
-
-
-def _part(structure: Structure, facets: NDArray[np.int64], colour: str) -> Surface:
+def part(structure: Structure, facets: NDArray[np.int64], colour: str) -> Surface:
+    """Boundary `facets` as a surface."""
     mesh = structure.mesh
     used, faces = np.unique(boundary_faces(mesh, facets), return_inverse=True)
     corners = len(mesh.elem.refdom.facets[0])
     return Surface(np.ascontiguousarray(mesh.p[:, used].T), faces.reshape(-1, corners), colour)
 
 
-def _centre(surface: Surface) -> tuple[float, float, float]:
-    x, y, z = surface.points[surface.faces].mean(axis=(0, 1))
-    return float(x), float(y), float(z)
-
-
-def _whole(surfaces: tuple[Surface, ...], mirror: Mirror | None) -> tuple[Surface, ...]:
+def whole(surfaces: Iterable[Surface], mirror: Mirror | None) -> tuple[Surface, ...]:
     """The surfaces and, for a half model, their mirror images, without the cut between them."""
     if mirror is None:
-        return surfaces
-    both = []
-    for surface in surfaces:
-        height = surface.points[surface.faces, mirror.axis] - mirror.plane
-        outside = np.abs(height).max(axis=1) > 1e-9
-        values = surface.values
-        if values is not None and len(values) == len(surface.faces) != len(surface.points):
-            values = values[outside]
-        half = replace(surface, faces=surface.faces[outside], values=values)
-        both += [half, replace(half, points=mirror.points(half.points))]
-    return tuple(both)
+        return tuple(surfaces)
+    return tuple(_both_halves(surface, mirror) for surface in surfaces)
 
 
-def _ghost(surface: Surface, shift: Array) -> Surface:
-    return replace(surface, points=surface.points + shift, opacity=0.25)
+def _both_halves(surface: Surface, mirror: Mirror) -> Surface:
+    height = surface.points[:, mirror.axis] - mirror.plane
+    count = len(height)
+    on_plane = np.abs(height) <= 1e-9
+    outside = ~on_plane[surface.faces].all(axis=1)
+    # A node on the plane is its own image, so that no seam is left there.
+    image = np.where(on_plane, np.arange(count), count + np.arange(count))
+    half = surface.faces[outside]
+    values = surface.values
+    if values is not None:
+        own = values if len(values) == count else values[outside]
+        values = np.concatenate([own, own])
+    return replace(
+        surface,
+        points=np.concatenate([surface.points, mirror.points(surface.points)]),
+        faces=np.concatenate([half, image[half]]),
+        values=values,
+    )
 
 
-def _away_from(structure: Structure, side: str) -> tuple[str, Array]:
-    """Body that carries a joint's side, and how far to move the others so that it is seen, m."""
-    mesh = structure.mesh
+def away_from(structure: Structure, side: str) -> tuple[str, Array]:
+    """Return the body that carries a joint's side, and the outward unit normal of that side."""
     facets = structure.surface(side)
-    cells = mesh.f2t[0, facets]
-    holder = next(name for name, own in structure.bodies.items() if cells[0] in own)
-    face = mesh.p[:, mesh.facets[:, facets[0]]]
-    normal = np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0])
-    normal /= np.linalg.norm(normal)
-    inward = mesh.p[:, mesh.t[:, cells[0]]].mean(axis=1) - face.mean(axis=1)
-    size = float(np.ptp(mesh.p, axis=1).max())
-    return holder, -0.35 * size * normal * np.sign(normal @ inward)
+    cell = structure.mesh.f2t[0, facets[0]]
+    holder = next(name for name, own in structure.bodies.items() if cell in own)
+    area = outward_areas(structure.mesh, facets)
+    # A closed side (a bush in its bore) has no mean normal.
+    mean = area.sum(axis=0)
+    if np.linalg.norm(mean) < 1e-6 * np.linalg.norm(area, axis=1).sum():
+        mean = area[0]
+    return holder, np.asarray(mean / np.linalg.norm(mean))
 
 
-def _in_body(structure: Structure, marker: Marker, body: str) -> bool:
-    mesh = structure.mesh
-    cells = structure.body(body)
-    points = mesh.p[:, mesh.t[:, cells]]
-    at = np.asarray(marker.position)[:, None]
-    low, high = points.min(axis=1) - 1e-9, points.max(axis=1) + 1e-9
-    return bool(((at >= low) & (at <= high)).all(axis=0).any())
-
-
-def _onto(structure: Structure, mirror: Mirror | None) -> tuple[float, float, float]:
-    """View onto the cut of a half model, a little from above and from the side."""
-    view = np.array([-0.9, 0.5, 1.4])
-    if mirror is not None:
-        centre = 0.5 * (structure.mesh.p.min(axis=1) + structure.mesh.p.max(axis=1))
-        view[mirror.axis] = 1.4 if mirror.plane > centre[mirror.axis] else -1.4
-    return float(view[0]), float(view[1]), float(view[2])
-
-
-def _round(value: float) -> float:
-    """Round to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step - value / power)))
-
-
-def probe_position(structure: Structure, name: str) -> tuple[float, float, float]:
+def probe_position(structure: Structure, name: str) -> Vector:
     """Return where a named probe is, m; InputError if there is none."""
     if name not in structure.probes:
         raise unknown_name("probe", name, structure.probes, "picture")
     return structure.probes[name].position
-
-
-def markers(points: Mapping[str, tuple[float, float, float]]) -> list[Marker]:
-    """Markers at named points (m); labels of points that lie close go to different sides."""
-    middle = float(np.median([x for x, _, _ in points.values()])) if points else 0.0
-    return [Marker(at, name, at[0] < middle) for name, at in points.items()]

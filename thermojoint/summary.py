@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from artefacts.errors import InputError
 from fesim.reduced_march import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
+from thermojoint import paper_values
 
-#: A contact pressure that moves by less than this part of the largest change has no share.
-_STILL = 1e-3
+#: A contact pressure whose final change is below this part of the largest one has no share of it.
+STILL = 0.1
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,19 @@ class Convergence:
 
 
 @dataclass(frozen=True)
+class ElementShare:
+    """One contact element: its change of pressure early and at the end, MPa, and their ratio.
+
+    The ratio is None where the final change is near zero.
+    """
+
+    contact: int
+    early_MPa: float
+    final_MPa: float
+    share: float | None
+
+
+@dataclass(frozen=True)
 class PressureShare:
     """How much of its final change each contact pressure has made by a given time.
 
@@ -67,24 +80,18 @@ class PressureShare:
     ----------
     at_s : float
         The time, s.
-    contact : tuple of int
-        Numbers of the contact elements.
-    share : ndarray, shape (m,)
-        (p(at) - p(0)) / (p(end) - p(0)); NaN where the pressure hardly changes.
-    compressed : ndarray of bool, shape (m,)
-        The pressure rises.
+    rows : tuple of ElementShare
+        (p(at) - p(0)) / (p(end) - p(0)) and both differences; rising pressure is positive.
     """
 
     at_s: float
-    contact: tuple[int, ...]
-    share: NDArray[np.float64]
-    compressed: NDArray[np.bool_]
+    rows: tuple[ElementShare, ...]
 
     @property
     def least_compressed(self) -> float | None:
         """The smallest share among the elements whose pressure rises; None if there are none."""
-        known = self.share[self.compressed & np.isfinite(self.share)]
-        return float(known.min()) if known.size else None
+        known = [row.share for row in self.rows if row.share is not None and row.final_MPa > 0.0]
+        return min(known) if known else None
 
 
 @dataclass(frozen=True)
@@ -201,15 +208,16 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
             "simulate it for longer"
         )
     at = np.array([np.interp(at_s, time, column) for column in pressure.T])
-    change = pressure[-1] - pressure[0]
-    moves = np.abs(change) > _STILL * np.abs(change).max()
-    share = np.full(change.shape, np.nan)
-    share[moves] = (at - pressure[0])[moves] / change[moves]
+    early, final = (at - pressure[0]) / 1e6, (pressure[-1] - pressure[0]) / 1e6
+    moves = np.abs(final) > STILL * np.abs(final).max()
     return PressureShare(
-        at_s=at_s,
-        contact=tuple(int(number) for number in response["contact"].to_numpy()),
-        share=share,
-        compressed=change > 0.0,
+        at_s,
+        tuple(
+            ElementShare(int(number), one, end, one / end if moving else None)
+            for number, one, end, moving in zip(
+                response["contact"].to_numpy(), early.tolist(), final.tolist(), moves, strict=True
+            )
+        ),
     )
 
 
@@ -250,6 +258,76 @@ def compare_schemes(
         if estimator == "linear"
     ]
     return found
+
+
+def paper_claim(row: Mapping[str, str | float]) -> float | None:
+    """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
+    if row["estimator"] != "fchs" or row["axis"] not in paper_values.TABLE1_DEFORMATION:
+        return None
+    return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
+
+
+def verdict(rows: Sequence[Mapping[str, str | float]]) -> str:
+    """Return in words what the estimator has reached: the paper's accuracy, and the linear model's.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        See `estimator.validation.validate`.
+
+    Returns
+    -------
+    str
+        One paragraph; empty if nothing was judged.
+    """
+    found = [row for row in rows if row["estimator"] == "fchs"]
+    if not found:
+        return ""
+    linear = {
+        (row["case"], row["axis"]): float(row["max_abs_error_um"])
+        for row in rows
+        if row["estimator"] == "linear"
+    }
+    error = {(row["case"], row["axis"]): float(row["max_abs_error_um"]) for row in found}
+    claims = {(row["case"], row["axis"]): paper_claim(row) for row in found}
+    near = {key: claim for key, claim in claims.items() if claim is not None}
+    reached = [key for key, claim in near.items() if error[key] <= claim]
+    missed = [key for key in near if key not in reached]
+    worse = [key for key in error if key in linear and error[key] > linear[key]]
+
+    sentences = []
+    if near:
+        sentences.append(
+            f"The FCHS estimator's largest error is within what the paper reports of its own "
+            f"machine in {len(reached)} of {len(near)} rows{_listed(reached)}."
+        )
+    if missed:
+        told = [
+            f"{case} {axis} ({error[case, axis]:.3g} against {near[case, axis]:g} µm)"
+            for case, axis in missed
+        ]
+        sentences.append(f"It is not in {', '.join(told)}.")
+    better = len(error) - len(worse)
+    sentences.append(
+        f"The linear model alone has a larger error, from the same temperatures, in {better} of "
+        f"{len(error)}."
+    )
+    if worse:
+        told = [
+            f"{case} {axis} ({error[case, axis]:.3g} against {linear[case, axis]:.3g} µm)"
+            for case, axis in worse
+        ]
+        sentences.append(f"It has the smaller one in {', '.join(told)}.")
+    return " ".join(sentences)
+
+
+def _listed(keys: Sequence[tuple[str | float, str | float]]) -> str:
+    """Cases with their axes in words, e.g. ": triangle x and y"."""
+    axes: dict[str, list[str]] = {}
+    for case, axis in keys:
+        axes.setdefault(str(case), []).append(str(axis))
+    told = [f"{case} {' and '.join(names)}" for case, names in axes.items()]
+    return f": {', '.join(told)}" if told else ""
 
 
 def _need(response: xr.Dataset, name: str) -> None:

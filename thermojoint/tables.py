@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Any
 
 from models.model_file import Provenance
@@ -45,18 +46,23 @@ NOTE = (
     "place of measurement, a and alpha stand for wall, film and distance together, and f_R "
     "follows our own rule. Beyond that several parameters of Eqs. 8 and 18 trade against each "
     "other: different values can draw the same curve. What should agree is how well each form "
-    "fits its own structure: the largest errors below the tables."
+    "fits its own structure: the largest errors below the tables. A value marked * ended at the "
+    "bound of what its fit allows."
 )
 
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter: its name, its unit, our value and the paper's (None where it has none)."""
+    """One parameter: its name, its unit, our value and the paper's (None where it has none).
+
+    `at_bound` says that the fit ended at the bound of what the parameter may be.
+    """
 
     name: str
     unit: str
     ours: float | None
     paper: float | None
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -137,31 +143,46 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def printed_tables(tables: Mapping[str, Any]) -> tuple[PrintedTable, ...]:
+def printed_tables(
+    tables: Mapping[str, Any], at_bound: Mapping[str, Collection[str]] = MappingProxyType({})
+) -> tuple[PrintedTable, ...]:
     """Return Tables 1-3 of `tables_json` with the paper's values beside ours.
 
     Axes and sources that the paper does not have get no value of the paper.
+
+    Parameters
+    ----------
+    tables : mapping
+        See `tables_json`.
+    at_bound : mapping
+        See `calibrate.model_file.Provenance`.
     """
-    return _table1(tables["table1"]), _table2(tables["table2"]), _table3(tables["table3"])
+    return (
+        _table1(tables["table1"], at_bound),
+        _table2(tables["table2"], at_bound.get("sources", ())),
+        _table3(tables["table3"], at_bound),
+    )
 
 
-def _table1(table: Mapping[str, Any]) -> PrintedTable:
-    blocks = [_block("Thermal model (Eqs. 2, 7)", table["thermal"], paper_values.TABLE1_THERMAL)]
+def _table1(table: Mapping[str, Any], bounds: Mapping[str, Collection[str]]) -> PrintedTable:
+    thermal, paper_thermal = table["thermal"], paper_values.TABLE1_THERMAL
+    reached = bounds.get("thermal", ())
+    blocks = [_block("Thermal model (Eqs. 2, 7)", thermal, paper_thermal, reached)]
     for axis, shape in table["deformation"].items():
         paper = paper_values.TABLE1_DEFORMATION.get(axis, {})
         claim = {"max_abs_error_um": paper_values.CALIBRATION_ERROR_UM} if paper else {}
-        blocks.append(_block(f"Deformation {axis} (Eq. 8)", shape, paper | claim))
+        reached = bounds.get(f"deformation.{axis}", ())
+        blocks.append(_block(f"Deformation {axis} (Eq. 8)", shape, paper | claim, reached))
     return PrintedTable("Table 1: linear thermal and deformation models", tuple(blocks))
 
 
-def _table2(table: Mapping[str, Any]) -> PrintedTable:
+def _table2(table: Mapping[str, Any], bounds: Collection[str]) -> PrintedTable:
     blocks = []
     for index, source in enumerate(table["sources"]):
         strengths = {f"q {level}": value for level, value in source["q"].items()}
         ours = {name: value for name, value in source.items() if name != "q"} | strengths
-        blocks.append(
-            _block(f"Fictitious source {index + 1}", ours, _nth(paper_values.TABLE2, index))
-        )
+        title, paper = f"Fictitious source {index + 1}", _nth(paper_values.TABLE2, index)
+        blocks.append(_block(title, ours, paper, _of_source(bounds, index)))
     distances = {
         f"r {i + 1}{j + 1}": value
         for i, row in enumerate(table["distances_m"])
@@ -179,12 +200,13 @@ def _table2(table: Mapping[str, Any]) -> PrintedTable:
     return PrintedTable("Table 2: fictitious contact heat sources (Eqs. 2, 7, 16)", tuple(blocks))
 
 
-def _table3(table: Mapping[str, Any]) -> PrintedTable:
+def _table3(table: Mapping[str, Any], bounds: Mapping[str, Collection[str]]) -> PrintedTable:
     blocks = [
         _block(
             f"Source {index + 1}, {axis}",
             shape,
             _nth(paper_values.TABLE3.get(axis, ()), index),
+            _of_source(bounds.get(f"sources.{axis}", ()), index),
         )
         for axis, part in table.items()
         if axis != "max_abs_error_um"
@@ -198,11 +220,25 @@ def _table3(table: Mapping[str, Any]) -> PrintedTable:
     return PrintedTable("Table 3: deformation by the fictitious sources (Eq. 18)", tuple(blocks))
 
 
-def _block(title: str, ours: Mapping[str, float | None], paper: Mapping[str, float]) -> Block:
+def _block(
+    title: str,
+    ours: Mapping[str, float | None],
+    paper: Mapping[str, float],
+    at_bound: Collection[str] = (),
+) -> Block:
     return Block(
         title,
-        tuple(Row(name, _unit(name), value, paper.get(name)) for name, value in ours.items()),
+        tuple(
+            Row(name, _unit(name), value, paper.get(name), name in at_bound)
+            for name, value in ours.items()
+        ),
     )
+
+
+def _of_source(at_bound: Collection[str], index: int) -> list[str]:
+    """Names without the number of their source, which fits of several sources append."""
+    number = str(index + 1)
+    return [name.removesuffix(number) for name in at_bound if name.endswith(number)]
 
 
 def _unit(name: str) -> str:

@@ -1,35 +1,50 @@
-"""Pictures of one case or one response."""
+"""Pictures and films of one case or one response."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
-from fesim.case import Case, read_case
+from fesim.case import Case, first_step_at, read_case, step_count
+from fesim.loads import source_power
 from fesim.march import Step
 from fesim.setup import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
+from thermojoint.camera import Vector
 from thermojoint.console import Report, warn
+from thermojoint.field_scenes import (
+    Fields,
+    Stage,
+    cut_panel,
+    deformed_panel,
+    exaggeration,
+    fields_at,
+    largest_displacement,
+    make_stage,
+    outside_panel,
+    pressure_panel,
+)
 from thermojoint.figures import check_format, pressure_figure, response_figure, write_figure
+from thermojoint.film import check_film, write_film
 from thermojoint.pictures import check_png, write_pictures
 from thermojoint.plausibility import of_case
 from thermojoint.scenes import (
+    Marker,
+    Panel,
     Scene,
-    deformed_scene,
-    markers,
     mirror_of,
-    pressure_scene,
     probe_position,
-    structure_scene,
-    temperature_scene,
+    up_direction,
 )
+from thermojoint.structure_scene import structure_scene
 
 
 class Show(StrEnum):
@@ -43,11 +58,31 @@ class Show(StrEnum):
     pressure = "pressure"
 
 
+class Up(StrEnum):
+    """What points upwards in a picture."""
+
+    x = "x"
+    y = "y"
+    z = "z"
+    minus_x = "-x"
+    minus_y = "-y"
+    minus_z = "-z"
+
+    @property
+    def vector(self) -> Vector:
+        """The direction as a unit vector."""
+        sign = -1.0 if self.value.startswith("-") else 1.0
+        x, y, z = (sign * (self.value[-1] == axis) for axis in "xyz")
+        return x, y, z
+
+
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
 FIELDS = (Show.temperature, Show.deformation, Show.pressure)
+#: Frames of a film where nobody says how many: ten seconds.
+FRAMES = 120
 
 
-def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
+def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | None = None) -> None:
     """Draw what a case file or a response holds into `out`.
 
     Curves are drawn from the response; the fields at the end of the run are simulated again, since
@@ -63,6 +98,8 @@ def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
         PNG; curves also SVG or PDF.
     report : callable
         Progress.
+    up : Up, optional
+        Default the direction in which the structure stands on its supports.
 
     Raises
     ------
@@ -82,27 +119,74 @@ def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
     if show is Show.structure:
-        write_pictures({out: whole_structure(case, build_structure(case))})
+        structure = build_structure(case)
+        write_pictures({out: whole_structure(case, structure, up=up)})
         return
-    if show in (Show.pressure, Show.pressures) and not case.joints:
-        raise InputError(
-            f"{source}: no joints, so no contact pressure; use --show {Show.temperature}"
-        )
+    _check_joints(source, case, show)
     setup, result, last = run_to_end(case, report)
     if show in CURVES:
         write_figure(CURVES[show](result), out)
     else:
-        write_pictures({out: field_scene(show, case, setup, last)})
+        write_pictures({out: field_scene(show, case, setup, last, up)})
+
+
+def draw_film(
+    source: Path,
+    show: Show | None,
+    out: Path,
+    report: Report,
+    count: int | None = None,
+    up: Up | None = None,
+) -> None:
+    """Simulate a case, or the case of a response, and write its fields in time as a film.
+
+    Parameters
+    ----------
+    source : Path
+        A case (TOML) or a response (.nc).
+    show : Show, optional
+        One of `FIELDS`; default all that the case has, side by side.
+    out : Path
+        MP4 or GIF.
+    report : callable
+        Progress.
+    count : int, optional
+        Frames, evenly spaced in time from rest to the end, no more than steps; default `FRAMES`.
+    up : Up, optional
+        As in `draw`.
+
+    Raises
+    ------
+    InputError
+        As `draw`; or `show` is no field, or the extra 'view' is missing.
+    """
+    if show is not None and show not in FIELDS:
+        raise InputError(f"--show {show}: a film shows {', '.join(FIELDS)}; give one, or none")
+    check_film(out)
+    if source.suffix == ".nc":
+        response = read_response(source)
+        case = case_in(response, str(source), "so there is no film of it; give its case")
+    else:
+        case = read_case(source)
+    if show is not None:
+        _check_joints(source, case, show)
+    shows = (show,) if show else FIELDS if case.joints else FIELDS[:2]
+    scenes = film_scenes(shows, case, report, count or FRAMES, up)
+    write_film(scenes, out, partial(report, "drawing"))
+
+
+def _check_joints(source: Path, case: Case, show: Show) -> None:
+    if show in (Show.pressure, Show.pressures) and not case.joints:
+        raise InputError(
+            f"{source}: no joints, so no contact pressure; use --show {Show.temperature}"
+        )
 
 
 def run_to_end(
     case: Case, report: Report, setup: Setup | None = None
 ) -> tuple[Setup, xr.Dataset, Step]:
     """Simulate a case and return its setup, its response and its last step, fields included."""
-    if setup is None:
-        report("setting up", 0, 1)
-        setup = set_up(case)
-        report("setting up", 1, 1)
+    setup = setup or _set_up(case, report)
     last = at_rest(setup.machine)
 
     def keep(step: Step) -> None:
@@ -113,45 +197,131 @@ def run_to_end(
     return setup, finished.response, last
 
 
+def film_scenes(
+    shows: tuple[Show, ...], case: Case, report: Report, count: int, up: Up | None = None
+) -> list[Scene]:
+    """Simulate a case and return a scene at rest and at `count` - 1 times more, the end included.
+
+    Parameters
+    ----------
+    shows : tuple of Show
+        Some of `FIELDS`: the panels.
+    case : Case
+        What to simulate.
+    report : callable
+        Progress.
+    count : int
+        Two or more; a march of fewer steps has a scene for each step.
+    up : Up, optional
+        As in `draw`.
+    """
+    setup = _set_up(case, report)
+    stage = _stage(case, setup, up)
+    setup.make_field()
+    times = np.linspace(0.0, step_count(case.march) * case.march.step_s, max(count, 2))[1:]
+    due = {first_step_at(float(time), case.march.step_s) for time in times}
+    moments = [fields_at(stage, at_rest(setup.machine), len(case.sources))]
+
+    def keep(step: Step) -> None:
+        if step.state.index in due:
+            moments.append(fields_at(stage, step, len(case.sources)))
+
+    simulate(case, setup=setup, on_step=keep, progress=partial(report, "marching"))
+    factor = exaggeration(stage, max(map(largest_displacement, moments)))
+    panels: Mapping[Show, Callable[[Fields], Panel]] = {
+        Show.temperature: partial(cut_panel, stage),
+        Show.deformation: lambda fields: deformed_panel(stage, fields, factor),
+        Show.pressure: partial(pressure_panel, stage),
+    }
+    return [
+        Scene(tuple(panels[show](fields) for show in shows), _caption(case, fields))
+        for fields in moments
+    ]
+
+
 def whole_structure(
     case: Case,
     structure: Structure,
-    sensors: Mapping[str, tuple[float, float, float]] | None = None,
+    sensors: Mapping[str, Vector] | None = None,
+    up: Up | None = None,
 ) -> Scene:
     """Structure with the points of the displacement and the sensors.
 
     Parameters
     ----------
     case : Case
-        Its displacement, source and symmetry are marked.
+        Its displacement, source, supports and symmetry are shown.
     structure : Structure
         As built from the case.
     sensors : mapping, optional
         Role to position, m; default the temperature probes that the case names.
+    up : Up, optional
+        As in `draw`.
     """
     ends = [case.displacement.point, case.displacement.relative_to]
     at = {name: structure.probes[name].position for name in case.probes}
     points = {name: probe_position(structure, name) for name in ends if name is not None}
     points |= at if sensors is None else dict(sensors)
+    heats = [
+        f"{name} {source.reference_power_W:g} W"
+        + (f" {source.reading}, {source.count} of them" if source.count > 1 else "")
+        for name, source in case.sources.items()
+    ]
     return structure_scene(
         structure,
         [source.surface for source in case.sources.values() if source.surface is not None],
-        markers(points),
+        [Marker(position, name) for name, position in points.items()],
+        _upwards(case, structure, up),
         mirror_of(structure, case.supports.symmetry),
+        f"at heat input 1: {', '.join(heats)}" if heats else "no heat source",
     )
 
 
 def bare_structure(structure: Structure) -> Scene:
-    """Structure with its joints and its own points."""
-    return structure_scene(
-        structure, [], markers({name: probe.position for name, probe in structure.probes.items()})
-    )
+    """Structure with its joints and its own points; z is up, as in CAD."""
+    points = [Marker(probe.position, name) for name, probe in structure.probes.items()]
+    return structure_scene(structure, [], points, up_direction(structure, ()))
 
 
-def field_scene(show: Show, case: Case, setup: Setup, step: Step) -> Scene:
+def field_scene(show: Show, case: Case, setup: Setup, step: Step, up: Up | None = None) -> Scene:
     """One of `FIELDS` at one step; the pressure needs a joint."""
-    mirror = mirror_of(setup.structure, case.supports.symmetry)
+    stage = _stage(case, setup, up)
+    fields = fields_at(stage, step, len(case.sources))
+    panels: tuple[Panel, ...]
     if show is Show.pressure:
-        return pressure_scene(setup, step.state.pressure, mirror)
-    draw_field = deformed_scene if show is Show.deformation else temperature_scene
-    return draw_field(setup, step, mirror)
+        panels = (pressure_panel(stage, fields),)
+    elif show is Show.deformation:
+        panels = (deformed_panel(stage, fields, exaggeration(stage, largest_displacement(fields))),)
+    elif stage.mirror is None:
+        panels = (outside_panel(stage, fields),)
+    else:
+        panels = outside_panel(stage, fields), cut_panel(stage, fields)
+    return Scene(panels, _caption(case, fields))
+
+
+def _set_up(case: Case, report: Report) -> Setup:
+    report("setting up", 0, 1)
+    setup = set_up(case)
+    report("setting up", 1, 1)
+    return setup
+
+
+def _stage(case: Case, setup: Setup, up: Up | None) -> Stage:
+    structure = setup.structure
+    mirror = mirror_of(structure, case.supports.symmetry)
+    return make_stage(setup, _upwards(case, structure, up), mirror)
+
+
+def _upwards(case: Case, structure: Structure, up: Up | None) -> Vector:
+    supports = (*case.supports.fixed, *case.supports.springs)
+    return up.vector if up is not None else up_direction(structure, supports)
+
+
+def _caption(case: Case, fields: Fields) -> str:
+    """Time and heat: all sources together, W, and relative to the reference."""
+    time = f"{fields.time / 60.0:.3g} min"
+    reference = sum(source_power(source) for source in case.sources.values())
+    if not reference:
+        return f"{time}, no heat source"
+    power = float(fields.heat.sum())
+    return f"{time}, heat input {power / reference:.3g} ({power:.0f} W)"

@@ -77,7 +77,8 @@ def calibrate(
     case = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, case)
     write_model(calibrated.model, out, provenance)
-    console.show_tables(console.out(), printed_tables(tables_json(calibrated.model, provenance)))
+    content = tables_json(calibrated.model, provenance)
+    console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
     console.wrote(out)
 
 
@@ -91,11 +92,12 @@ def tables(
 
     Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
     """
-    content = tables_json(read_model(model), read_provenance(model))
+    provenance = read_provenance(model)
+    content = tables_json(read_model(model), provenance)
     if as_json:
         print(json.dumps(content, indent=2, allow_nan=False))
     else:
-        console.show_tables(console.out(), printed_tables(content))
+        console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
 
 
 def estimate(

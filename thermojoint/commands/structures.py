@@ -22,7 +22,7 @@ from meshes.inspection import inspect as look_over
 from meshes.structure import Structure
 from thermojoint import arguments, console, inspection_report, plausibility
 from thermojoint.pictures import check_png, write_pictures
-from thermojoint.view import Show, bare_structure, draw
+from thermojoint.view import Show, Up, bare_structure, draw, draw_film, whole_structure
 
 
 class Unit(StrEnum):
@@ -82,6 +82,7 @@ def inspect(
     arguments.check_writable(out, as_json, skeleton)
     if out:
         check_png(out)
+    case = None
     if source.suffix == ".toml":
         if skeleton:
             raise InputError(f"--case {skeleton}: {source} is a case already; give its mesh file")
@@ -99,7 +100,8 @@ def inspect(
     if skeleton:
         write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:
-        write_pictures({out: bare_structure(structure)})
+        drawn = bare_structure(structure) if case is None else whole_structure(case, structure)
+        write_pictures({out: drawn})
     console.wrote(as_json, skeleton, out)
 
 
@@ -115,21 +117,43 @@ def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> I
 
 def view(
     source: Annotated[Path, typer.Argument(help="Case file (TOML) or response (NetCDF).")],
-    out: Annotated[Path, typer.Option(help="Picture to write (PNG; curves also SVG, PDF).")],
+    out: Annotated[
+        Path,
+        typer.Option(help="Picture to write (PNG; curves also SVG, PDF), or film (MP4, GIF)."),
+    ],
     show: Annotated[
         Show | None,
-        typer.Option(help="What to show; default: the structure of a case, a response's curves."),
+        typer.Option(
+            help="What to show; default: the structure of a case, a response's curves, all fields "
+            "of a film."
+        ),
+    ] = None,
+    film: Annotated[
+        bool, typer.Option("--film", help="A film of the fields over the whole run.")
+    ] = False,
+    frames: Annotated[
+        int | None, typer.Option(min=2, help="Frames of a film, 12 a second; default: 120.")
+    ] = None,
+    up: Annotated[
+        Up | None, typer.Option(help="What is up; default: as it stands on its supports.")
     ] = None,
 ) -> None:
-    """Draw a structure, its curves, or its fields at the end of the run.
+    """Draw a structure, its curves, or its fields at the end of the run or as a film.
 
     Temperature, deformation and pressure simulate the case, or the case inside the response.
 
     Example: [bold]thermojoint view machine.toml --out machine.png[/bold]
 
     Example: [bold]thermojoint view machine.nc --show deformation --out deformed.png[/bold]
+
+    Example: [bold]thermojoint view machine.toml --film --out machine.mp4[/bold]
     """
     arguments.check_writable(out)
+    if frames is not None and not film:
+        raise InputError(f"--frames {frames}: only a film has frames; add --film")
     with console.progress_bars() as report:
-        draw(source, show, out, report)
+        if film:
+            draw_film(source, show, out, report, frames, up)
+        else:
+            draw(source, show, out, report, up)
     console.wrote(out)

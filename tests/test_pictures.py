@@ -1,0 +1,248 @@
+"""What a picture shows can be seen: what is up, the colours, the labels, the frames of a film."""
+
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from bars import AREA, DEPTH, WIDTH, two_bars
+from hypothesis import given
+from hypothesis import strategies as st
+
+from artefacts.errors import InputError
+from meshes.milling_machine import box_milling_machine
+from thermojoint import film, renderer, view
+from thermojoint.camera import Camera, facing, window_around
+from thermojoint.colour_scale import colour_scale
+from thermojoint.labels import place_labels
+from thermojoint.renderer import creases, painted, pixel_size
+from thermojoint.scenes import Panel, Scene, Surface, bodies, finished, outward_areas, up_direction
+from thermojoint.view import FIELDS, Up, film_scenes, whole_structure
+
+finite = st.floats(-1.0, 1.0)
+directions = st.tuples(finite, finite, finite).filter(lambda v: np.linalg.norm(v) > 0.1)
+ENDS = ["left_end", "right_end"]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Small pictures, drawn without another process."""
+    monkeypatch.setattr(renderer, "find_spec", lambda name: None)
+    monkeypatch.setattr(film, "HEIGHTS", {".mp4": 120, ".gif": 120})
+
+
+@pytest.fixture(scope="module")
+def scenes(coarse_case):
+    """Four moments of the coarse machine's minute."""
+    return film_scenes(FIELDS, coarse_case, lambda *_: None, 4)
+
+
+@pytest.mark.parametrize("tetrahedra", [False, True])
+def test_outward_areas_point_out_and_close(tetrahedra):
+    structure = two_bars(tetrahedra=tetrahedra)
+    mesh = structure.mesh
+    end = outward_areas(mesh, structure.surface("left_end"))
+    assert end.sum(axis=0) == pytest.approx([-AREA, 0.0, 0.0])
+    assert outward_areas(mesh, mesh.boundary_facets()).sum(axis=0) == pytest.approx(np.zeros(3))
+
+
+def test_a_structure_stands_on_its_supports():
+    bars = two_bars()
+    assert up_direction(bars, ["left_end"]) == (1.0, 0.0, 0.0)
+    assert up_direction(bars, ["top"]) == (0.0, -1.0, 0.0)
+    machine = box_milling_machine(element_size=0.1)
+    assert up_direction(machine, ["column_base", "screw_foot"]) == (0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("supports", [[], ENDS])
+def test_supports_that_do_not_say_what_is_up_leave_z(supports):
+    assert up_direction(two_bars(), supports) == (0.0, 0.0, 1.0)
+
+
+def test_what_is_up_can_be_said(coarse_case, coarse_setup):
+    panel = whole_structure(coarse_case, coarse_setup.structure, up=Up.minus_x).panels[0]
+    assert panel.camera.up == (-1.0, 0.0, 0.0)
+
+
+@given(view=directions, up=directions)
+def test_a_camera_is_a_right_handed_frame_that_looks_along_its_view(view, up):
+    basis = Camera(view, up).basis
+    assert basis @ basis.T == pytest.approx(np.eye(3), abs=1e-9)
+    assert np.linalg.det(basis) == pytest.approx(1.0)
+    assert basis[2] == pytest.approx(np.asarray(view) / np.linalg.norm(view), abs=1e-9)
+    assert basis[1] @ np.asarray(up) >= -1e-9
+
+
+def test_a_view_from_above_stays_above():
+    view = facing(np.array([0.0, 0.0, 1.0]), (0.0, 1.0, 0.0), side=-0.5, height=0.3)
+    assert Camera(view, (0.0, 1.0, 0.0)).basis[2][1] > 0.0
+
+
+@given(st.lists(st.tuples(finite, finite), min_size=2, max_size=20))
+def test_a_window_holds_its_points_and_is_filled_in_one_direction(points):
+    points = np.array(points)
+    left, right, bottom, top = window_around(points)
+    assert (points >= [left, bottom]).all()
+    assert (points <= [right, top]).all()
+    filled = np.ptp(points, axis=0) / [right - left, top - bottom]
+    assert filled.max() > 0.9 or np.ptp(points, axis=0).max() < 1e-6
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=30),
+    st.floats(1e-6, 1e3),
+)
+def test_bands_rise_and_cover_the_field(values, factor):
+    values = factor * np.array(values)
+    scale = colour_scale("any", [values])
+    levels = np.array(scale.levels)
+    size = np.abs(values).max()
+    assert (np.diff(levels) > 0.0).all()
+    assert len(levels) < 40
+    assert levels[0] <= values.min() + 2e-3 * size
+    assert levels[-1] >= values.max() - 2e-3 * size
+
+
+def test_a_field_that_is_hot_in_one_spot_uses_most_of_its_bands():
+    distance = np.linspace(0.0, 1.0, 400)
+    heat = 74.0 * np.exp(-12.0 * distance)
+    scale = colour_scale("temperature (K)", [heat])
+    used = np.unique(np.digitize(heat, scale.levels))
+    assert np.median(heat) < 0.01 * heat.max()
+    assert not scale.even
+    assert "uneven" in scale.title
+    assert len(used) >= 8
+
+
+def test_a_field_that_fills_its_range_has_even_bands():
+    scale = colour_scale("displacement (µm)", [np.linspace(0.0, 216.0, 100)])
+    assert scale.even
+    assert np.diff(scale.levels) == pytest.approx(np.diff(scale.levels)[0])
+
+
+def test_rounding_below_zero_is_not_a_band():
+    heat = np.concatenate([[-1e-3], 74.0 * np.exp(-12.0 * np.linspace(0.0, 1.0, 400))])
+    assert colour_scale("temperature (K)", [heat]).levels[0] == pytest.approx(0.0, abs=1e-12)
+
+
+@given(st.lists(st.tuples(finite, finite), min_size=1, max_size=12), st.floats(0.05, 0.25))
+def test_labels_cover_neither_each_other_nor_a_point(points, width):
+    points = np.array(points)
+    sizes = np.tile([width, 0.05], (len(points), 1))
+    middles = place_labels(points, sizes, (-3.0, 3.0, -3.0, 3.0))
+    for k, middle in enumerate(middles):
+        assert (np.abs(middle - points) >= 0.5 * sizes[k] - 1e-12).any(axis=1).all()
+        others = np.delete(middles, k, axis=0)
+        assert (np.abs(middle - others) >= sizes[k] - 1e-12).any(axis=1).all()
+
+
+def test_a_box_is_creased_at_its_twelve_edges():
+    structure = two_bars(left=(1, 1, 1), right=(1, 1, 1))
+    box = bodies(structure)["left"]
+    assert len(creases(box.points, box.faces)) == 12
+    flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    assert len(creases(flat, np.array([[0, 1, 2], [0, 2, 3]]))) == 4
+
+
+def test_what_is_nearer_covers_what_is_farther():
+    square = WIDTH * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    face = np.array([[0, 1, 2, 3]])
+    near = Surface(square + np.array([0.0, 0.0, DEPTH]), face, "#ff0000")
+    far = Surface(square, face, "#0000ff")
+    for sign, seen in ((1.0, 0), (-1.0, 2)):
+        camera = Camera((0.0, 0.0, sign), (0.0, 1.0, 0.0))
+        panel = Panel("squares", (near, far), camera)
+        (scene,) = finished([Scene((panel,))])
+        middle = painted(scene.panels[0], 100)[50, -51]
+        assert middle.argmax() == seen
+
+
+def test_a_machine_fills_its_picture(coarse_case, coarse_setup):
+    (scene,) = finished([whole_structure(coarse_case, coarse_setup.structure)])
+    for panel in scene.panels:
+        image = painted(panel, 200)
+        assert image.shape == (200, pixel_size(panel.frame, 200)[0], 3)
+        rows, columns = np.nonzero((image < 250).any(axis=2))
+        filled = np.ptp(rows) / image.shape[0], np.ptp(columns) / image.shape[1]
+        assert min(filled) > 0.85
+
+
+def test_a_picture_says_when_it_is_and_what_heats_it(scenes):
+    assert scenes[0].caption == "0 min, heat input 0 (0 W)"
+    assert scenes[-1].caption == "1 min, heat input 1 (590 W)"
+
+
+def test_a_film_has_one_camera_one_window_and_one_scale(scenes):
+    film_of = finished(scenes)
+    assert len(film_of) == 4
+    for name in ("camera", "window", "scale"):
+        looks = [[getattr(panel, name) for panel in scene.panels] for scene in film_of]
+        assert all(look == looks[0] for look in looks)
+    assert [panel.shows for panel in film_of[0].panels] == [
+        "temperature rise (K)",
+        "displacement (µm)",
+        "contact pressure (MPa)",
+    ]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_film_has_its_frames_and_they_differ(scenes, quick, tmp_path, suffix):
+    imageio = pytest.importorskip("imageio.v2")
+    pytest.importorskip("imageio_ffmpeg")
+    out = tmp_path / f"film{suffix}"
+    told = []
+    film.write_film(scenes, out, lambda *done: told.append(done))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    with imageio.get_reader(out) as reader:
+        frames = [np.asarray(frame)[:, :, :3] for frame in reader]
+        meta = reader.get_meta_data()
+    assert len(frames) == 4
+    (size,) = {frame.shape for frame in frames}
+    assert size[0] % 2 == size[1] % 2 == 0
+    assert all((one != other).any() for one, other in pairwise(frames))
+    if suffix == ".mp4":
+        assert meta["duration"] == pytest.approx(4 / film.FRAMES_PER_SECOND, rel=0.05)
+    else:
+        assert meta["duration"] == pytest.approx(1000 / film.FRAMES_PER_SECOND, rel=0.05)
+
+
+def test_pyvista_moves_one_plotter_through_a_film(scenes):
+    pytest.importorskip("pyvista")
+    images = list(renderer.rendered([finished(scenes[1:])], 60))
+    if images[0] is None:
+        pytest.skip("pyvista cannot render here")
+    for k in range(3):
+        first, second, last = (frame[k] for frame in images)
+        assert (first != last).any()
+        assert (second != last).any()
+
+
+def test_a_film_that_fails_leaves_nothing(scenes, quick, tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film.write_film(scenes, tmp_path / "film.mp4", stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_needs_its_suffix_and_its_extra(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match=r"MP4 or GIF; name it film\.mp4"):
+        film.check_film(tmp_path / "film.png")
+    monkeypatch.setattr(film, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="extra 'view'"):
+        film.check_film(tmp_path / "film.mp4")
+
+
+def test_a_film_shows_fields_only(tmp_path):
+    with pytest.raises(InputError, match="a film shows temperature, deformation, pressure"):
+        view.draw_film(tmp_path / "case.toml", view.Show.curves, tmp_path / "f.mp4", print)
+
+
+def test_a_renderer_that_dies_within_a_film_leaves_the_rest_to_matplotlib(scenes, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    first, second = film.frames(scenes[:2], 60)
+    assert (first != second).any()

@@ -1,0 +1,115 @@
+"""A film of the fields: temperature, deformation and joint pressure side by side, in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from thermojoint.pictures import sheet
+from thermojoint.renderer import Pixels, painted, rendered
+from thermojoint.scenes import Scene, finished
+
+FRAMES_PER_SECOND = 12
+#: Suffix to the height of the panels, pixels: a GIF holds every frame almost uncompressed.
+HEIGHTS = {".mp4": 560, ".gif": 400}
+
+Report = Callable[[int, int], None]
+
+
+def check_film(path: Path) -> None:
+    """Refuse what cannot become a film, before any work.
+
+    Raises
+    ------
+    InputError
+        The suffix is neither ``.mp4`` nor ``.gif``, or the extra 'view' is not installed.
+    """
+    if path.suffix.lower() not in HEIGHTS:
+        raise InputError(f"{path}: a film is MP4 or GIF; name it {path.stem}.mp4")
+    if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
+        raise InputError(
+            f"{path}: a film needs imageio with ffmpeg; install the extra 'view': "
+            "pip install 'thermojoint[view]'"
+        )
+
+
+def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
+    """Write one frame for each scene to `path`, whole or not at all.
+
+    Camera, window and colour scale are those that suit all scenes.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        In time, all of the same panels and surfaces.
+    path : Path
+        MP4 or GIF (`check_film`).
+    report : callable
+        Called with (frames done, frames in all).
+
+    Raises
+    ------
+    InputError
+        See `check_film`.
+    """
+    check_film(path)
+    height = HEIGHTS[path.suffix.lower()]
+    # A writer left by an error does not end by itself: ffmpeg would write on beside us.
+    with (
+        whole_file(path) as part,
+        closing(_writer(part)) as writer,
+        closing(frames(scenes, height)) as pictures,
+    ):
+        for done, frame in enumerate(pictures, start=1):
+            writer.append_data(frame)
+            report(done, len(scenes))
+
+
+def frames(scenes: Sequence[Scene], height: int) -> Generator[Pixels, None, None]:
+    """Yield the picture of every scene, all of one even size, shape (rows, columns, 3)."""
+    film = finished(scenes)
+    pictures = rendered([film], height)
+    first = next(pictures)
+    page = sheet(film[0], first, height)
+    canvas = page.figure.canvas
+    if not isinstance(canvas, FigureCanvasAgg):
+        raise TypeError("a sheet has an Agg canvas")
+    for scene, images in zip(film, _and_then(first, pictures), strict=True):
+        if images is None:
+            images = [painted(panel, height) for panel in scene.panels]
+        for artist, image in zip(page.images, images, strict=True):
+            artist.set_data(image)
+        page.caption.set_text(scene.caption)
+        canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
+        rows, columns = (size - size % 2 for size in pixels.shape[:2])
+        yield pixels[:rows, :columns].copy()
+
+
+def _and_then(first: Any, rest: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401
+    yield first
+    yield from rest
+
+
+def _writer(part: Path) -> Any:  # noqa: ANN401
+    import imageio.v2
+
+    if part.suffix.lower() == ".gif":
+        return imageio.v2.get_writer(part, mode="I", duration=1000.0 / FRAMES_PER_SECOND, loop=0)
+    return imageio.v2.get_writer(
+        part,
+        format="FFMPEG",
+        mode="I",
+        fps=FRAMES_PER_SECOND,
+        codec="libx264",
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+    )

@@ -1,0 +1,61 @@
+"""Where labels stand beside their points, so that none covers another or another's point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Tried in this order: directions from the point to the label's middle.
+_DIRECTIONS = np.array(
+    [(1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1)], dtype=float
+)
+#: Distances tried, in heights of a label.
+_DISTANCES = np.arange(0.9, 12.0, 0.6)
+
+
+def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
+    """Return the middle of every label.
+
+    Labels are placed one after the other, each at the nearest free place inside the window.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        The points, in any unit.
+    sizes : ndarray, shape (n, 2)
+        Width and height of the labels, same unit.
+    window : (left, right, bottom, top)
+        Labels stay inside as long as there is room.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        No two labels overlap, nor a label and a point, unless the neighbourhood is full.
+    """
+    placed: list[tuple[Array, Array]] = []
+    for point, size in zip(points, sizes, strict=True):
+        reach = _DISTANCES[:, None, None] * size[1] * _DIRECTIONS
+        # A wide label's middle is farther from its point than a narrow one's.
+        middles = (point + reach + 0.5 * (size - size[1]) * [1.0, 0.0] * _DIRECTIONS).reshape(-1, 2)
+        free = _inside(middles, size, window) & ~_covers(middles, size, points)
+        for middle, other in placed:
+            free &= (np.abs(middles - middle) >= 0.5 * (size + other)).any(axis=1)
+        placed.append((middles[int(np.argmax(free))], size))
+    return np.array([middle for middle, _ in placed]).reshape(-1, 2)
+
+
+def _inside(middles: Array, size: Array, window: Sequence[float]) -> NDArray[np.bool_]:
+    left, right, bottom, top = window
+    low, high = middles - 0.5 * size, middles + 0.5 * size
+    return np.asarray(
+        (low[:, 0] >= left) & (high[:, 0] <= right) & (low[:, 1] >= bottom) & (high[:, 1] <= top)
+    )
+
+
+def _covers(middles: Array, size: Array, points: Array) -> NDArray[np.bool_]:
+    apart = np.abs(middles[:, None, :] - points[None, :, :])
+    return np.asarray(np.any(np.all(apart < 0.5 * size, axis=2), axis=1))

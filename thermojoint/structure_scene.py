@@ -1,0 +1,115 @@
+"""The structure as in the paper's Figure 6: a cross-section, and the joint with one side apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from meshes.structure import Structure
+from thermojoint.camera import Camera, Vector, facing
+from thermojoint.scenes import (
+    Marker,
+    Mirror,
+    Panel,
+    Scene,
+    Surface,
+    away_from,
+    bodies,
+    part,
+    whole,
+)
+
+_SIDE_COLOUR, _SOURCE_COLOUR = "#e0a100", "#c8301a"
+#: How far the other bodies are drawn from the joint, of the structure's size.
+_APART = 0.35
+
+
+def structure_scene(
+    structure: Structure,
+    sources: Sequence[str],
+    points: Sequence[Marker],
+    up: Vector,
+    mirror: Mirror | None = None,
+    caption: str = "",
+) -> Scene:
+    """Structure with its joints, heat sources and named points.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure.
+    sources : sequence of str
+        Surfaces where heat enters.
+    points : sequence of Marker
+        Points and sensors to name.
+    up : (float, float, float)
+        What points upwards.
+    mirror : Mirror, optional
+        Symmetry plane of a half model: the first view looks onto it.
+    caption : str
+        Above the picture.
+    """
+    colours = {side: _SIDE_COLOUR for sides in structure.joints.values() for side in sides}
+    colours = dict.fromkeys(sources, _SOURCE_COLOUR) | colours
+    plain = bodies(structure, colours)
+    coloured = tuple(
+        part(structure, structure.surface(name), colour) for name, colour in colours.items()
+    )
+    heated = [part(structure, structure.surface(name), _SOURCE_COLOUR) for name in sources]
+    named = (*points, *(Marker(_centre(surface), "Q") for surface in heated))
+    section = Panel(
+        _legend("cross-section" if mirror else "structure", structure, sources),
+        (*plain.values(), *coloured),
+        Camera(onto(structure, up, mirror), up),
+        named,
+    )
+    if not structure.joints:
+        return Scene((section,), caption)
+    side = next(iter(structure.joints.values()))[0]
+    holder, normal = away_from(structure, side)
+    shift = _APART * float(np.ptp(structure.mesh.p, axis=1).max()) * normal
+    apart = tuple(
+        surface if name == holder else replace(surface, points=surface.points + shift, opacity=0.25)
+        for name, surface in plain.items()
+    )
+    strips = part(structure, structure.surface(side), _SIDE_COLOUR)
+    joint = Panel(
+        f"{holder} with its side of the joint, the rest drawn apart",
+        whole((*apart, strips), mirror),
+        Camera(facing(normal, up, side=-0.8, height=0.5), up),
+        tuple(marker for marker in named if _in_body(structure, marker, holder)),
+    )
+    return Scene((section, joint), caption)
+
+
+def onto(structure: Structure, up: Vector, mirror: Mirror | None) -> Vector:
+    """View onto the cut of a half model, a little from above and from the side."""
+    p = structure.mesh.p
+    if mirror is not None:
+        middle = 0.5 * (p.min(axis=1) + p.max(axis=1))[mirror.axis]
+        main = (1.0 if mirror.plane > middle else -1.0) * np.eye(3)[mirror.axis]
+    else:
+        # Along the shortest horizontal edge of its box, where a structure is broadest.
+        flat = [k for k in range(3) if not up[k]]
+        main = np.eye(3)[min(flat, key=lambda k: float(np.ptp(p[k])))]
+    return facing(main, up, side=-0.64, height=0.36)
+
+
+def _legend(what: str, structure: Structure, sources: Sequence[str]) -> str:
+    parts = ["heat source Q red"] * bool(sources) + ["joint yellow"] * bool(structure.joints)
+    return f"{what} ({', '.join(parts)})" if parts else what
+
+
+def _centre(surface: Surface) -> Vector:
+    x, y, z = surface.points[surface.faces].mean(axis=(0, 1))
+    return float(x), float(y), float(z)
+
+
+def _in_body(structure: Structure, marker: Marker, body: str) -> bool:
+    mesh = structure.mesh
+    points = mesh.p[:, mesh.t[:, structure.body(body)]]
+    at = np.asarray(marker.position)[:, None]
+    low, high = points.min(axis=1) - 1e-9, points.max(axis=1) + 1e-9
+    return bool(((at >= low) & (at <= high)).all(axis=0).any())
