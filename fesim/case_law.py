@@ -79,7 +79,7 @@ def joint_law(
     friction = Friction(
         section.friction_coefficient, section.tangential_stiffness_ratio * stiffness
     )
-    return JointLaw(normal, friction, conductance, preload)
+    return JointLaw(normal, friction, conductance)
 
 
 def element_means(joint: PairedJoint, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,10 +1,10 @@
 """The gap equations in machine code: the method of `fesim.gap` for the joint laws known by name.
 
 Same residual, tangent, line search and tolerance. What differs is the linear algebra of a Newton
-step. With T0, the tangent of a joint at its preload that sticks, and J0 = I - C A (T0 + k), made
-once, the tangent is J = J0 (I - F dT) with F = J0^-1 C A and dT = T - T0, which is nonzero only in
-the pressure of a contact element and in the shear of one that slides. So the system to be solved
-has as many unknowns as there are such tractions, not three for each contact element.
+step. The tangent of the residual is J = I - F dT with dT = T + k0: as the springs k0 are as stiff
+as the joint at its preload while it sticks, dT is nonzero only in the pressure of a contact element
+and in the shear of one that slides. So the system to be solved has as many unknowns as there are
+such tractions, not three for each contact element.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from fesim.gap import (
     SHORTEST_STEP,
     TOLERANCE,
     Equilibrium,
+    GapProblem,
     singular,
     stalled,
     unconverged,
@@ -39,45 +40,31 @@ _SOLVED, _STALLED, _UNCONVERGED = range(3)
 
 @dataclass(frozen=True)
 class CompiledGap:
-    """The gap equations of one machine, with dense matrices made once.
+    """The gap equations of one machine.
 
     Attributes
     ----------
-    force_compliance : ndarray, shape (3 m, 3 m)
-        C A, m/Pa.
-    reference : ndarray, shape (3 m,)
-        k, Pa/m.
+    problem : GapProblem
+        Their linear side.
     laws : ndarray, shape (m, 7)
         What the law of each contact element needs.
-    at_rest : ndarray, shape (m,)
-        Slope of the pressure at the preload, Pa/m: with sticking, T0.
-    settled : ndarray, shape (3 m, 3 m)
-        J0^-1.
-    settled_compliance : ndarray, shape (3 m, 3 m)
-        F = J0^-1 C A, m/Pa.
     """
 
-    force_compliance: Array
-    reference: Array
+    problem: GapProblem
     laws: Array
-    at_rest: Array
-    settled: Array
-    settled_compliance: Array
 
     def solve(
         self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.gap.solve_gap`."""
         gap, value, moved, tangent = _storage(guess)
+        problem = self.problem
         try:
             outcome, size, iterations = _solve(
-                self.force_compliance,
-                self.reference,
+                problem.springs,
+                problem.compliance,
                 self.laws,
-                self.at_rest,
-                self.settled,
-                self.settled_compliance,
-                thermal_gap,
+                problem.exchange @ thermal_gap,
                 slip,
                 tolerance,
                 gap,
@@ -94,24 +81,15 @@ class CompiledGap:
         return Equilibrium(gap, Traction(value, _full(tangent), moved), size, iterations)
 
 
-def compile_gap(
-    force_compliance: Array, reference: Array, laws: Sequence[tuple[JointLaw, int]]
-) -> CompiledGap | None:
+def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> CompiledGap | None:
     """Prepare the gap equations, or return None if a law is not one of those known by name.
 
     Parameters
     ----------
-    force_compliance : ndarray, shape (3 m, 3 m)
-        C A, m/Pa.
-    reference : ndarray, shape (3 m,)
-        k, Pa/m.
+    problem : GapProblem
+        With the springs of these laws.
     laws : sequence of (JointLaw, int)
         The law of each joint and how many contact elements it has.
-
-    Raises
-    ------
-    ConvergenceError
-        A body hangs on the joint alone, which cannot hold it.
     """
     rows = []
     for law, count in laws:
@@ -119,24 +97,7 @@ def compile_gap(
         if row is None:
             return None
         rows.append(np.tile(row, (count, 1)))
-    table = np.concatenate([np.empty((0, 7)), *rows])
-    at_rest = np.concatenate(
-        [np.empty(0), *(np.full(n, law.normal.slope(np.zeros(1))[0]) for law, n in laws)]
-    )
-    sticking = np.concatenate([at_rest, -table[:, _STIFFNESS], -table[:, _STIFFNESS]])
-    tangent = np.eye(len(reference)) - force_compliance * (sticking + reference)
-    try:
-        settled = np.asarray(np.linalg.inv(tangent), dtype=np.float64)
-    except np.linalg.LinAlgError as error:
-        raise singular() from error
-    return CompiledGap(
-        np.ascontiguousarray(force_compliance),
-        reference,
-        table,
-        at_rest,
-        settled,
-        settled @ force_compliance,
-    )
+    return CompiledGap(problem, np.concatenate([np.empty((0, 7)), *rows]))
 
 
 def _row(law: JointLaw) -> list[float] | None:
@@ -215,9 +176,9 @@ def _evaluate(
 
 @njit(cache=True, error_model="numpy")
 def _residual(
-    force_compliance: Array,
-    reference: Array,
-    thermal_gap: Array,
+    springs: Array,
+    compliance: Array,
+    free_gap: Array,
     gap: Array,
     value: Array,
     remainder: Array,
@@ -227,20 +188,18 @@ def _residual(
     count = gap.shape[1]
     for i in range(3):
         for e in range(count):
-            remainder[i * count + e] = value[i, e] + reference[i * count + e] * gap[i, e]
-    np.dot(force_compliance, remainder, residual)
+            remainder[i * count + e] = value[i, e] + springs[i * count + e] * gap[i, e]
+    np.dot(compliance, remainder, residual)
     for i in range(3):
         for e in range(count):
             at = i * count + e
-            residual[at] = gap[i, e] - thermal_gap[at] - residual[at]
+            residual[at] = gap[i, e] - free_gap[at] - residual[at]
 
 
 @njit(cache=True, error_model="numpy")
 def _newton_step(
-    laws: Array,
-    at_rest: Array,
-    settled: Array,
-    settled_compliance: Array,
+    springs: Array,
+    compliance: Array,
     tangent: Array,
     residual: Array,
     step: Array,
@@ -250,46 +209,45 @@ def _newton_step(
 ) -> None:
     """-J^-1 r into `step` (3 m,); `rows`, `system` and `forces` are storage.
 
-    With y = dT step, the tractions that T0 lacks: (I - dT F) y = -dT J0^-1 r on the rows of dT
-    that are not zero, and step = F y - J0^-1 r.
+    With y = dT step, the tractions that the springs lack: (I - dT F) y = -dT r on the rows of dT
+    that are not zero, and step = F y - r.
     """
-    count = at_rest.size
-    np.dot(settled, residual, step)
-    step *= -1.0
+    count = tangent.shape[1]
+    for i in range(3 * count):
+        step[i] = -residual[i]
     size = count
     for e in range(count):
         rows[e] = e
     for e in range(count):
-        if tangent[3, e] != -laws[e, _STIFFNESS] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
+        if tangent[3, e] != -springs[count + e] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
             rows[size], rows[size + 1] = count + e, 2 * count + e
             size += 2
     matrix, right_side = system[: size * size].reshape(size, size), forces[:size]
     for k in range(size):
         part, e = divmod(rows[k], count)
         if part == 0:
-            normal, along, across = tangent[0, e] - at_rest[e], 0.0, 0.0
+            normal, along, across = tangent[0, e] + springs[e], 0.0, 0.0
         elif part == 1:
             normal, across = tangent[1, e], tangent[4, e]
-            along = tangent[3, e] + laws[e, _STIFFNESS]
+            along = tangent[3, e] + springs[count + e]
         else:
             normal, along = tangent[2, e], tangent[4, e]
-            across = tangent[5, e] + laws[e, _STIFFNESS]
+            across = tangent[5, e] + springs[count + e]
         first, second = count + e, 2 * count + e
         right_side[k] = normal * step[e] + along * step[first] + across * step[second]
         for j in range(size):
             column = rows[j]
-            matrix[k, j] = -normal * settled_compliance[e, column]
+            matrix[k, j] = -normal * compliance[e, column]
             if part > 0:
                 matrix[k, j] -= (
-                    along * settled_compliance[first, column]
-                    + across * settled_compliance[second, column]
+                    along * compliance[first, column] + across * compliance[second, column]
                 )
         matrix[k, k] += 1.0
     found = np.linalg.solve(matrix, right_side)
     for i in range(3 * count):
         total = 0.0
         for k in range(size):
-            total += settled_compliance[i, rows[k]] * found[k]
+            total += compliance[i, rows[k]] * found[k]
         step[i] += total
 
 
@@ -306,13 +264,10 @@ def _largest(values: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _solve(
-    force_compliance: Array,
-    reference: Array,
+    springs: Array,
+    compliance: Array,
     laws: Array,
-    at_rest: Array,
-    settled: Array,
-    settled_compliance: Array,
-    thermal_gap: Array,
+    free_gap: Array,
     slip: Array,
     tolerance: float,
     gap: Array,
@@ -321,7 +276,7 @@ def _solve(
     tangent: Array,
 ) -> tuple[int, float, int]:
     """Newton's method from `gap`, in place; return the outcome, the residual and the iterations."""
-    count = at_rest.size
+    count = gap.shape[1]
     unknowns = 3 * count
     remainder, residual, step = np.empty(unknowns), np.empty(unknowns), np.empty(unknowns)
     rows, forces = np.empty(unknowns, dtype=np.int64), np.empty(unknowns)
@@ -329,23 +284,12 @@ def _solve(
     before = np.empty_like(gap)
 
     _evaluate(laws, gap, slip, value, moved, tangent)
-    _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+    _residual(springs, compliance, free_gap, gap, value, remainder, residual)
     full_steps, size = MAX_FULL_STEPS, _largest(residual)
     for iteration in range(MAX_ITERATIONS):
         if size <= tolerance and np.spacing(_largest(gap)) <= tolerance:
             return _SOLVED, size, iteration
-        _newton_step(
-            laws,
-            at_rest,
-            settled,
-            settled_compliance,
-            tangent,
-            residual,
-            step,
-            rows,
-            system,
-            forces,
-        )
+        _newton_step(springs, compliance, tangent, residual, step, rows, system, forces)
         before[:] = gap
         norm, length = math.sqrt(residual @ residual), 1.0
         while True:
@@ -353,7 +297,7 @@ def _solve(
                 for e in range(count):
                     gap[i, e] = before[i, e] + length * step[i * count + e]
             _evaluate(laws, gap, slip, value, moved, tangent)
-            _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+            _residual(springs, compliance, free_gap, gap, value, remainder, residual)
             if math.sqrt(residual @ residual) <= (1.0 - 1e-4 * length) * norm:
                 break
             length /= 2.0
@@ -366,7 +310,7 @@ def _solve(
                     for e in range(count):
                         gap[i, e] = before[i, e] + step[i * count + e]
                 _evaluate(laws, gap, slip, value, moved, tangent)
-                _residual(force_compliance, reference, thermal_gap, gap, value, remainder, residual)
+                _residual(springs, compliance, free_gap, gap, value, remainder, residual)
                 break
         size = _largest(residual)
     return _UNCONVERGED, size, MAX_ITERATIONS

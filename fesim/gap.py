@@ -1,9 +1,12 @@
 """Mechanical equilibrium of the joint: Newton's method in the gap, with a backtracking line search.
 
-Unknown: the gaps g (opening, two tangential) of all contact elements. Residual:
-r(g) = g - g_T - C A [z(g) + k g], with the law's traction z, the thermal gap g_T and the reference
-springs k, whose force C contains already. In the gap, unlike in the tractions, the law has a
-bounded slope however much the joint slides or opens.
+Unknown: the gaps g (opening, two tangential) of all contact elements. The condensation gives
+g = g_T + C A [z(g) + k g], with the law's traction z, the thermal gap g_T and the reference springs
+k, whose force C contains already. Springs k0 as stiff as the joint itself take their place:
+r(g) = g - J0^-1 g_T - F [z(g) + k0 g], J0 = I - C A (k - k0), F = J0^-1 C A. The solutions are the
+same, and r does not depend on k: it is the error of the gaps of a joint that sticks at its preload.
+In the gap, unlike in the tractions, the law has a bounded slope however much the joint slides or
+opens.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from fesim.joint_law import Traction
 Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Traction]
 
-#: Largest gap residual of an accepted state, m.
+#: Largest residual of an accepted state, m.
 TOLERANCE = 1e-13
 MAX_ITERATIONS = 60
 SHORTEST_STEP = 2.0**-10
@@ -51,36 +54,66 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class GapProblem:
-    """The linear side of the gap equations, with dense matrices made once.
+    """The gap equations of one machine, with dense matrices made once; see `gap_problem`.
 
     Attributes
     ----------
-    force_compliance : ndarray, shape (3 m, 3 m)
-        C A: gap per traction, m/Pa.
-    reference : ndarray, shape (3 m,)
-        k, Pa/m.
+    springs : ndarray, shape (3 m,)
+        k0: stiffness of the joint at its preload while it sticks, Pa/m.
+    compliance : ndarray, shape (3 m, 3 m)
+        F: gap per traction of the structure with these springs, m/Pa.
+    exchange : ndarray, shape (3 m, 3 m)
+        J0^-1: thermal gap with the condensation's springs to that with these.
     law : callable
         (gap, slip) to `Traction`.
     """
 
-    force_compliance: Array
-    reference: Array
+    springs: Array
+    compliance: Array
+    exchange: Array
     law: Law
 
     def residual(self, gap: Array, traction: Traction, thermal_gap: Array) -> Array:
         """r(g), shape (3 m,), m."""
-        remainder = traction.value.ravel() + self.reference * gap.ravel()
-        return gap.ravel() - thermal_gap - self.force_compliance @ remainder
+        remainder = traction.value.ravel() + self.springs * gap.ravel()
+        return gap.ravel() - self.exchange @ thermal_gap - self.compliance @ remainder
 
     def jacobian(self, traction: Traction) -> Array:
         """dr/dg, shape (3 m, 3 m)."""
-        size = self.reference.size
+        size = self.springs.size
         count = size // 3
-        product = -self.force_compliance * self.reference
-        blocks = self.force_compliance.reshape(size, 3, count)
+        product = -self.compliance * self.springs
+        blocks = self.compliance.reshape(size, 3, count)
         product -= np.einsum("rim,ijm->rjm", blocks, traction.tangent).reshape(size, size)
         product[np.diag_indices(size)] += 1.0
         return product
+
+
+def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: Law) -> GapProblem:
+    """Put springs as stiff as the joint in the place of those of the condensation.
+
+    Parameters
+    ----------
+    force_compliance : ndarray, shape (3 m, 3 m)
+        C A: gap per traction with the reference springs, m/Pa.
+    reference : ndarray, shape (3 m,)
+        k, Pa/m.
+    springs : ndarray, shape (3 m,)
+        k0, Pa/m: `fesim.joint_law.stiffness_at_rest`.
+    law : callable
+        (gap, slip) to `Traction`.
+
+    Raises
+    ------
+    ConvergenceError
+        A body hangs on the joint alone, which cannot hold it.
+    """
+    tangent = np.eye(springs.size) - force_compliance * (reference - springs)
+    try:
+        exchange = np.asarray(np.linalg.inv(tangent), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise singular() from error
+    return GapProblem(springs, exchange @ force_compliance, exchange, law)
 
 
 def solve_gap(
@@ -89,6 +122,7 @@ def solve_gap(
     slip: Array,
     guess: Array,
     tolerance: float = TOLERANCE,
+    iterations: int = MAX_ITERATIONS,
 ) -> Equilibrium:
     """Find the gaps in equilibrium with a thermal gap.
 
@@ -104,17 +138,19 @@ def solve_gap(
         First guess of the gaps, m.
     tolerance : float
         Largest residual accepted, m.
+    iterations : int
+        Most of them.
 
     Raises
     ------
     ConvergenceError
-        The residual stays above `tolerance`.
+        The residual stays above `tolerance`: `fesim.relaxation.relax` goes further.
     """
     gap = guess
     traction = problem.law(gap, slip)
     residual = problem.residual(gap, traction, thermal_gap)
     full_steps = MAX_FULL_STEPS
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(iterations):
         size = float(np.abs(residual).max())
         # The residual is a difference of gaps: where these are coarser, zero is only rounding.
         if size <= tolerance and np.spacing(np.abs(gap).max()) <= tolerance:
@@ -139,30 +175,37 @@ def solve_gap(
                 trial_residual = problem.residual(trial, trial_traction, thermal_gap)
                 break
         gap, traction, residual = trial, trial_traction, trial_residual
-    raise unconverged(float(np.abs(residual).max()), tolerance)
+    raise unconverged(float(np.abs(residual).max()), tolerance, iterations)
 
 
 def stalled(residual: float) -> ConvergenceError:
     """Return the error of a line search that finds no descent any more."""
     return ConvergenceError(
-        f"gap equations: the line search stalled at a residual of {residual:.1e} m; take a shorter "
-        "march.step_s"
+        f"gap equations: Newton's method stalled at a residual of {residual:.1e} m: perhaps no "
+        "equilibrium is near"
     )
 
 
-def unconverged(residual: float, tolerance: float) -> ConvergenceError:
+def unconverged(
+    residual: float, tolerance: float, iterations: int = MAX_ITERATIONS
+) -> ConvergenceError:
     """Return the error of too many iterations."""
     return ConvergenceError(
-        f"gap equations: residual {residual:.1e} m after {MAX_ITERATIONS} iterations, wanted "
-        f"{tolerance:.0e} m; take a shorter march.step_s"
+        f"gap equations: residual {residual:.1e} m after {iterations} iterations of Newton's "
+        f"method, wanted {tolerance:.0e} m"
     )
 
 
 def singular() -> ConvergenceError:
     """Return the error of a tangent that has no inverse."""
+    return loose("the tangent is singular")
+
+
+def loose(sign: str) -> ConvergenceError:
+    """Return the error of a body that nothing holds, with what it is known by."""
     return ConvergenceError(
-        "gap equations: the tangent is singular: a body that the joint holds has come loose; "
-        "support the body or raise preload_MPa"
+        f"gap equations: {sign}: a body that the joint holds has come loose; support the body or "
+        "raise preload_MPa"
     )
 
 

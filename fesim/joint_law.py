@@ -6,7 +6,7 @@ are those that the joint exerts on the gap: a pressure pushes it open, friction 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -131,14 +131,34 @@ class JointLaw:
         Shear traction against slip.
     conductance : callable
         Pressure (Pa) to contact conductance, W/(m2 K).
-    preload : float
-        p0, Pa.
     """
 
     normal: NormalLaw
     friction: Friction
     conductance: Callable[[Array], Array]
-    preload: float
+
+    @property
+    def preload(self) -> float:
+        """p0: the pressure at opening zero, Pa."""
+        return float(self.normal.pressure(np.zeros(1))[0])
+
+    @property
+    def stiffness(self) -> tuple[float, float, float]:
+        """Normal and tangential stiffness at the preload while the joint sticks, Pa/m."""
+        normal = -float(self.normal.slope(np.zeros(1))[0])
+        return normal, self.friction.stiffness, self.friction.stiffness
+
+
+def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:
+    """Return the stiffness (3 m,) of joints at their preload while they stick, Pa/m.
+
+    Parameters
+    ----------
+    laws : sequence of (JointLaw, int)
+        The law of each joint and how many contact elements it has.
+    """
+    parts = [np.tile(np.reshape(law.stiffness, (3, 1)), count) for law, count in laws]
+    return np.concatenate([np.empty((3, 0)), *parts], axis=1).ravel()
 
 
 @dataclass(frozen=True)

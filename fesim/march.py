@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 from artefacts.errors import ConvergenceError, ThermojointError
 from fesim.compiled_gap import compile_gap
 from fesim.condensation import ElasticCondensation, ThermalCondensation
-from fesim.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
-from fesim.joint_law import JointLaw, Traction, evaluate
+from fesim.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
+from fesim.joint_law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.loosening import Watch, watch_of
+from fesim.relaxation import relax
 from fesim.rigid_motions import Holds
 
 Array = NDArray[np.float64]
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
 
-#: A step is halved this many times at most before it is given up.
-MAX_CUTS = 10
 #: Heat flows below this part of the heat held, in each step, are none.
 AT_REST = 1e-6
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
@@ -48,7 +47,7 @@ class CondensedMachine:
     laws : sequence of (JointLaw, int)
         The law of each joint and how many contact elements it has, in their order.
     gap_tolerance : float
-        Largest gap residual of a step, m.
+        Largest residual of the gap equations, m.
     holds : Holds, optional
         What holds the bodies; with it, a step in which one comes loose is an error.
     """
@@ -68,7 +67,12 @@ class CondensedMachine:
     def gap_problem(self) -> GapProblem:
         """The gap equations of this machine."""
         elastic = self.elastic
-        return GapProblem(elastic.compliance * elastic.area, elastic.reference, self.traction)
+        return gap_problem(
+            elastic.compliance * elastic.area,
+            elastic.reference,
+            stiffness_at_rest(self.laws),
+            self.traction,
+        )
 
     @cached_property
     def settle(self) -> Settle:
@@ -113,7 +117,7 @@ def gap_solver(
     problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
 ) -> Settle:
     """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
-    compiled = compile_gap(problem.force_compliance, problem.reference, laws)
+    compiled = compile_gap(problem, laws)
     solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
     return partial(solve, tolerance=tolerance)
 
@@ -134,8 +138,6 @@ class State:
         Irreversible slip, m: the history of friction.
     pressure : ndarray, shape (m,)
         Contact pressure, Pa.
-    thermal_gap : ndarray, shape (3 m,)
-        g_T = S_T T, m.
     change : ndarray, shape (3, m)
         By how much the last step changed the gaps, m: the next step's first guess goes on so.
     model : str
@@ -147,7 +149,6 @@ class State:
     gap: Array
     slip: Array
     pressure: Array
-    thermal_gap: Array
     change: Array
     model: str
 
@@ -169,9 +170,9 @@ class Step:
     remainder : ndarray, shape (3 m,)
         z + k g, Pa: with the temperature, it gives the displacement field.
     residual : float
-        Largest gap residual, m.
+        Largest residual of the gap equations, m.
     iterations, cuts : int
-        Newton iterations, and how often the mechanical step was halved.
+        Newton iterations, and the viscous steps that the step was cut into where a joint snapped.
     heat_balance : float
         (in - stored - convected) / the largest of the three.
     """
@@ -202,7 +203,6 @@ def initial_state(machine: CondensedMachine) -> State:
         gap=np.zeros((3, count)),
         slip=np.zeros((2, count)),
         pressure=machine.preload.copy(),
-        thermal_gap=np.zeros(3 * count),
         change=np.zeros((3, count)),
         model=machine.thermal.model,
     )
@@ -227,8 +227,8 @@ def march(
     Raises
     ------
     ConvergenceError
-        A step did not converge even after it was cut, or a body has come loose; nothing is yielded
-        for it.
+        A step has no equilibrium, not even another one, or a body has come loose; nothing is
+        yielded for it.
     InputError
         A pressure is beyond the conductance law.
     """
@@ -342,7 +342,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
-    found, iterations, cuts = _settle(machine, state, thermal_gap)
+    found, cuts = _settle(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
         machine.watch.check(pressure, found.traction.tangent)
@@ -354,7 +354,6 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             gap=found.gap,
             slip=found.traction.slip,
             pressure=pressure,
-            thermal_gap=thermal_gap,
             change=found.gap - state.gap,
             model=machine.thermal.model,
         ),
@@ -365,7 +364,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         + elastic.probe_compliance @ (elastic.area * remainder),
         remainder=remainder,
         residual=found.residual,
-        iterations=iterations,
+        iterations=found.iterations,
         cuts=cuts,
         heat_balance=heat_balance(
             machine.thermal, state.temperature, temperature, inputs, heat_flow
@@ -373,39 +372,18 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     )
 
 
-def _settle(
-    machine: CondensedMachine, state: State, thermal_gap: Array
-) -> tuple[Equilibrium, int, int]:
-    """Follow the thermal gap from the state's to `thermal_gap`, halving the way when it must be.
+def _settle(machine: CondensedMachine, state: State, thermal_gap: Array) -> tuple[Equilibrium, int]:
+    """Find the equilibrium that the state comes to, and how many viscous steps it took.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
-    the gaps are. The mechanical problem has no clock of its own, so a part of the way is a shorter
-    step.
+    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps.
     """
-    settle = machine.settle
-    with suppress(ConvergenceError):
-        found = settle(thermal_gap, state.slip, state.gap + state.change)
-        return found, found.iterations, 0
-    reached, part, cuts, iterations = 0.0, 1.0, 0, 0
-    gap, slip = state.gap, state.slip
-    while True:
-        target = min(reached + part, 1.0)
-        way = (
-            thermal_gap
-            if target == 1.0
-            else ((1.0 - target) * state.thermal_gap + target * thermal_gap)
-        )
-        try:
-            found = settle(way, slip, gap)
-        except ConvergenceError:
-            cuts += 1
-            part /= 2.0
-            if cuts > MAX_CUTS:
-                if machine.watch is not None:
-                    machine.watch.explain(machine.traction(gap, slip))
-                raise
-            continue
-        iterations += found.iterations
-        if target == 1.0:
-            return found, iterations, cuts
-        reached, gap, slip = target, found.gap, found.traction.slip
+    for guess in (state.gap + state.change, state.gap):
+        with suppress(ConvergenceError):
+            return machine.settle(thermal_gap, state.slip, guess), 0
+    try:
+        return relax(machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance)
+    except ConvergenceError:
+        if machine.watch is not None:
+            machine.watch.explain(machine.traction(state.gap, state.slip))
+        raise

@@ -333,16 +333,17 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
 def reference_springs(
     structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
 ) -> NDArray[np.float64]:
-    """Reference springs (3 m,) as stiff as the bodies are behind a contact element, Pa/m.
+    """Reference springs (3 m,) as stiff as the softer body is behind a contact element, Pa/m.
 
-    They do not depend on the joint's law, so that one condensation serves every law.
+    They do not depend on the joint's law, so that one condensation serves every law. Their modulus
+    is the harmonic mean of the two: beside much stiffer ones all that gives way would be rounding.
     """
     modulus = by_cell(structure, {name: m.youngs_modulus for name, m in materials.items()})
     each = [
-        0.5
-        * (
-            element_means(joint, modulus[joint.cells_a])
-            + element_means(joint, modulus[joint.cells_b])
+        2.0
+        / (
+            1.0 / element_means(joint, modulus[joint.cells_a])
+            + 1.0 / element_means(joint, modulus[joint.cells_b])
         )
         / np.sqrt(joint.area)
         for joint in joints

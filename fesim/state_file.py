@@ -21,10 +21,10 @@ from fesim.march import State
 from fesim.sharing import with_digests
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "thermal_gap", "change")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "change")
 
 
 def fingerprint(case: Case) -> str:
@@ -91,7 +91,6 @@ def load_state(path: Path, case: Case) -> State:
     shapes = {
         "gap": (3, count),
         "slip": (2, count),
-        "thermal_gap": (3 * count,),
         "change": (3, count),
     }
     usable = (

@@ -79,7 +79,7 @@ def surface_law(friction=0.6, preload=4.41e6, conductivity=47.0):
     normal = SurfaceNormalLaw(1.961e9, 1.25e-6, preload)
     stiffness = 0.844 * -float(normal.slope(np.zeros(1))[0])
     conductance = power_law_conductance(1.45, 0.985, 0.14, 1.25e-6, conductivity, 1.961e9)
-    return JointLaw(normal, Friction(friction, stiffness), conductance, preload)
+    return JointLaw(normal, Friction(friction, stiffness), conductance)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ from benchmarks.performance.timing import Row, Skipped, paired
 from calibrate.linear import fit_ring
 from estimator.fchs.stream import run
 from fesim.compiled_gap import compile_gap
+from fesim.gap import gap_problem
+from fesim.joint_law import stiffness_at_rest
 from fesim.setup import build_structure
 from models import ring_source
 from models.assembly import assemble
@@ -81,7 +83,9 @@ def test_a_row_against_calculix_says_what_marched(coupling):
 def test_the_law_of_the_comparison_with_calculix_is_not_machine_code():
     """Which is what the notes of its rows say."""
     law = comparable(problem_of(calculix.long_case("staggered")).law)
-    assert compile_gap(-1e-12 * np.eye(3), np.ones(3), [(law, 1)]) is None
+    laws = [(law, 1)]
+    problem = gap_problem(1e-13 * np.eye(3), np.ones(3), stiffness_at_rest(laws), None)
+    assert compile_gap(problem, laws) is None
 
 
 def test_a_failed_group_loses_no_other_row_and_shows_in_the_exit_code(tmp_path):

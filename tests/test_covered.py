@@ -176,6 +176,10 @@ ROLLERS = ", ".join(
     f'"{body}.{axis}0" = "{axis}"' for body in ("left", "middle", "right") for axis in "yz"
 )
 LISTED = ("left.x1", "middle.x0", "middle.x1", "right.x0")
+JOINT = (
+    "{ preload_MPa = 4.0, along = 1, across = 1, roughness_um = 1.25, asperity_slope = 0.14, "
+    "hardness_GPa = 1.961, friction_coefficient = 0.6 }"
+)
 CASE = f"""
 title = "Three rods in line"
 bodies = {{ left = "iron", middle = "iron", right = "iron" }}
@@ -195,8 +199,8 @@ youngs_modulus_GPa = 110.0
 poisson_ratio = 0.25
 expansion_1_K = {EXPANSION}
 [joints]
-first = {{ preload_MPa = 4.0, along = 1, across = 1 }}
-second = {{ preload_MPa = 4.0, along = 1, across = 1 }}
+first = {JOINT}
+second = {JOINT}
 [sources.heat]
 surface = "left.x0"
 reference_power_W = {WATTS}

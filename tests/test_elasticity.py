@@ -1,5 +1,7 @@
 """Thermoelasticity against closed forms: free expansion, bending, contact between walls."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bars import AREA, IRON, LEFT, RIGHT, ROLLERS, STEEL, assemble, surface_law, two_bars
@@ -7,7 +9,7 @@ from scipy.optimize import brentq
 from skfem import FacetBasis, MeshHex, MeshTet
 
 from fesim.elasticity import elastic_operators
-from fesim.gap import solve_gap
+from fesim.gap import TOLERANCE, solve_gap
 from fesim.heat import flux_form
 from fesim.linear_solver import factorise
 from fesim.materials import Material
@@ -226,6 +228,26 @@ def test_bars_between_walls_press_evenly_on_their_joint(mesh, second, friction):
         moved = LEFT * (IRON.expansion * rise - (pressure - law.preload) / IRON.youngs_modulus)
         assert probes[3] == pytest.approx(moved, rel=1e-7, abs=1e-14)
         assert probes[0] == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6, 1e9])
+def test_an_accepted_residual_bounds_gap_and_pressure_however_stiff_one_body_is(ratio):
+    """Any residual r within the tolerance means an error of J^-1 r in the gaps."""
+    law = surface_law(0.0)
+    second = replace(IRON, youngs_modulus=ratio * IRON.youngs_modulus)
+    made = assemble(MESHES["matching"], materials=(IRON, second), law=law, symmetry=ROLLERS)
+    problem, elastic = made.machine.gap_problem, made.machine.elastic
+    zero = np.zeros((3, made.machine.contacts))
+    for rise in (-30.0, 20.0):
+        hot = np.full(made.parts.spaces.heat.N, rise)
+        found = solve_gap(problem, elastic.thermal_gap @ hot, zero[1:], zero)
+        worst = np.abs(np.linalg.inv(problem.jacobian(found.traction))).sum(axis=1) * TOLERANCE
+        stiffness = np.abs(found.traction.tangent[0, 0])
+        assert worst.max() < 1e-11
+        assert (stiffness * worst[: stiffness.size]).max() < 1e-6 * law.preload
+        pressure = law.normal.pressure(np.array([stacked_opening(second, rise, law)]))
+        off = np.abs(found.traction.value[0] + law.preload - pressure)
+        assert off.max() < 2e-6 * law.preload
 
 
 def test_a_stiff_joint_leaves_e_alpha_dt():

@@ -1,5 +1,7 @@
 """Equilibrium of the joint: always converged, never accepted when it is not."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from bars import surface_law
@@ -7,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError
-from fesim.gap import TOLERANCE, GapProblem, solve_gap
-from fesim.joint_law import evaluate
+from fesim.gap import TOLERANCE, gap_problem, solve_gap
+from fesim.joint_law import evaluate, stiffness_at_rest
+from fesim.relaxation import relax
 
 CONTACT_AREA = 3.3e-3
 K_N = 11e12
@@ -29,18 +32,23 @@ def structure_stiffness(rng, count, floating):
     return (modes * values) @ modes.T
 
 
-def problem_of(stiffness, friction, springs=1.0):
+def problem_of(stiffness, friction, springs=1.0, law=None):
+    """The gap problem, and gap per force of the structure with reference springs, m/N."""
     count = len(stiffness) // 3
-    law = surface_law(friction)
+    law = surface_law(friction) if law is None else law
     reference = np.full(3 * count, springs * K_N)
     compliance = np.linalg.inv(stiffness + CONTACT_AREA * np.diag(reference))
     compliance = 0.5 * (compliance + compliance.T)
-    return GapProblem(
-        compliance * CONTACT_AREA, reference, lambda gap, slip: evaluate(law, gap, slip)
+    problem = gap_problem(
+        compliance * CONTACT_AREA,
+        reference,
+        stiffness_at_rest([(law, count)]),
+        lambda gap, slip: evaluate(law, gap, slip),
     )
+    return problem, compliance
 
 
-def random_problem(seed, count, size, friction, springs=1.0, floating=False):
+def random_problem(seed, count, size, friction, springs=1.0, floating=False, law=None):
     """The gap problem, and its thermal gaps: `size` if nothing were in contact.
 
     With springs in it the compliance scales the thermal gap too, as K_r^-1 F T does.
@@ -48,9 +56,16 @@ def random_problem(seed, count, size, friction, springs=1.0, floating=False):
     rng = np.random.default_rng(seed)
     stiffness = structure_stiffness(rng, count, floating)
     free_gap = size * rng.uniform(-1.0, 1.0, 3 * count)
-    problem = problem_of(stiffness, friction, springs)
-    thermal_gap = problem.force_compliance @ (stiffness @ free_gap) / CONTACT_AREA
-    return problem, thermal_gap
+    problem, compliance = problem_of(stiffness, friction, springs, law)
+    return problem, compliance @ (stiffness @ free_gap)
+
+
+def solved(solve, problem, thermal_gap, slip, guess):
+    """Newton's method from a guess or, where it fails, the viscous way from there."""
+    try:
+        return solve(thermal_gap, slip, guess)
+    except ConvergenceError:
+        return relax(problem, thermal_gap, slip, guess)[0]
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -65,19 +80,14 @@ def test_joints_converge_in_one_go_from_rest(seed, count, size, friction):
     assert np.abs(residual).max() <= TOLERANCE
 
 
-@settings(max_examples=200, deadline=None)
-@given(**problems, friction=st.sampled_from([0.0, 0.6, 5.0]), floating=st.booleans())
-def test_what_is_returned_is_an_equilibrium_however_hard_the_problem(
-    seed, count, size, friction, floating
-):
-    """Strong friction and mechanisms need not have an equilibrium in reach; then it raises."""
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(**problems, friction=st.sampled_from([0.0, 0.6, 2.0, 10.0]), floating=st.booleans())
+def test_an_equilibrium_is_found_however_hard_the_problem(seed, count, size, friction, floating):
+    """Strong friction, mechanisms, gaps of up to 3 mm and a guess that is far away."""
     problem, thermal_gap = random_problem(seed, count, 30.0 * size, friction, floating=floating)
     slip = np.random.default_rng(seed).uniform(-1e-6, 1e-6, (2, count))
     guess = np.random.default_rng(seed).uniform(-5e-6, 20e-6, (3, count))
-    try:
-        found = solve_gap(problem, thermal_gap, slip, guess)
-    except ConvergenceError:
-        return
+    found = solved(partial(solve_gap, problem), problem, thermal_gap, slip, guess)
     law = problem.law(found.gap, slip)
     assert np.abs(problem.residual(found.gap, law, thermal_gap)).max() <= TOLERANCE
     np.testing.assert_array_equal(found.traction.value, law.value)
@@ -111,8 +121,11 @@ def test_reference_springs_leave_no_trace(seed, count, size, springs):
 def test_a_gap_so_wide_that_its_residual_is_rounding_is_no_equilibrium():
     """1e9 m less 1e9 m is zero in floating point, whatever the forces are."""
     law = surface_law()
-    problem = GapProblem(
-        np.eye(3) / K_N, np.full(3, K_N), lambda gap, slip: evaluate(law, gap, slip)
+    problem = gap_problem(
+        np.eye(3) / K_N,
+        np.full(3, K_N),
+        stiffness_at_rest([(law, 1)]),
+        lambda gap, slip: evaluate(law, gap, slip),
     )
     far = np.full((3, 1), 2.0**40)
     with pytest.raises(ConvergenceError, match="has come loose"):
@@ -122,10 +135,10 @@ def test_a_gap_so_wide_that_its_residual_is_rounding_is_no_equilibrium():
 def test_one_spring_in_series_with_the_joint():
     """A structure of stiffness k pushed by a gap g0 onto the joint: p - p0 = (k/A) (g0 - g)."""
     stiffness = np.diag([0.2 * K_N * CONTACT_AREA] * 3)
-    problem = problem_of(stiffness, 0.6)
+    problem, compliance = problem_of(stiffness, 0.6)
     for free_gap in (-20e-6, -2e-6, 0.5e-6, 3e-6, 50e-6):
         load = stiffness @ np.array([free_gap, 0.0, 0.0])
-        thermal_gap = problem.force_compliance @ load / CONTACT_AREA
+        thermal_gap = compliance @ load
         found = solve_gap(problem, thermal_gap, np.zeros((2, 1)), np.zeros((3, 1)), 1e-16)
         excess = found.traction.value[0, 0]
         balance = stiffness[0, 0] / CONTACT_AREA * (found.gap[0, 0] - free_gap)
@@ -134,7 +147,7 @@ def test_one_spring_in_series_with_the_joint():
 
 
 def test_no_load_is_in_equilibrium_at_once():
-    problem = problem_of(structure_stiffness(np.random.default_rng(0), 4, True), 0.6)
+    problem, _ = problem_of(structure_stiffness(np.random.default_rng(0), 4, True), 0.6)
     zero = np.zeros((3, 4))
     found = solve_gap(problem, np.zeros(12), zero[1:], zero)
     assert found.iterations == 0

@@ -15,6 +15,7 @@ from fesim.joint_law import (
     exact_conductance,
     harmonic_conductivity,
     power_law_conductance,
+    stiffness_at_rest,
 )
 
 HARDNESS, ROUGHNESS, SLOPE, PRELOAD = 1.961e9, 1.25e-6, 0.14, 4.41e6
@@ -30,7 +31,7 @@ coefficients = st.sampled_from([0.0, 0.15, 0.6, 2.0])
 
 def law(friction, normal=NORMAL):
     conductance = power_law_conductance(1.45, 0.985, SLOPE, ROUGHNESS, 47.0, HARDNESS)
-    return JointLaw(normal, Friction(friction, K_T), conductance, PRELOAD)
+    return JointLaw(normal, Friction(friction, K_T), conductance)
 
 
 def gap_of(*components):
@@ -38,7 +39,7 @@ def gap_of(*components):
 
 
 def pressure_of(traction):
-    return traction.value[0] + PRELOAD
+    return traction.value[0] + law(0.0).preload
 
 
 # --- conductance ---------------------------------------------------------------------------------
@@ -110,6 +111,23 @@ def test_harmonic_conductivity_of_two_layers_in_series():
 def test_pressure_at_zero_opening_is_the_preload():
     for normal in (NORMAL, MEASURED):
         np.testing.assert_allclose(normal.pressure(np.zeros(1)), PRELOAD, rtol=1e-12)
+
+
+def test_a_joint_at_rest_exerts_nothing_whatever_its_normal_law():
+    """The preload is what the law says at opening zero, not another number beside it."""
+
+    class Softer(SurfaceNormalLaw):
+        def pressure(self, opening):
+            return 0.5 * super().pressure(opening)
+
+    soft = law(0.6, Softer(HARDNESS, ROUGHNESS, PRELOAD))
+    assert soft.preload == pytest.approx(0.5 * PRELOAD, rel=1e-12)
+    for one in (soft, law(0.6), law(0.6, MEASURED)):
+        at_rest = evaluate(one, np.zeros((3, 1)), np.zeros((2, 1)))
+        np.testing.assert_allclose(at_rest.value, 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            stiffness_at_rest([(one, 1)]), -np.diagonal(at_rest.tangent[..., 0]), rtol=1e-12
+        )
 
 
 def test_surface_model_stiffness_at_the_papers_preload():

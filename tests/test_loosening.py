@@ -53,10 +53,18 @@ expansion_1_K = 1.1e-5
 preload_MPa = 1.0
 along = 2
 across = 2
+roughness_um = 1.25
+asperity_slope = 0.14
+hardness_GPa = 1.961
+friction_coefficient = 0.6
 [joints.second]
 preload_MPa = 1.0
 along = 2
 across = 2
+roughness_um = 1.25
+asperity_slope = 0.14
+hardness_GPa = 1.961
+friction_coefficient = 0.6
 [held_temperatures."middle.z1"]
 rise_K = -30.0
 """
@@ -125,7 +133,7 @@ def test_a_law_without_friction_is_refused_on_a_condensation_with_it(rods):
 def test_inspect_says_the_same_of_a_case(rods, capsys):
     folder, _ = rods
     path = folder / "case.toml"
-    path.write_text(CASE.replace("across = 2", "across = 2\nfriction_coefficient = 0.0"))
+    path.write_text(CASE.replace("friction_coefficient = 0.6", "friction_coefficient = 0.0"))
     app(["inspect", str(path)], standalone_mode=False)
     said = " ".join(capsys.readouterr().out.split())
     assert "keeps body 'middle' from moving along y and z and from turning about x" in said

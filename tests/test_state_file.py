@@ -182,7 +182,7 @@ def rewritten(saved, tmp_path, header=None, **arrays):
     ("header", "match"),
     [
         ({"schema": "thermojoint-model"}, "not a march's state"),
-        ({"schema_version": 2}, "state of version 2, expected 3"),
+        ({"schema_version": 3}, "state of version 3, expected 4"),
         ({"case": "0" * 64}, "state of another structure"),
         ({"index": -1}, "values are damaged"),
         ({"index": "30"}, "values are damaged"),
@@ -198,7 +198,7 @@ def test_damaged_values_are_refused(saved, coarse_case, tmp_path):
         "temperature": np.where(np.arange(state.temperature.size) == 5, np.nan, state.temperature),
         "gap": state.gap[:, 1:],
         "slip": state.slip.astype(int),
-        "thermal_gap": state.thermal_gap.reshape(3, -1),
+        "change": state.change.ravel(),
     }.items():
         path = rewritten(saved, tmp_path, **{name: array})
         refused(path, coarse_case, "values are damaged")

@@ -19,6 +19,7 @@ from calibrate.provenance import provenance_of
 from estimator import judge
 from estimator.fchs.stream import Signals
 from estimator.judge import superposed
+from estimator.noise import joint_noise
 from fesim.case import Case
 from fesim.setup import Setup, set_up
 from models.model_file import Provenance, write_model
@@ -178,7 +179,7 @@ def paper_figures(
     sensors = list(model.linear.direct)
     on_steep = deviations(model, reference, steep)
     on_triangle = deviations(model, reference, triangle)
-    noise = study.joint_noise(triangle)
+    noise = joint_noise(triangle)
     return {
         "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
         "figure-08-temperature-deviation": temperatures_figure(

@@ -150,7 +150,7 @@ def reference(cold: float) -> Array:
 
 def joint_law() -> JointLaw:
     """Return the joint of the rods."""
-    return JointLaw(BackBurdekinLaw(COEFFICIENT, 0.5, PRELOAD), NO_FRICTION, conductance, PRELOAD)
+    return JointLaw(BackBurdekinLaw(COEFFICIENT, 0.5, PRELOAD), NO_FRICTION, conductance)
 
 
 def marched(built: Rods, cold: float, step: float) -> Array:

@@ -16,8 +16,14 @@ from scipy.sparse import csr_array
 
 from fesim.condensation import ElasticCondensation, condense_elasticity
 from fesim.elasticity import elastic_operators
-from fesim.gap import Equilibrium, GapProblem
-from fesim.joint_law import Friction, JointLaw, SurfaceNormalLaw, evaluate
+from fesim.gap import Equilibrium, gap_problem
+from fesim.joint_law import (
+    Friction,
+    JointLaw,
+    SurfaceNormalLaw,
+    evaluate,
+    stiffness_at_rest,
+)
 from fesim.joint_operators import joint_operators
 from fesim.march import gap_solver
 from fesim.materials import Material
@@ -77,12 +83,14 @@ class Pressed:
 
     def follow(self, thermal_gaps: Iterable[Array]) -> Iterator[tuple[Array, Equilibrium]]:
         """Yield (slip before, equilibrium) for one thermal gap (3 m,) after another."""
-        problem = GapProblem(
+        laws = [(self.law, self.contacts)]
+        problem = gap_problem(
             self.condensed.compliance * self.condensed.area,
             self.condensed.reference,
+            stiffness_at_rest(laws),
             lambda gap, slip: evaluate(self.law, gap, slip),
         )
-        settle = gap_solver(problem, [(self.law, self.contacts)], RESIDUAL)
+        settle = gap_solver(problem, laws, RESIDUAL)
         gap, slip = np.zeros((3, self.contacts)), np.zeros((2, self.contacts))
         for thermal_gap in thermal_gaps:
             found = settle(thermal_gap, slip, gap)

@@ -11,9 +11,9 @@ from scipy.sparse import csr_array
 
 from fesim.condensation import condense_elasticity
 from fesim.elasticity import elastic_operators
-from fesim.gap import GapProblem
+from fesim.gap import gap_problem
 from fesim.heat import heat_operators
-from fesim.joint_law import JointLaw, evaluate
+from fesim.joint_law import JointLaw, evaluate, stiffness_at_rest
 from fesim.joint_operators import joint_operators
 from fesim.march import gap_solver
 from fesim.setup import reference_springs
@@ -129,14 +129,16 @@ def contact_checks() -> Iterator[Check]:
         no_probes = csr_array((0, spaces.displacement_size))
         condensed, field = condense_elasticity(elastic, operators, springs, no_probes)
         hot = np.full(spaces.heat.N, rise)
-        problem = GapProblem(
+        laws = [(law, len(operators.area))]
+        problem = gap_problem(
             condensed.compliance * condensed.area,
             condensed.reference,
+            stiffness_at_rest(laws),
             lambda gap, slip: evaluate(law, gap, slip),
         )
         zero = np.zeros((3, len(operators.area)))
         # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
-        settle = gap_solver(problem, [(law, len(operators.area))], 1e-16)
+        settle = gap_solver(problem, laws, 1e-16)
         found = settle(condensed.thermal_gap @ hot, zero[1:], zero)
         name = f"contact patch test, non-matching {kind}"
         source = "bars and joint in series"

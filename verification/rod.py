@@ -151,7 +151,6 @@ def joint_law() -> JointLaw:
         SurfaceNormalLaw(HARDNESS, ROUGHNESS, share * HARDNESS),
         NO_FRICTION,
         exact_conductance(SLOPE, ROUGHNESS, conductivity, HARDNESS),
-        share * HARDNESS,
     )
 
 
@@ -223,7 +222,6 @@ def departure(
         gap=steady.gap,
         slip=steady.slip,
         pressure=steady.pressure,
-        thermal_gap=steady.thermal_gap,
     )
     steps = march(machine, lambda _: case.inputs, iterated, start)
     states = [step.state for step in islice(steps, STEPS)]

@@ -49,7 +49,7 @@ def law_at(pressure: float) -> JointLaw:
     ends = (np.array([m.conductivity]) for m in (IRON, STEEL))
     conductivity = float(harmonic_conductivity(*ends)[0])
     conductance = exact_conductance(SLOPE, ROUGHNESS, conductivity, HARDNESS)
-    return JointLaw(normal, Friction(0.6, 1e12), conductance, pressure)
+    return JointLaw(normal, Friction(0.6, 1e12), conductance)
 
 
 def steady_machine(structure: Structure) -> CondensedMachine:

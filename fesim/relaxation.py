@@ -1,0 +1,114 @@
+"""The way to another equilibrium where a joint snaps: viscous relaxation of the gap equations.
+
+Friction can end a branch of equilibria: a contact element begins to slide, its neighbours cannot
+take what it lets go, and no equilibrium is near any more. Newton's method then has nowhere to go,
+however short the step. A real joint snaps, to an equilibrium tens of micrometres away. Dampers of
+c k0 (Pa s/m) across the joint make a way there. An implicit Euler step of it solves
+
+    r(g) + d F k0 (g - g_before) = 0,    d = c / (length of the step),
+
+which is the gap problem with a damped law. With d large it has one solution, near by. Steps grow as
+long as they are easy, until no damper is needed (pseudo-transient continuation, Kelley & Keyes
+1998): what is returned solves the equations without dampers, to the same tolerance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.errors import ConvergenceError
+from fesim.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
+from fesim.joint_law import Traction
+
+Array = NDArray[np.float64]
+
+#: Viscous steps at most, those that failed included.
+MAX_STEPS = 500
+#: Newton iterations of a viscous step: one that needs more is too long.
+MAX_ITERATIONS = 12
+#: A viscous step is solved to this part of the residual that it starts with.
+ROUGHLY = 1e-2
+#: What d is multiplied by after a step that was solved, and after one that was not.
+LONGER, SHORTER = 0.25, 8.0
+#: From this d down Newton's method is tried without dampers.
+WEAK = 0.02
+#: Weaker dampers change nothing, stiffer ones let nothing move: what is left then is rounding.
+WEAKEST, STIFFEST = 1e-12, 1e12
+#: A gap that nothing holds any more, m.
+ADRIFT = 1.0
+
+
+def relax(
+    problem: GapProblem,
+    thermal_gap: Array,
+    slip: Array,
+    gap: Array,
+    tolerance: float = TOLERANCE,
+) -> tuple[Equilibrium, int]:
+    """Return the equilibrium to which an overdamped joint comes, and the viscous steps it took.
+
+    Parameters
+    ----------
+    problem : GapProblem
+        Compliance and law.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T = S_T T, m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip at the start of the step, m.
+    gap : ndarray, shape (3, m)
+        Where the joint starts from, m.
+    tolerance : float
+        Largest residual accepted, m.
+
+    Raises
+    ------
+    ConvergenceError
+        The joint comes to no rest.
+    """
+    if not np.isfinite(thermal_gap).all():
+        raise ConvergenceError(
+            "gap equations: the thermal gaps are not finite; check heat and materials of the case"
+        )
+    damping, moved, iterations = 1.0, 0.0, 0
+    for steps in range(1, MAX_STEPS + 1):
+        if damping <= WEAK:
+            try:
+                found = solve_gap(problem, thermal_gap, slip, gap, tolerance)
+            except ConvergenceError:
+                pass
+            else:
+                return replace(found, iterations=iterations + found.iterations), steps
+        size = float(np.abs(problem.residual(gap, problem.law(gap, slip), thermal_gap)).max())
+        if not WEAKEST < damping < STIFFEST:
+            raise unconverged(size, tolerance, iterations)
+        damped = replace(problem, law=partial(_damped, problem, damping, gap))
+        roughly = max(tolerance, ROUGHLY * size)
+        try:
+            found = solve_gap(damped, thermal_gap, slip, gap, roughly, MAX_ITERATIONS)
+        except ConvergenceError:
+            damping *= SHORTER
+            continue
+        moved = float(np.abs(found.gap - gap).max())
+        gap, iterations = found.gap, iterations + found.iterations
+        damping *= LONGER
+        if np.abs(gap).max() > ADRIFT:
+            raise loose(f"the joint moves by more than {ADRIFT:g} m")
+    raise ConvergenceError(
+        f"gap equations: the joint comes to no rest: it still moves by {moved:.1e} m in a viscous "
+        f"step after {MAX_STEPS} of them; lower friction_coefficient"
+    )
+
+
+def _damped(
+    problem: GapProblem, damping: float, before: Array, gap: Array, slip: Array
+) -> Traction:
+    """The joint's law with dampers beside it."""
+    traction = problem.law(gap, slip)
+    dampers = damping * problem.springs.reshape(before.shape)
+    tangent = traction.tangent.copy()
+    tangent[range(3), range(3)] -= dampers
+    return Traction(traction.value - dampers * (gap - before), tangent, traction.slip)
