@@ -22,7 +22,7 @@ from skfem import Mesh
 
 from artefacts.errors import InputError
 from fesim.elasticity import DIRECTIONS
-from meshes.pairing import PairedJoint
+from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
 
 Array = NDArray[np.float64]
@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 #: A rigid motion of unit size that moves what could hold it by less than this is not held: normals
 #: that turn by less (rad) are parallel but for the rounding of a mesh file.
 HELD = 1e-5
-#: A direction is called after an axis that it leaves by less than this, rad.
-NAMED = 1e-3
+#: In a message, a motion is called after the axes and bodies that it leaves by less than this, rad.
+NAMED = 0.05
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,8 @@ class Holds:
         Of each contact element, m.
     directions : ndarray, shape (3, m, 3)
         Its normal and its two tangents.
+    slack : ndarray, shape (m,)
+        By how much the facets of its joint may seem to hold what the curved face does not.
     """
 
     frame: Frame
@@ -73,6 +75,7 @@ class Holds:
     share: Array
     centre: Array
     directions: Array
+    slack: Array
 
     def unheld(self, element: NDArray[np.int64], direction: Array) -> Array:
         """Motions left if contact elements hold along given directions, shape (6 p, motions).
@@ -84,16 +87,55 @@ class Holds:
         direction : ndarray, shape (k, 3)
             Along which unit vector.
         """
-        blocks = [self.supports]
         sides, group = np.unique(np.round(self.share, 9), axis=0, return_inverse=True)
         group = group.ravel()[element]
-        for k in np.unique(group):
-            own = group == k
-            held = _span(self.frame, self.centre[element[own]], direction[own])
-            blocks.append(np.kron(sides[k], held))
-        rows = np.vstack(blocks)
-        _, sizes, motions = np.linalg.svd(rows)
-        return np.asarray(motions[np.count_nonzero(sizes > HELD) :].T)
+        joints = [
+            _Between(
+                sides[k],
+                _span(self.frame, self.centre[element[own]], direction[own], slack),
+                slack,
+            )
+            for k in np.unique(group)
+            for own in [group == k]
+            for slack in [max(HELD, float(self.slack[element[own]].max()))]
+        ]
+        _, sizes, motions = np.linalg.svd(
+            np.vstack([self.supports, *(np.kron(joint.sides, joint.rows) for joint in joints)])
+        )
+        sizes = np.append(sizes, np.zeros(len(motions) - len(sizes)))
+        slack = max([HELD, *(joint.slack for joint in joints)])
+        return (
+            np.array(
+                [
+                    motion
+                    for size, motion in zip(sizes, motions, strict=True)
+                    if size <= HELD or (size <= slack and self._slips(motion, joints))
+                ]
+            )
+            .reshape(-1, len(motions))
+            .T
+        )
+
+    def _slips(self, motion: Array, joints: Sequence[_Between]) -> bool:
+        """Whether no support and no joint resists a motion by more than facets make it seem."""
+        parts = motion.reshape(-1, 6)
+        across = [(joint.sides @ parts, joint) for joint in joints]
+        moved = [(shift, joint) for shift, joint in across if np.linalg.norm(shift) > HELD]
+        slack = max([HELD, *(joint.slack for _, joint in moved)])
+        size = float(np.linalg.norm(motion))
+        return float(np.linalg.norm(self.supports @ motion)) <= slack * size and all(
+            np.linalg.norm(joint.rows @ shift) <= slack * np.linalg.norm(shift)
+            for shift, joint in moved
+        )
+
+
+@dataclass(frozen=True)
+class _Between:
+    """What contact elements between the same pieces hold: rows on the motion of `sides`."""
+
+    sides: Array
+    rows: Array
+    slack: float
 
 
 def holds_of(
@@ -135,7 +177,7 @@ def holds_of(
         for own in np.unique(owner):
             nodes = np.unique(mesh.facets[:, facets[owner == own]])
             points = np.tile(mesh.p[:, nodes].T, (len(axes), 1))
-            rows = _span(frame, points, np.repeat(np.eye(3)[list(axes)], len(nodes), axis=0))
+            rows = _span(frame, points, np.repeat(np.eye(3)[list(axes)], len(nodes), axis=0), HELD)
             supports.append(np.kron(np.eye(len(names))[own], rows))
     return Holds(
         frame=frame,
@@ -151,6 +193,9 @@ def holds_of(
                 *(np.stack([j.normal, *np.moveaxis(j.tangents, 1, 0)]) for j in joints),
             ],
             axis=1,
+        ),
+        slack=np.concatenate(
+            [np.empty(0), *(np.full(len(j.area), _facet_slack(mesh, j)) for j in joints)]
         ),
     )
 
@@ -204,7 +249,7 @@ def described(holds: Holds, motions: Array) -> str:
     """
     count = len(holds.pieces)
     # The projector on the motions does not depend on their basis: its blocks link what moves.
-    linked = np.linalg.norm((motions @ motions.T).reshape(count, 6, count, 6), axis=(1, 3)) > HELD
+    linked = np.linalg.norm((motions @ motions.T).reshape(count, 6, count, 6), axis=(1, 3)) > NAMED
     _, group = connected_components(linked, directed=False)
     moving = [int(i) for i in np.flatnonzero(linked.diagonal())]
     alone = [i for i in moving if _only(motions, [i]).shape[1]]
@@ -221,7 +266,7 @@ def described(holds: Holds, motions: Array) -> str:
     return f"{who} from {' and from '.join(ways)}"
 
 
-def _span(frame: Frame, points: Array, directions: Array) -> Array:
+def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array:
     """Orthonormal rows (r, 6) that displacements of points along directions (k, 3) forbid.
 
     What counts as zero is judged on the size of the points' own spread: a small seat holds a large
@@ -236,11 +281,29 @@ def _span(frame: Frame, points: Array, directions: Array) -> Array:
     _, sizes, local = np.linalg.svd(
         own.rows(points, directions) / np.sqrt(len(points)), full_matrices=False
     )
-    kept = local[sizes > HELD]
+    kept = local[sizes > slack]
     # Row (d, r) acts on d . v + r . w, with v at the centre: there it is d . (t + w x (c - O)).
     there = frame.rows(np.tile(centre, (len(kept), 1)), kept[:, :3])
     there[:, 3:] += own.length / frame.length * kept[:, 3:]
     return np.asarray(np.linalg.svd(there, full_matrices=False)[2])
+
+
+def _facet_slack(mesh: Mesh, joint: PairedJoint) -> float:
+    """phi^2 / 8 for facets that turn by phi at most from one to the next, edges left out.
+
+    By so much do the height of a facet's arc and the turn within it differ from a smooth face.
+    """
+    facets = np.unique(joint.facets_a)
+    normal = outward_areas(mesh, facets)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    corners = mesh.facets[:, facets]
+    facet = np.tile(np.arange(len(facets)), len(corners))
+    touches = coo_array((np.ones(facet.size), (facet, corners.ravel()))).tocsr()
+    pairs = (touches @ touches.T).tocoo()
+    next_to = pairs.data > 1.5
+    apart = normal[pairs.row[next_to]] - normal[pairs.col[next_to]]
+    turn = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(apart, axis=1), 1.0))
+    return float(turn[turn < EDGE].max(initial=0.0)) ** 2 / 8.0
 
 
 def _piece_of_cells(mesh: Mesh) -> NDArray[np.int64]:
@@ -283,11 +346,11 @@ def _only(motions: Array, members: Sequence[int]) -> Array:
 
 
 def _null(rows: Array) -> Array:
-    """Orthonormal basis (n, r) of what `rows` (k, n) make zero."""
+    """Orthonormal basis (n, r) of what `rows` (k, n) make zero, as far as a message goes."""
     if not len(rows):
         return np.eye(rows.shape[1])
     _, sizes, vectors = np.linalg.svd(rows)
-    return np.asarray(vectors[np.count_nonzero(sizes > HELD) :].T)
+    return np.asarray(vectors[np.count_nonzero(sizes > NAMED) :].T)
 
 
 def _axes(vectors: Array) -> list[str]:
@@ -295,7 +358,7 @@ def _axes(vectors: Array) -> list[str]:
     if not vectors.size:
         return []
     left, sizes, _ = np.linalg.svd(vectors)
-    basis = left[:, : np.count_nonzero(sizes > HELD)]
+    basis = left[:, : np.count_nonzero(sizes > NAMED)]
     found = [i for i in range(3) if np.linalg.norm(basis[i]) > np.cos(NAMED)]
     names = [DIRECTIONS[i] for i in found]
     rest = basis @ np.linalg.svd(basis[found])[2][len(found) :].T if found else basis

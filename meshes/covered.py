@@ -59,7 +59,9 @@ def cover_of(structure: Structure, surface: str, joints: Sequence[PairedJoint]) 
     own = facet >= 0
     facet, points, weights = facet[own], points[:, own], weights[own]
     area = np.linalg.norm(outward_areas(mesh, facets), axis=1)
-    share = np.bincount(facet, weights, len(facets)) / area
+    share = np.divide(
+        np.bincount(facet, weights, len(facets)), area, out=np.zeros(len(facets)), where=area > 0.0
+    )
     return Cover(
         share=np.where(share > 1.0 - EXCESS, 1.0, share),
         area=area,
