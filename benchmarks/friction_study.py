@@ -18,7 +18,7 @@ from rich.console import Console
 
 from calibrate import chain
 from estimator import judge
-from fesim.case import read_case
+from fesim.case.schema import read_case
 from thermojoint.console import show_blocks, show_schemes, show_validation
 from thermojoint.paper import inputs
 from thermojoint.summary import compare_schemes

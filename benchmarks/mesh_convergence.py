@@ -19,8 +19,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fesim.case import Case, ProbeSection, StepInput, read_case
-from fesim.setup import set_up
+from fesim.case.schema import Case, ProbeSection, StepInput, read_case
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 
 #: (element size, element size near the joint), mm.

@@ -22,14 +22,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fesim.case import Case, parse_case
-from fesim.heat import heat_operators
-from fesim.joint_operators import joint_operators
-from fesim.loads import heat_sources
-from fesim.march import CondensedMachine, Step
-from fesim.reduced_march import ThermalModes, project_elasticity, project_heat, thermal_modes
-from fesim.setup import Setup, body_materials, set_up
+from fesim.case.schema import Case, parse_case
+from fesim.joint.operators import joint_operators
+from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
+from fesim.march.stepping import CondensedMachine, Step
+from fesim.setup.loads import heat_sources
+from fesim.setup.machine import Setup, body_materials, set_up
 from fesim.simulate import simulate
+from fesim.solid.heat import heat_operators
 from thermojoint.paper.inputs import VALIDATION
 
 #: Name -> largest element edge in general and at the joint, mm.

@@ -23,8 +23,8 @@ from rich.table import Table
 from artefacts.errors import ConvergenceError
 from artefacts.files import write_text
 from fesim.batch.summary import OPEN_BELOW, is_open
-from fesim.case import Case, StepInput, TriangleInput, case_from_data
-from fesim.setup import set_up, with_laws
+from fesim.case.schema import Case, StepInput, TriangleInput, case_from_data
+from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
 
 HEATS = (0.1, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0)

@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from fesim.batch.summary import is_open
-from fesim.case import StepInput, case_from_data
-from fesim.setup import set_up
+from fesim.case.schema import StepInput, case_from_data
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 
 LEVEL = 3.0

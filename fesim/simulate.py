@@ -15,11 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
-from fesim.case import Case, case_from_data, step_count
-from fesim.elasticity import DIRECTIONS
-from fesim.linear_solver import default_solver
-from fesim.loads import heat_history, source_power, thermal_inputs
-from fesim.march import (
+from fesim.case.schema import Case, case_from_data, step_count
+from fesim.march.stepping import (
     Advance,
     CondensedMachine,
     State,
@@ -29,7 +26,10 @@ from fesim.march import (
     march,
     staggered,
 )
-from fesim.setup import Setup, measured_points, set_up
+from fesim.setup.loads import heat_history, source_power, thermal_inputs
+from fesim.setup.machine import Setup, measured_points, set_up
+from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}

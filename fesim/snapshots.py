@@ -19,9 +19,9 @@ from skfem.io.meshio import to_meshio
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
-from fesim.case import first_step_at
-from fesim.march import Step
-from fesim.setup import Setup
+from fesim.case.schema import first_step_at
+from fesim.march.stepping import Step
+from fesim.setup.machine import Setup
 from meshes.volume_cells import corner_mesh
 
 INDEX = "snapshots.pvd"

@@ -6,20 +6,20 @@ import numpy as np
 from scipy.sparse import csr_array
 from skfem import MeshHex, MeshTet
 
-from fesim.condensation import (
+from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
+from fesim.joint.operators import JointOperators, joint_operators
+from fesim.march.stepping import CondensedMachine
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import (
     DisplacementField,
     ThermalCondensation,
     condense_elasticity,
     condense_heat,
 )
-from fesim.elasticity import ElasticOperators, elastic_operators
-from fesim.heat import HeatOperators, HeatSource, heat_operators
-from fesim.joint_law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
-from fesim.joint_operators import JointOperators, joint_operators
-from fesim.march import CondensedMachine
-from fesim.materials import Material
-from fesim.setup import reference_springs
-from fesim.spaces import Spaces, make_spaces, probe_rows
+from fesim.solid.elasticity import ElasticOperators, elastic_operators
+from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 

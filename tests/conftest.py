@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from fesim.case import case_from_data
-from fesim.setup import set_up
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from models.parameters import (
     DeformationModel,

@@ -27,7 +27,7 @@ from fesim.batch.run import MOST_LOSSES, run_batch
 from fesim.batch.study import read_study
 from fesim.batch.summary import FIGURES
 from fesim.batch.worker import run
-from fesim.gap import TOLERANCE
+from fesim.joint.gap import TOLERANCE
 from fesim.simulate import simulate
 
 

@@ -9,9 +9,9 @@ from fesim.batch import worker
 from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of, is_open, is_sliding
 from fesim.batch.worker import Task, run
-from fesim.case import case_from_data
-from fesim.history import read_history
-from fesim.sharing import case_id, condensation_key, file_digest
+from fesim.case.history import read_history
+from fesim.case.identity import case_id, condensation_key, file_digest
+from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import read_structure
 

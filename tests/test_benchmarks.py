@@ -20,10 +20,10 @@ from benchmarks.performance.report import BEGIN, END, TARGETS, cells, missed, wr
 from benchmarks.performance.timing import Row, Skipped, paired
 from calibrate.linear import fit_ring
 from estimator.fchs.stream import run
-from fesim.compiled_gap import compile_gap
-from fesim.gap import gap_problem
-from fesim.joint_law import stiffness_at_rest
-from fesim.setup import build_structure
+from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.gap import gap_problem
+from fesim.joint.law import stiffness_at_rest
+from fesim.setup.machine import build_structure
 from models import ring_source
 from models.assembly import assemble
 

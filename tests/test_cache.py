@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from fesim import cache
-from fesim.case import case_from_data
-from fesim.setup import set_up
-from fesim.sharing import elasticity_key
+from fesim.case.identity import elasticity_key
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 
@@ -61,7 +61,7 @@ def test_a_set_up_from_the_cache_is_the_same_to_the_last_bit(folder, reduced, mo
         raise AssertionError("there is nothing to factorise")
 
     with monkeypatch.context() as within:
-        for module in ("fesim.condensation", "fesim.reduction"):
+        for module in ("fesim.solid.condensation", "fesim.solid.reduction"):
             within.setattr(f"{module}.factorise", factorise)
         stored = set_up(case)
         one, other = (simulate(case, setup=setup).response for setup in (fresh, stored))
@@ -175,7 +175,7 @@ def test_a_mesh_that_is_written_while_it_is_read_is_not_kept(
             file.write("\n")
         return parts
 
-    monkeypatch.setattr("fesim.setup.make_parts", disturbed)
+    monkeypatch.setattr("fesim.setup.machine.make_parts", disturbed)
     set_up(case_of(data))
     assert not folder.exists()
 

@@ -14,7 +14,7 @@ from artefacts.response import make_response, read_response
 from calibrate import chain
 from calibrate.responses import moving_axes
 from estimator import judge
-from fesim.case import CandidatesSection, Case, case_from_data
+from fesim.case.schema import CandidatesSection, Case, case_from_data
 from models import deformation, ring_source
 from models.model_file import read_model, read_provenance
 from models.parameters import DeformationModel, RingModel

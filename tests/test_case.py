@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from fesim.case import Case, case_from_data, parse_case, read_case, step_count
+from fesim.case.schema import Case, case_from_data, parse_case, read_case, step_count
 
 REFERENCE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 PROBES = {

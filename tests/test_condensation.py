@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bars import assemble, conduct, driven, surface_law, two_bars
 
-from fesim.history import sampled_history, triangle_history
-from fesim.march import iterated, march, staggered
+from fesim.case.history import sampled_history, triangle_history
+from fesim.march.stepping import iterated, march, staggered
 from verification.plain_march import plain_march
 
 STEP, COUNT = 2.0, 25

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from skfem import CellBasis, ElementTetP1, FacetBasis, MeshHex
 from test_pairing import SEAT, long_sleeve, two_rings
 
-from fesim.case import read_case
-from fesim.heat import film_form, film_matrix
-from fesim.march import heat_step
+from fesim.case.schema import read_case
+from fesim.march.stepping import heat_step
 from fesim.simulate import simulate
-from fesim.spaces import make_spaces
+from fesim.solid.heat import film_form, film_matrix
+from fesim.solid.spaces import make_spaces
 from meshes.covered import cover_of, covered_areas
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint

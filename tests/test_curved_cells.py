@@ -7,10 +7,10 @@ from skfem import FacetBasis, Functional, LinearForm, MeshHex, MeshHex2, MeshTet
 from skfem.io.meshio import to_meshio
 
 from artefacts.errors import InputError
-from fesim.elasticity import elastic_operators
-from fesim.heat import heat_operators
-from fesim.materials import Material
-from fesim.spaces import make_spaces, probe_rows
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.exchange import read_structure, write_structure
 from meshes.structure import Probe, Structure
 from meshes.volume_cells import corner_mesh

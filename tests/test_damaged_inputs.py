@@ -13,9 +13,9 @@ from artefacts.errors import InputError
 from artefacts.response import write_response
 from benchmarks.fuzz import mutated, page, verdict
 from benchmarks.fuzz_inputs import WRITERS, bars, unharmed
-from fesim.case import read_case
+from fesim.case.schema import read_case
 from fesim.simulate import simulate
-from fesim.spaces import cells_at
+from fesim.solid.spaces import cells_at
 from meshes.exchange import read_structure
 
 

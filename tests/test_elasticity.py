@@ -8,12 +8,12 @@ from bars import AREA, IRON, LEFT, RIGHT, ROLLERS, STEEL, assemble, surface_law,
 from scipy.optimize import brentq
 from skfem import FacetBasis, MeshHex, MeshTet
 
-from fesim.elasticity import elastic_operators
-from fesim.gap import TOLERANCE, solve_gap
-from fesim.heat import flux_form
-from fesim.linear_solver import factorise
-from fesim.materials import Material
-from fesim.spaces import make_spaces, probe_rows
+from fesim.joint.gap import TOLERANCE, solve_gap
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import flux_form
+from fesim.solid.linear_solver import factorise
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.structure import Probe, Structure
 
 MESHES = {

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fesim.case import read_case
+from fesim.case.schema import read_case
 from fesim.simulate import simulate
 from meshes.exchange import read_structure
 

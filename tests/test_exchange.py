@@ -12,7 +12,7 @@ from skfem import MeshHex2, MeshTet2
 from skfem.io.meshio import to_meshio
 
 from artefacts.errors import InputError
-from fesim.case import case_from_data
+from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import read_structure, write_structure
 from meshes.milling_machine import box_milling_machine

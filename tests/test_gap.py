@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError
-from fesim.gap import TOLERANCE, gap_problem, solve_gap
-from fesim.joint_law import evaluate, stiffness_at_rest
-from fesim.relaxation import relax
+from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
+from fesim.joint.law import evaluate, stiffness_at_rest
+from fesim.joint.relaxation import relax
 
 CONTACT_AREA = 3.3e-3
 K_N = 11e12

@@ -8,9 +8,9 @@ from bars import AREA, DEPTH, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, level, s
 from scipy.linalg import expm
 from skfem import FacetBasis, MeshHex, MeshTet
 
-from fesim.heat import HeatSource, flux_form, heat_operators
-from fesim.march import heat_balance, heat_step
-from fesim.spaces import make_spaces
+from fesim.march.stepping import heat_balance, heat_step
+from fesim.solid.heat import HeatSource, flux_form, heat_operators
+from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
 
 FOREVER = 1e15  # s: so long an implicit Euler step ends in the steady state

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from fesim.history import (
+from fesim.case.history import (
     ramp_history,
     read_history,
     sampled_history,

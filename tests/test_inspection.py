@@ -11,8 +11,8 @@ from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, two_bars
 from rich.console import Console
 from skfem import MeshHex, MeshTet
 
-from fesim.case import case_from_data
-from fesim.setup import build_structure, check_names
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import build_structure, check_names
 from meshes.exchange import write_structure
 from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine

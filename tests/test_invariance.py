@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fesim.history import sampled_history
-from fesim.march import iterated, march, staggered
+from fesim.case.history import sampled_history
+from fesim.march.stepping import iterated, march, staggered
 
 STEP, COUNT = 2.0, 12
 

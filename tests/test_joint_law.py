@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from fesim.joint_law import (
+from fesim.joint.law import (
     BackBurdekinLaw,
     Friction,
     JointLaw,

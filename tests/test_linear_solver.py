@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, diags_array
 
 from artefacts.errors import ConvergenceError, InputError
-from fesim.elasticity import elastic_operators
-from fesim.linear_solver import Factor, checked_solve, default_solver, factorise
-from fesim.spaces import make_spaces
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.linear_solver import Factor, checked_solve, default_solver, factorise
+from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
 
 HERE = [
@@ -130,7 +130,7 @@ def test_an_unknown_solver_is_named_with_the_known_ones():
 
 
 def test_superlu_is_the_default_where_pardiso_is_not_installed(monkeypatch):
-    monkeypatch.setattr("fesim.linear_solver.find_spec", lambda name: None)
+    monkeypatch.setattr("fesim.solid.linear_solver.find_spec", lambda name: None)
     assert default_solver() == "superlu"
 
 

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from artefacts.errors import ConvergenceError, InputError
-from fesim.case import case_from_data
-from fesim.joint_law import Traction
-from fesim.loosening import _as_at_rest, _surely_held, watch_of
-from fesim.rigid_motions import holds_of
-from fesim.setup import set_up, with_laws
+from fesim.case.schema import case_from_data
+from fesim.joint.law import Traction
+from fesim.joint.loosening import _as_at_rest, _surely_held, watch_of
+from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
+from fesim.solid.rigid_motions import holds_of
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint
 from thermojoint.cli import app
@@ -119,7 +119,7 @@ FRICTIONLESS = [(("joints", name, "friction_coefficient"), 0.0) for name in ("fi
 def test_a_rod_between_frictionless_joints_is_refused_before_anything_is_factorised(
     rods, monkeypatch
 ):
-    monkeypatch.setattr("fesim.setup.heat_operators", None)
+    monkeypatch.setattr("fesim.setup.machine.heat_operators", None)
     with pytest.raises(InputError, match="body 'middle' from moving along y and z and from turnin"):
         simulate(case_of(rods, *FRICTIONLESS))
 

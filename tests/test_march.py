@@ -11,12 +11,12 @@ from bars import assemble, driven, surface_law, two_bars
 from scipy.spatial import cKDTree
 
 from artefacts.errors import ConvergenceError, InputError
-from fesim.case import case_from_data
-from fesim.gap import TOLERANCE
-from fesim.history import sampled_history, step_history, triangle_history
-from fesim.joint_law import evaluate
-from fesim.march import iterated, march, staggered
-from fesim.setup import set_up
+from fesim.case.history import sampled_history, step_history, triangle_history
+from fesim.case.schema import case_from_data
+from fesim.joint.gap import TOLERANCE
+from fesim.joint.law import evaluate
+from fesim.march.stepping import iterated, march, staggered
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 
 #: Heat of the whole machine at the reference step, W.
@@ -243,7 +243,7 @@ def test_a_joint_of_high_friction_snaps_to_its_next_equilibrium(coarse_data):
 
 
 def test_in_step_iteration_that_does_not_settle_raises(bars, monkeypatch):
-    monkeypatch.setattr("fesim.march.MAX_SWEEPS", 1)
+    monkeypatch.setattr("fesim.march.stepping.MAX_SWEEPS", 1)
     with pytest.raises(ConvergenceError, match="in-step iteration"):
         take(bars, step_history(1.0), 1, iterated)
 

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from skfem import MeshHex, MeshHex2
 
 from artefacts.errors import InputError
-from fesim.joint_operators import joint_operators
-from fesim.march import heat_step
-from fesim.spaces import interpolation, local_coordinates, make_spaces
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import heat_step
+from fesim.solid.spaces import interpolation, local_coordinates, make_spaces
 from meshes.box_grid import put_side_by_side
 from meshes.milling_machine import box_milling_machine
 from meshes.pairing import pair_joint

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.response import make_response
-from fesim.case import case_from_data, read_case
+from fesim.case.schema import case_from_data, read_case
 from thermojoint import plausibility
 
 ROOT = Path(__file__).parents[1]

@@ -10,24 +10,24 @@ import pytest
 from bars import IRON, assemble, level, surface_law, two_bars
 
 from artefacts.errors import ConvergenceError, InputError
-from fesim import reduction
-from fesim.case import case_from_data, read_case
-from fesim.condensation import condense_elasticity, condense_heat
-from fesim.heat import HeatSource, heat_operators
-from fesim.joint_operators import joint_operators
-from fesim.march import CondensedMachine, iterated, march, staggered
-from fesim.reduced_march import (
+from fesim.case.schema import case_from_data, read_case
+from fesim.joint.operators import joint_operators
+from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     TEMPERATURE_ERROR,
     project_elasticity,
     project_heat,
     thermal_modes,
 )
-from fesim.setup import reference_springs, set_up
+from fesim.march.state_file import load_state, save_state
+from fesim.march.stepping import CondensedMachine, iterated, march, staggered
+from fesim.setup.machine import reference_springs, set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
-from fesim.spaces import probe_rows
-from fesim.state_file import load_state, save_state
+from fesim.solid import reduction
+from fesim.solid.condensation import condense_elasticity, condense_heat
+from fesim.solid.heat import HeatSource, heat_operators
+from fesim.solid.spaces import probe_rows
 from meshes.pairing import pair_joint
 from thermojoint.console import out, show_convergence
 from thermojoint.report import ReportData, report_html

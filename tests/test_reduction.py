@@ -11,10 +11,10 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from artefacts.errors import ConvergenceError
-from fesim import reduction
-from fesim.reduced_march import TEMPERATURE_ERROR, thermal_modes
-from fesim.reduction import ReducedHeat, reduce_heat
-from fesim.spaces import probe_rows
+from fesim.march.reduced import TEMPERATURE_ERROR, thermal_modes
+from fesim.solid import reduction
+from fesim.solid.reduction import ReducedHeat, reduce_heat
+from fesim.solid.spaces import probe_rows
 
 SHORTEST, LONGEST = 1.0, 1e6
 

@@ -6,9 +6,9 @@ from bars import surface_law
 from test_gap import K_N, random_problem
 
 from artefacts.errors import ConvergenceError
-from fesim.gap import TOLERANCE, gap_problem, solve_gap
-from fesim.joint_law import evaluate, stiffness_at_rest
-from fesim.relaxation import relax
+from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
+from fesim.joint.law import evaluate, stiffness_at_rest
+from fesim.joint.relaxation import relax
 
 
 def test_it_ends_where_newtons_method_does():

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from test_pairing import long_sleeve, vee
 
 from artefacts.errors import InputError
-from fesim.rigid_motions import check_held, holds_of
+from fesim.solid.rigid_motions import check_held, holds_of
 from meshes.pairing import pair_joint
 
 BASE = ((0.0, 0.0, 0.0), (0.4, 0.1, 0.3))

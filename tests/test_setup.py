@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from artefacts.errors import InputError
-from fesim.case import case_from_data
-from fesim.case_law import joint_law
-from fesim.joint_law import BackBurdekinLaw, SurfaceNormalLaw
-from fesim.loads import heat_history, source_power
-from fesim.setup import body_materials, build_structure, candidate_probes, set_up
+from fesim.case.schema import case_from_data
+from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
+from fesim.setup.laws import joint_law
+from fesim.setup.loads import heat_history, source_power
+from fesim.setup.machine import body_materials, build_structure, candidate_probes, set_up
 from fesim.simulate import simulate
 from meshes.pairing import pair_joint
 

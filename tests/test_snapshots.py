@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
-from fesim.case import first_step_at
-from fesim.history import step_history
-from fesim.march import march, staggered
+from fesim.case.history import step_history
+from fesim.case.schema import first_step_at
+from fesim.march.stepping import march, staggered
 from fesim.simulate import simulate
 from fesim.snapshots import joint_snapshot, snapshot_writer, structure_snapshot
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from skfem import MeshHex, MeshTet
 
 from artefacts.errors import InputError
-from fesim.case import CandidatesSection
-from fesim.setup import candidate_probes
-from fesim.spaces import cells_at, probe_cells
+from fesim.case.schema import CandidatesSection
+from fesim.setup.machine import candidate_probes
+from fesim.solid.spaces import cells_at, probe_cells
 from meshes.structure import Probe, Structure
 
 #: A bar with cells of 100 mm at one end and of 2 mm at the other.

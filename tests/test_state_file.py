@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from artefacts.errors import InputError
-from fesim.case import case_from_data
-from fesim.march import State
-from fesim.setup import set_up
+from fesim.case.schema import case_from_data
+from fesim.march.state_file import fingerprint, load_state, save_state
+from fesim.march.stepping import State
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from fesim.state_file import fingerprint, load_state, save_state
 from meshes.exchange import write_structure
 
 TIMED = ("temperature", "displacement", "pressure", "conductance", "heat_flow", "opening", "slip")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skfem import MeshHex, MeshTet
 
-from fesim.materials import Material
-from fesim.spaces import make_spaces
-from fesim.stress import stress_at
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces
+from fesim.solid.stress import stress_at
 from meshes.structure import Structure
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)

@@ -19,7 +19,7 @@ from calibrate.placement import (
     with_roles,
 )
 from estimator import judge, noise
-from fesim.case import case_from_data
+from fesim.case.schema import case_from_data
 from models.sensors import roles_in
 from thermojoint.paper import inputs
 from thermojoint.reproduce import reproduce

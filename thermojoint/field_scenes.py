@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.march import Step
-from fesim.setup import Setup
+from fesim.march.stepping import Step
+from fesim.setup.machine import Setup
 from meshes.pairing import PairedJoint
 from meshes.volume_cells import corner_mesh
 from thermojoint.camera import Array, Camera, Vector, facing

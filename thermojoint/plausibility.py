@@ -16,8 +16,8 @@ import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError
-from fesim.case import Case, SampledInput
-from fesim.history import read_samples
+from fesim.case.history import read_samples
+from fesim.case.schema import Case, SampledInput
 from meshes.inspection import USUAL_SIZE
 from meshes.structure import Structure
 

@@ -20,8 +20,8 @@ from estimator import judge
 from estimator.fchs.stream import Signals
 from estimator.judge import superposed
 from estimator.noise import joint_noise
-from fesim.case import Case
-from fesim.setup import Setup, set_up
+from fesim.case.schema import Case
+from fesim.setup.machine import Setup, set_up
 from models.model_file import Provenance, write_model
 from models.parameters import Model
 from models.sensors import roles_in

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from artefacts.errors import InputError
-from fesim.reduced_march import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
+from fesim.march.reduced import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
 from thermojoint import paper_values
 
 #: A contact pressure whose final change is below this part of the largest one has no share of it.

@@ -12,10 +12,10 @@ import xarray as xr
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
-from fesim.case import Case, first_step_at, read_case, step_count
-from fesim.loads import source_power
-from fesim.march import Step
-from fesim.setup import Setup, build_structure, set_up
+from fesim.case.schema import Case, first_step_at, read_case, step_count
+from fesim.march.stepping import Step
+from fesim.setup.loads import source_power
+from fesim.setup.machine import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.camera import Vector

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from artefacts.errors import ConvergenceError
-from fesim.joint_law import BackBurdekinLaw, JointLaw
-from fesim.march import march, staggered
-from fesim.materials import Material
+from fesim.joint.law import BackBurdekinLaw, JointLaw
+from fesim.march.stepping import march, staggered
+from fesim.solid.materials import Material
 from verification.check import Check
 from verification.rods import NO_FRICTION, Rods, rods
 from verification.structures import STEEL

@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fesim.condensation import ElasticCondensation, condense_elasticity
-from fesim.elasticity import elastic_operators
-from fesim.gap import Equilibrium, gap_problem
-from fesim.joint_law import (
+from fesim.joint.gap import Equilibrium, gap_problem
+from fesim.joint.law import (
     Friction,
     JointLaw,
     SurfaceNormalLaw,
     evaluate,
     stiffness_at_rest,
 )
-from fesim.joint_operators import joint_operators
-from fesim.march import gap_solver
-from fesim.materials import Material
-from fesim.spaces import make_spaces
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import gap_solver
+from fesim.solid.condensation import ElasticCondensation, condense_elasticity
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from verification.check import Check

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshHex
 
-from fesim.elasticity import elastic_operators
-from fesim.materials import Material
-from fesim.spaces import make_spaces, probe_cells
-from fesim.stress import stress_at
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_cells
+from fesim.solid.stress import stress_at
 from meshes.structure import Probe, Structure
 from verification.check import Check
 from verification.solving import solve_given

@@ -26,11 +26,11 @@ from scipy.linalg import eigh
 from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
-from fesim.elasticity import elastic_operators
-from fesim.heat import heat_operators
-from fesim.march import heat_step
-from fesim.spaces import Spaces, make_spaces
-from fesim.stress import stress_at
+from fesim.march.stepping import heat_step
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.spaces import Spaces, make_spaces
+from fesim.solid.stress import stress_at
 from meshes.structure import Structure
 from verification.check import Check
 from verification.nafems_heat import NO_JOINT, alone

@@ -10,14 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array, kron
 
-from fesim.condensation import DisplacementField, condense_elasticity, condense_heat
-from fesim.elasticity import ElasticOperators, elastic_operators
-from fesim.heat import HeatOperators, HeatSource, heat_operators
-from fesim.joint_law import Friction, JointLaw
-from fesim.joint_operators import JointOperators, joint_operators
-from fesim.march import Advance, CondensedMachine, Inputs, iterated, march, staggered
-from fesim.materials import Material
-from fesim.reduced_march import (
+from fesim.joint.law import Friction, JointLaw
+from fesim.joint.operators import JointOperators, joint_operators
+from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     GAP_ERROR,
     TEMPERATURE_ERROR,
@@ -27,8 +22,13 @@ from fesim.reduced_march import (
     project_heat,
     thermal_modes,
 )
-from fesim.setup import reference_springs
-from fesim.spaces import make_spaces, probe_rows
+from fesim.march.stepping import Advance, CondensedMachine, Inputs, iterated, march, staggered
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import DisplacementField, condense_elasticity, condense_heat
+from fesim.solid.elasticity import ElasticOperators, elastic_operators
+from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure

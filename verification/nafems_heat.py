@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fesim.condensation import ThermalCondensation, condense_heat
-from fesim.heat import HeatOperators, heat_operators
-from fesim.joint_operators import JointOperators
-from fesim.march import heat_step
-from fesim.materials import Material
-from fesim.spaces import make_spaces, probe_rows
+from fesim.joint.operators import JointOperators
+from fesim.march.stepping import heat_step
+from fesim.solid.condensation import ThermalCondensation, condense_heat
+from fesim.solid.heat import HeatOperators, heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.structure import Probe
 from verification.check import Check
 from verification.structures import block, box_grid

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fesim.joint_law import Friction
+from fesim.joint.law import Friction
 from verification.check import Check
 from verification.friction import pressed
 from verification.series import law_at

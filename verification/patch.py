@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from fesim.condensation import condense_elasticity
-from fesim.elasticity import elastic_operators
-from fesim.gap import gap_problem
-from fesim.heat import heat_operators
-from fesim.joint_law import JointLaw, evaluate, stiffness_at_rest
-from fesim.joint_operators import joint_operators
-from fesim.march import gap_solver
-from fesim.setup import reference_springs
-from fesim.spaces import Spaces, make_spaces
-from fesim.stress import stress_at
+from fesim.joint.gap import gap_problem
+from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import gap_solver
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import condense_elasticity
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.spaces import Spaces, make_spaces
+from fesim.solid.stress import stress_at
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from verification.check import Check

@@ -15,10 +15,10 @@ from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from artefacts.errors import ConvergenceError
-from fesim.elasticity import ElasticOperators
-from fesim.heat import HeatOperators
-from fesim.joint_operators import JointOperators
-from fesim.march import CondensedMachine, Inputs
+from fesim.joint.operators import JointOperators
+from fesim.march.stepping import CondensedMachine, Inputs
+from fesim.solid.elasticity import ElasticOperators
+from fesim.solid.heat import HeatOperators
 
 Array = NDArray[np.float64]
 

@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import erfc
 
-from fesim.joint_law import (
+from fesim.joint.law import (
     JointLaw,
     SurfaceNormalLaw,
     exact_conductance,
     harmonic_conductivity,
 )
-from fesim.march import CondensedMachine, State, initial_state, iterated, march, staggered
+from fesim.march.stepping import CondensedMachine, State, initial_state, iterated, march, staggered
 from verification.check import Check
 from verification.rods import NO_FRICTION, Rods, rods
 from verification.structures import IRON, STEEL

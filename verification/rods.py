@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fesim.condensation import ElasticCondensation, condense_elasticity, condense_heat
-from fesim.elasticity import elastic_operators
-from fesim.heat import HeatOperators, heat_operators
-from fesim.joint_law import Friction, JointLaw
-from fesim.joint_operators import JointOperators, joint_operators
-from fesim.march import CondensedMachine
-from fesim.materials import Material
-from fesim.setup import reference_springs
-from fesim.spaces import make_spaces
+from fesim.joint.law import Friction, JointLaw
+from fesim.joint.operators import JointOperators, joint_operators
+from fesim.march.stepping import CondensedMachine
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import HeatOperators, heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from verification.structures import box_grid, two_bars
 

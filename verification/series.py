@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from fesim.condensation import condense_elasticity, condense_heat
-from fesim.elasticity import elastic_operators
-from fesim.heat import heat_operators
-from fesim.joint_law import (
+from fesim.joint.law import (
     Friction,
     JointLaw,
     SurfaceNormalLaw,
     exact_conductance,
     harmonic_conductivity,
 )
-from fesim.joint_operators import joint_operators
-from fesim.march import CondensedMachine, march, staggered
-from fesim.setup import reference_springs
-from fesim.spaces import make_spaces
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import CondensedMachine, march, staggered
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import condense_elasticity, condense_heat
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from verification.check import Check

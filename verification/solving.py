@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fesim.linear_solver import checked_solve, factorise
+from fesim.solid.linear_solver import checked_solve, factorise
 
 Array = NDArray[np.float64]
 

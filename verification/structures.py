@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshTet
 
-from fesim.materials import Material
+from fesim.solid.materials import Material
 from meshes.structure import Structure
 
 Array = NDArray[np.float64]

@@ -70,8 +70,9 @@ GROUPS: tuple[Group, ...] = (
         hot_spot.checks,
         "A disc of radius 1 mm with $\\alpha T = 10^{-3}$ in a cold plate, plane stress. "
         "Compared is $\\sigma_{yy}$ at D = (1 mm, 0), on the cold side, recovered from the "
-        "displacement by `fesim/stress.py`. The 50.0 MPa of the benchmark are $E\\alpha T/2$, "
-        "the stress in an unbounded plate. In the 20 mm square plate with free edges that the "
+        "displacement by `fesim/solid/stress.py`. The 50.0 MPa of the benchmark are "
+        "$E\\alpha T/2$, the stress in an unbounded plate. In the 20 mm square plate with free "
+        "edges that the "
         "benchmark describes it is 50.446 MPa by a series solution, 0.9 % more. So there are two "
         "checks: the 20 mm plate against the series, and a plate of 80 mm, where the series "
         "gives 50.028 MPa, against 50.0 MPa. The elements are solid. They lie between two planes "

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fesim.case_law import CONDUCTANCE_CONSTANTS
-from fesim.joint_law import exact_conductance, power_law_conductance
+from fesim.joint.law import exact_conductance, power_law_conductance
+from fesim.setup.laws import CONDUCTANCE_CONSTANTS
 from verification.check import Check
 
 #: p/H: h_c sigma / (k_h m) of h = exp(-x^2/2) / (2 sqrt(2 pi) [1 - sqrt(p/H)]^1.5).

@@ -17,16 +17,16 @@ from benchmarks.against_calculix.deck import Choices, write_deck
 from benchmarks.against_calculix.laws import exponential, with_law
 from benchmarks.against_calculix.problem import Problem, problem_of
 from benchmarks.against_calculix.run import Run, run_deck
-from fesim.case import Case, step_count
-from fesim.condensation import condense_heat
-from fesim.heat import capacity_form, cell_field, heat_operators
-from fesim.joint_law import BackBurdekinLaw, JointLaw
-from fesim.joint_operators import joint_operators
-from fesim.loads import heat_sources, thermal_inputs
-from fesim.march import CondensedMachine, Step, march
-from fesim.setup import Setup, set_up
+from fesim.case.schema import Case, step_count
+from fesim.joint.law import BackBurdekinLaw, JointLaw
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import CondensedMachine, Step, march
+from fesim.setup.loads import heat_sources, thermal_inputs
+from fesim.setup.machine import Setup, set_up
 from fesim.simulate import COUPLINGS
-from fesim.spaces import interpolation, probe_rows
+from fesim.solid.condensation import condense_heat
+from fesim.solid.heat import capacity_form, cell_field, heat_operators
+from fesim.solid.spaces import interpolation, probe_rows
 from meshes.pairing import PairedJoint, pair_joint
 
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ from benchmarks.against_calculix.elements import (
 )
 from benchmarks.against_calculix.laws import ExponentialLaw
 from benchmarks.against_calculix.problem import Problem
-from fesim.elasticity import DIRECTIONS
-from fesim.joint_law import BackBurdekinLaw, JointLaw
+from fesim.joint.law import BackBurdekinLaw, JointLaw
+from fesim.solid.elasticity import DIRECTIONS
 
 Array = NDArray[np.float64]
 Table = list[tuple[float, float]]

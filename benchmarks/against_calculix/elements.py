@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from skfem import CellBasis
 
 from artefacts.errors import InputError
-from fesim.spaces import make_spaces
+from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
 
 #: Corners of CalculiX's elements in reference coordinates from 0 to 1, in its order.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.joint_law import JointLaw
-from fesim.march import CondensedMachine
+from fesim.joint.law import JointLaw
+from fesim.march.stepping import CondensedMachine
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import InputError
-from fesim.case import Case, step_count
-from fesim.case_law import joint_law
-from fesim.joint_law import JointLaw
-from fesim.loads import heat_sources, thermal_inputs
-from fesim.materials import Material
-from fesim.setup import body_materials, build_structure
+from fesim.case.schema import Case, step_count
+from fesim.joint.law import JointLaw
+from fesim.setup.laws import joint_law
+from fesim.setup.loads import heat_sources, thermal_inputs
+from fesim.setup.machine import body_materials, build_structure
+from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint, outward_areas, pair_joint
 from meshes.structure import Structure
 

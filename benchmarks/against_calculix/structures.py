@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fesim.case import Case, case_from_data
+from fesim.case.schema import Case, case_from_data
 from meshes.box_grid import Box, box_mesh, put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure

@@ -21,7 +21,7 @@ from benchmarks.against_calculix.elements import element_of, node_basis
 from benchmarks.against_calculix.problem import problem_of
 from benchmarks.against_calculix.run import Run
 from benchmarks.against_calculix.structures import bars, machine
-from fesim.case import Case
+from fesim.case.schema import Case
 
 #: Linear normal law and linear conductance: CalculiX has both without a table's error.
 LINEAR = {

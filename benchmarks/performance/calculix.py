@@ -20,7 +20,7 @@ from benchmarks.against_calculix.run import PROGRAM, available
 from benchmarks.against_calculix.structures import machine
 from benchmarks.against_calculix.studies import TIMEOUT
 from benchmarks.performance.timing import Row, Skipped
-from fesim.case import Case
+from fesim.case.schema import Case
 
 STEPS, REPEATS = 1050, 3
 #: Steps of the other side: a run, and a shorter one that tells what its steps alone cost.

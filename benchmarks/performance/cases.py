@@ -18,7 +18,7 @@ from artefacts.errors import InputError
 from calibrate import chain
 from calibrate.placement import with_roles
 from fesim.cache import VARIABLE
-from fesim.case import Case, StepInput, parse_case
+from fesim.case.schema import Case, StepInput, parse_case
 from thermojoint.paper import inputs
 
 REFERENCE = "step-1.0"

@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.timing import Row, paired
-from fesim.case import Case
-from fesim.gap import solve_gap
-from fesim.setup import Setup, set_up
+from fesim.case.schema import Case
+from fesim.joint.gap import solve_gap
+from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 
 #: Along and across.
@@ -21,7 +21,7 @@ REPEATS = 3
 
 
 def plain_solver(setup: Setup) -> Setup:
-    """Return the same set-up with `fesim.gap.solve_gap` instead of machine code."""
+    """Return the same set-up with `fesim.joint.gap.solve_gap` instead of machine code."""
     machine = replace(setup.machine)
     # Where a cached property keeps its value.
     vars(machine)["settle"] = partial(

@@ -13,17 +13,17 @@ from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 from artefacts.errors import ConvergenceError
 from benchmarks.performance.cases import reference_case
 from benchmarks.performance.timing import Row, Skipped, seconds
-from fesim.case import Case
-from fesim.case_law import joint_law
-from fesim.elasticity import elastic_operators
-from fesim.heat import heat_operators
-from fesim.joint_operators import joint_operators
-from fesim.linear_solver import factorise
-from fesim.loads import heat_sources, thermal_inputs
-from fesim.march import CondensedMachine
-from fesim.setup import body_materials, build_structure
+from fesim.case.schema import Case
+from fesim.joint.operators import joint_operators
+from fesim.march.stepping import CondensedMachine
+from fesim.setup.laws import joint_law
+from fesim.setup.loads import heat_sources, thermal_inputs
+from fesim.setup.machine import body_materials, build_structure
 from fesim.simulate import simulate
-from fesim.spaces import make_spaces
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.linear_solver import factorise
+from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 
 #: Steps of a full run, and how many the slow side is measured on.

@@ -20,8 +20,8 @@ from benchmarks.performance.cases import (
     with_elements,
 )
 from benchmarks.performance.timing import seconds
-from fesim.case import step_count
-from fesim.setup import Setup, set_up
+from fesim.case.schema import step_count
+from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 
 #: Bytes in the unit of ru_maxrss.

@@ -11,8 +11,8 @@ import xarray as xr
 
 from benchmarks.performance.cases import fresh_condensations, reference_machine
 from benchmarks.performance.timing import Row, paired
-from fesim.case import Case, step_count
-from fesim.setup import Setup, set_up
+from fesim.case.schema import Case, step_count
+from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.paper.inputs import VALIDATION
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from artefacts.errors import InputError
 from artefacts.response import VARIABLES
 from fesim.batch.study import Study, plain
-from fesim.case import first_step_at
+from fesim.case.schema import first_step_at
 
 #: How a case stands, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}

@@ -7,7 +7,7 @@ from copy import deepcopy
 from dataclasses import fields
 from typing import Any
 
-from fesim.case import Case, MillingMachineSection
+from fesim.case.schema import Case, MillingMachineSection
 from meshes.milling_machine import MillingMachineDimensions
 
 

@@ -22,10 +22,10 @@ from artefacts import toml
 from artefacts.errors import InputError, unknown_name
 from artefacts.refusal import first_error, keys_at, refusal
 from fesim.batch.paths import known_paths, with_values
-from fesim.case import Case, case_from_data, parse_case
-from fesim.loads import thermal_inputs
-from fesim.setup import make_parts
-from fesim.sharing import case_id, condensation_key, file_digest
+from fesim.case.identity import case_id, condensation_key, file_digest
+from fesim.case.schema import Case, case_from_data, parse_case
+from fesim.setup.loads import thermal_inputs
+from fesim.setup.machine import make_parts
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[str, Any]
@@ -117,9 +117,9 @@ class StudyCase:
     Attributes
     ----------
     id : str
-        See `fesim.sharing.case_id`.
+        See `fesim.case.identity.case_id`.
     key : str
-        See `fesim.sharing.condensation_key`.
+        See `fesim.case.identity.condensation_key`.
     values : dict
         The varied values by path.
     case : Case

@@ -18,9 +18,9 @@ import xarray as xr
 from artefacts.errors import ConvergenceError, InputError, UnreadableError
 from artefacts.response import write_response
 from fesim.batch.summary import Figures, figures_of
-from fesim.case import Case
-from fesim.setup import Setup, set_up, with_laws
-from fesim.sharing import case_id, condensation_key
+from fesim.case.identity import case_id, condensation_key
+from fesim.case.schema import Case
+from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 
 #: Set-ups that a worker keeps. Two: the one in use, and one to come back to.
@@ -43,7 +43,7 @@ class Task:
     Attributes
     ----------
     id, key : str
-        Its identity and its condensation's (`fesim.sharing`).
+        Its identity and its condensation's (`fesim.case.identity`).
     case : str
         The case as JSON.
     """

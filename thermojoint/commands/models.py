@@ -20,7 +20,7 @@ from estimator import estimate_table, judge, measured, noise
 from estimator.interface import follow
 from estimator.saved_state import save_state
 from estimator.starting import model_in, started
-from fesim.case import read_case
+from fesim.case.schema import read_case
 from models.assembly import assemble as assemble_model
 from models.assembly_file import write_assembly
 from models.model_file import read_model, read_provenance, write_model

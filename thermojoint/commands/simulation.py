@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from artefacts.response import write_response
-from fesim import state_file
-from fesim.case import read_case
-from fesim.setup import set_up
+from fesim.case.schema import read_case
+from fesim.march import state_file
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate as run_case
 from fesim.snapshots import snapshot_writer
 from thermojoint import arguments, console, plausibility, verification_run

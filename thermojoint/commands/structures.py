@@ -12,9 +12,9 @@ import typer
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from fesim.case import Case, read_case
-from fesim.case_holds import checked_holds
-from fesim.setup import UNITS, build_structure, check_names, paired_joints
+from fesim.case.schema import Case, read_case
+from fesim.setup.holds import checked_holds
+from fesim.setup.machine import UNITS, build_structure, check_names, paired_joints
 from meshes.cad import mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import Inspection

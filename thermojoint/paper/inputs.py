@@ -9,10 +9,10 @@ import xarray as xr
 
 from artefacts.errors import InputError
 from calibrate.responses import check_boxes
-from fesim.case import Case, StepInput, TriangleInput, step_count
-from fesim.history import read_history
-from fesim.loads import held_history
-from fesim.setup import Setup, set_up
+from fesim.case.history import read_history
+from fesim.case.schema import Case, StepInput, TriangleInput, step_count
+from fesim.setup.loads import held_history
+from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from models.sensors import ROLES
 

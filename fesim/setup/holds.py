@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case import Case
-from fesim.loads import spring_stiffnesses
-from fesim.rigid_motions import Holds, check_held, holds_of
+from fesim.case.schema import Case
+from fesim.setup.loads import spring_stiffnesses
+from fesim.solid.rigid_motions import Holds, check_held, holds_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 

@@ -11,9 +11,9 @@ from scipy.sparse import coo_array, csr_array
 from skfem import BilinearForm, DiscreteField
 from skfem.assembly.form.form import FormExtraParams
 
-from fesim.heat import cell_field, film_form, surface_basis
-from fesim.materials import Material
-from fesim.spaces import Spaces
+from fesim.solid.heat import cell_field, film_form, surface_basis
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
 
 DIRECTIONS = ("x", "y", "z")

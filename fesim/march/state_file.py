@@ -16,9 +16,9 @@ import numpy as np
 
 from artefacts.errors import InputError
 from artefacts.files import DAMAGED_ARCHIVE, whole_file
-from fesim.case import Case
-from fesim.march import State
-from fesim.sharing import with_digests
+from fesim.case.identity import with_digests
+from fesim.case.schema import Case
+from fesim.march.stepping import State
 
 SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 4

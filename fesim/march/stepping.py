@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError, ThermojointError
-from fesim.compiled_gap import compile_gap
-from fesim.condensation import ElasticCondensation, ThermalCondensation
-from fesim.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
-from fesim.joint_law import JointLaw, Traction, evaluate, stiffness_at_rest
-from fesim.loosening import Watch, watch_of
-from fesim.relaxation import relax
-from fesim.rigid_motions import Holds
+from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
+from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
+from fesim.joint.loosening import Watch, watch_of
+from fesim.joint.relaxation import relax
+from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
+from fesim.solid.rigid_motions import Holds
 
 Array = NDArray[np.float64]
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
@@ -91,7 +91,7 @@ class CondensedMachine:
             start += count
 
     def traction(self, gap: Array, slip: Array) -> Traction:
-        """Evaluate every joint's law; shapes as in `fesim.joint_law.evaluate`."""
+        """Evaluate every joint's law; shapes as in `fesim.joint.law.evaluate`."""
         parts = [evaluate(law, gap[:, at], slip[:, at]) for law, at in self._slices()]
         if len(parts) == 1:
             return parts[0]

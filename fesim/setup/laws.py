@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case import Case, JointSection
-from fesim.heat import by_cell
-from fesim.joint_law import (
+from fesim.case.schema import Case, JointSection
+from fesim.joint.law import (
     BackBurdekinLaw,
     Friction,
     JointLaw,
@@ -18,7 +17,8 @@ from fesim.joint_law import (
     harmonic_conductivity,
     power_law_conductance,
 )
-from fesim.materials import Material
+from fesim.solid.heat import by_cell
+from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 

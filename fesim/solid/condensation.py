@@ -3,7 +3,7 @@
 Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W carry the joint's heat flows.
 Elastic: C = G Kr^-1 G^T carries the tractions to the gaps, S_T = G Kr^-1 F the temperatures, and
 the same rows serve every displacement probe. Kr has reference springs at the joint, which hold a
-body that only the joint carries; `fesim.gap` takes them out of the law again.
+body that only the joint carries; `fesim.joint.gap` takes them out of the law again.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
-from fesim.elasticity import ElasticOperators
-from fesim.heat import HeatOperators
-from fesim.joint_operators import JointOperators
-from fesim.linear_solver import Factor, checked_solve, factorise
+from fesim.joint.operators import JointOperators
+from fesim.solid.elasticity import ElasticOperators
+from fesim.solid.heat import HeatOperators
+from fesim.solid.linear_solver import Factor, checked_solve, factorise
 
 Array = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ def condense_elasticity(
     probes : scipy.sparse array, shape (k, n)
         Rows that give each probed displacement.
     solver : str, optional
-        See `fesim.linear_solver.factorise`.
+        See `fesim.solid.linear_solver.factorise`.
     """
     field = displacement_field(elastic, joints, reference, solver)
     return condense_field(field, reference, probes), field

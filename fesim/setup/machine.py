@@ -14,32 +14,32 @@ from scipy.sparse import csr_array, vstack
 from artefacts.errors import InputError, unknown_name
 from artefacts.toml import as_key
 from fesim.cache import remembered
-from fesim.case import CandidatesSection, Case, MillingMachineSection
-from fesim.case_holds import checked_holds, with_friction
-from fesim.case_law import element_means, joint_laws
-from fesim.condensation import (
-    DisplacementField,
-    ElasticCondensation,
-    condense_field,
-    condense_heat,
-    displacement_field,
-)
-from fesim.elasticity import DIRECTIONS, elastic_operators
-from fesim.heat import by_cell, heat_operators
-from fesim.joint_operators import joint_operators
-from fesim.loads import heat_sources, spring_stiffnesses, thermal_inputs
-from fesim.march import CondensedMachine, State
-from fesim.materials import Material
-from fesim.reduced_march import (
+from fesim.case.identity import elasticity_key
+from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.joint.operators import joint_operators
+from fesim.march.reduced import (
     ThermalModes,
     project_elasticity,
     project_heat,
     shortest,
     thermal_modes,
 )
-from fesim.rigid_motions import Holds, check_held
-from fesim.sharing import elasticity_key
-from fesim.spaces import Spaces, cells_at, make_spaces, probe_rows
+from fesim.march.stepping import CondensedMachine, State
+from fesim.setup.holds import checked_holds, with_friction
+from fesim.setup.laws import element_means, joint_laws
+from fesim.setup.loads import heat_sources, spring_stiffnesses, thermal_inputs
+from fesim.solid.condensation import (
+    DisplacementField,
+    ElasticCondensation,
+    condense_field,
+    condense_heat,
+    displacement_field,
+)
+from fesim.solid.elasticity import DIRECTIONS, elastic_operators
+from fesim.solid.heat import by_cell, heat_operators
+from fesim.solid.materials import Material
+from fesim.solid.rigid_motions import Holds, check_held
+from fesim.solid.spaces import Spaces, cells_at, make_spaces, probe_rows
 from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 from skfem import CellBasis
 
-from fesim.spaces import Spaces, interpolation
+from fesim.solid.spaces import Spaces, interpolation
 from meshes.pairing import PairedJoint
 
 

@@ -1,6 +1,6 @@
 """The case: one TOML file that says everything about a simulation, validated before any work.
 
-Units stand in the key names; everything is turned into SI by `fesim.setup`.
+Units stand in the key names; everything is turned into SI by `fesim.setup.machine`.
 """
 
 from __future__ import annotations

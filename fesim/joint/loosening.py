@@ -19,8 +19,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError
-from fesim.joint_law import JointLaw, Traction
-from fesim.rigid_motions import Holds, described
+from fesim.joint.law import JointLaw, Traction
+from fesim.solid.rigid_motions import Holds, described
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Watch:
         pressure : ndarray, shape (m,)
             Pa.
         tangent : ndarray, shape (3, 3, m)
-            See `fesim.joint_law.Traction`.
+            See `fesim.joint.law.Traction`.
         """
         if _as_at_rest(pressure, tangent, self.table, self.needed):
             return

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from artefacts.errors import ConvergenceError
-from fesim.linear_solver import checked_solve, factorise
+from fesim.solid.linear_solver import checked_solve, factorise
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def reduce_heat(
     shortest, longest : float
         Times of interest, s: the shortest step, and the time to a steady state.
     solver : str, optional
-        See `fesim.linear_solver.factorise`.
+        See `fesim.solid.linear_solver.factorise`.
 
     Raises
     ------

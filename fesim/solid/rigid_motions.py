@@ -6,7 +6,7 @@ forbid some of these motions; what none of them forbids is the null space of the
 always holds along its normal and, where it has friction that sticks, along its tangents.
 
 With such a motion the stiffness of a structure is singular. The reference springs of
-`fesim.condensation` hide that, and rounding would decide how far the motion goes.
+`fesim.solid.condensation` hide that, and rounding would decide how far the motion goes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
 from artefacts.errors import InputError
-from fesim.elasticity import DIRECTIONS
+from fesim.solid.elasticity import DIRECTIONS
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
 
@@ -154,7 +154,7 @@ def holds_of(
     joints : sequence of PairedJoint
         In the order of the contact elements.
     fixed, symmetry, springs
-        As for `fesim.elasticity.elastic_operators`; a spring without stiffness holds nothing.
+        As for `fesim.solid.elasticity.elastic_operators`; a spring without stiffness holds nothing.
     """
     mesh = structure.mesh
     piece = _piece_of_cells(mesh)

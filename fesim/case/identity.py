@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from artefacts.errors import UnreadableError
-from fesim.case import Case, with_files
-from fesim.linear_solver import default_solver
+from fesim.case.schema import Case, with_files
+from fesim.solid.linear_solver import default_solver
 
-#: What enters only the joint's law (`fesim.setup.with_laws`) or the loads, or is only recorded.
+#: What enters only the joint's law (`fesim.setup.machine.with_laws`) or the loads, or is only
+#: recorded.
 #: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
 _LAW = {
     "preload_MPa",
@@ -85,8 +86,8 @@ def case_id(case: Case, digest: Digest = file_digest) -> str:
 def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that `set_up` uses except loads and joint laws.
 
-    Cases of equal key share one condensation: `fesim.setup.with_laws` makes one's set-up from
-    another's.
+    Cases of equal key share one condensation: `fesim.setup.machine.with_laws` makes one's set-up
+    from another's.
 
     Parameters
     ----------

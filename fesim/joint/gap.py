@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError
-from fesim.joint_law import Traction
+from fesim.joint.law import Traction
 
 Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Traction]
@@ -99,7 +99,7 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
     reference : ndarray, shape (3 m,)
         k, Pa/m.
     springs : ndarray, shape (3 m,)
-        k0, Pa/m: `fesim.joint_law.stiffness_at_rest`.
+        k0, Pa/m: `fesim.joint.law.stiffness_at_rest`.
     law : callable
         (gap, slip) to `Traction`.
 
@@ -144,7 +144,7 @@ def solve_gap(
     Raises
     ------
     ConvergenceError
-        The residual stays above `tolerance`: `fesim.relaxation.relax` goes further.
+        The residual stays above `tolerance`: `fesim.joint.relaxation.relax` goes further.
     """
     gap = guess
     traction = problem.law(gap, slip)

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import CellBasis
 
-from fesim.heat import by_cell
-from fesim.materials import Material
-from fesim.spaces import Spaces, local_coordinates, shape_values
+from fesim.solid.heat import by_cell
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
 
 Array = NDArray[np.float64]
@@ -36,13 +36,13 @@ def stress_at(
     materials : dict
         Body name to its material.
     displacement : ndarray, shape (3 n,)
-        Unknown 3 i + c is direction c at node i, m (`fesim.condensation.DisplacementField`).
+        Unknown 3 i + c is direction c at node i, m (`fesim.solid.condensation.DisplacementField`).
     temperature : ndarray, shape (n_heat,)
         Above the temperature without thermal strain, K.
     points : ndarray, shape (3, k)
         Points, m.
     cells : ndarray of int, shape (k,)
-        The cell each point lies in (`fesim.spaces.probe_cells`).
+        The cell each point lies in (`fesim.solid.spaces.probe_cells`).
 
     Returns
     -------

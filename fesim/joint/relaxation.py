@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError
-from fesim.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
-from fesim.joint_law import Traction
+from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
+from fesim.joint.law import Traction
 
 Array = NDArray[np.float64]
 

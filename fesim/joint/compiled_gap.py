@@ -1,4 +1,4 @@
-"""The gap equations in machine code: the method of `fesim.gap` for the joint laws known by name.
+"""The gap equations in machine code: the method of `fesim.joint.gap` for laws known by name.
 
 Same residual, tangent, line search and tolerance. What differs is the linear algebra of a Newton
 step. The tangent of the residual is J = I - F dT with dT = T + k0: as the springs k0 are as stiff
@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fesim.gap import (
+from fesim.joint.gap import (
     MAX_FULL_STEPS,
     MAX_ITERATIONS,
     SHORTEST_STEP,
@@ -28,7 +28,7 @@ from fesim.gap import (
     stalled,
     unconverged,
 )
-from fesim.joint_law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class CompiledGap:
     def solve(
         self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
     ) -> Equilibrium:
-        """Find the gaps in equilibrium with a thermal gap; see `fesim.gap.solve_gap`."""
+        """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
         gap, value, moved, tangent = _storage(guess)
         problem = self.problem
         try:
@@ -145,7 +145,7 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
 def _evaluate(
     laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
 ) -> None:
-    """`fesim.joint_law.evaluate` into `value`, `moved` and `tangent` (6, m)."""
+    """`fesim.joint.law.evaluate` into `value`, `moved` and `tangent` (6, m)."""
     for e in range(laws.shape[0]):
         law = laws[e]
         pressure, slope = _pressure(law, gap[0, e])
@@ -302,7 +302,7 @@ def _solve(
                 break
             length /= 2.0
             if length < SHORTEST_STEP:
-                # On a kink of the law a full step leads away (`fesim.gap.solve_gap`).
+                # On a kink of the law a full step leads away (`fesim.joint.gap.solve_gap`).
                 if full_steps == 0:
                     return _STALLED, size, iteration
                 full_steps -= 1

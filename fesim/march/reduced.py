@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
-from fesim.condensation import (
+from fesim.joint.operators import JointOperators
+from fesim.solid.condensation import (
     ElasticCondensation,
     ThermalCondensation,
     eliminate_held,
     heat_sums,
 )
-from fesim.heat import HeatOperators
-from fesim.joint_operators import JointOperators
-from fesim.linear_solver import Factor
-from fesim.reduction import ReducedHeat, reduce_heat
+from fesim.solid.heat import HeatOperators
+from fesim.solid.linear_solver import Factor
+from fesim.solid.reduction import ReducedHeat, reduce_heat
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def thermal_modes(
     step : float
         Time step, s.
     solver : str, optional
-        See `fesim.linear_solver.factorise`.
+        See `fesim.solid.linear_solver.factorise`.
 
     Raises
     ------

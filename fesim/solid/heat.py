@@ -17,8 +17,8 @@ from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
-from fesim.materials import Material
-from fesim.spaces import interpolation
+from fesim.solid.materials import Material
+from fesim.solid.spaces import interpolation
 from meshes.covered import cover_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case import (
+from fesim.case.history import History, ramp_history, read_history, step_history, triangle_history
+from fesim.case.schema import (
     Case,
     HeatInput,
     HeldTemperatureSection,
@@ -17,8 +18,7 @@ from fesim.case import (
     StepInput,
     TriangleInput,
 )
-from fesim.heat import HeatSource
-from fesim.history import History, ramp_history, read_history, step_history, triangle_history
+from fesim.solid.heat import HeatSource
 from meshes.structure import Structure
 
 
@@ -51,7 +51,7 @@ def source_power(source: SourceSection) -> float:
 
 
 def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
-    """Return the inputs of the march in time: see `fesim.heat`."""
+    """Return the inputs of the march in time: see `fesim.solid.heat`."""
     sources = [
         (source_power(source), heat_history(source.heat_input or case.heat_input))
         for source in case.sources.values()

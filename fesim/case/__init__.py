@@ -1,0 +1,1 @@
+"""The case: its schema, its histories, and what tells two of them apart."""

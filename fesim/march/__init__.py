@@ -1,0 +1,1 @@
+"""The march: heat and contact stepped in time on the condensed structure."""

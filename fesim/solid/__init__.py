@@ -1,0 +1,1 @@
+"""The bodies: finite-element operators of heat and elasticity, condensed on the joints."""
