@@ -22,10 +22,10 @@ from models.parameters import (
 )
 from models.regularisation import choose_regularisation
 
-# Test processes share the cores: threads of their linear algebra would wait for each other. The
-# variable is for what is loaded later and for processes that tests start, the call for the rest.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-threadpool_limits(limits=1)
+# Test processes share the cores: threads of their linear algebra would wait for each other, unless
+# somebody asks for them (`make portable`). The variable is for what is loaded later and for
+# processes that tests start, the call for the rest.
+threadpool_limits(limits=int(os.environ.setdefault("OMP_NUM_THREADS", "1")))
 
 # No test finds what another run has left, nor leaves anything.
 os.environ["THERMOJOINT_CACHE"] = "off"

@@ -347,7 +347,9 @@ def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand,
         read_response(tmp_path / f"{name}.nc")["displacement"].to_numpy()
         for name in ("half", "rest", "whole")
     )
-    assert np.array_equal(np.concatenate([half, rest]), whole)
+    # Three set-ups, each with the rounding of its own factorisation.
+    joined = np.concatenate([half, rest])
+    np.testing.assert_allclose(joined, whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
 
 
 def test_a_simulation_ends_with_what_a_person_wants_to_know(command, files_at_hand, tmp_path):

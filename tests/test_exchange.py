@@ -66,8 +66,10 @@ def test_a_machine_from_a_file_behaves_like_the_one_that_was_written(
     section = {"kind": "mesh", "file": path.name, "symmetry_factor": 2}
     case = case_from_data(coarse_data | {"structure": section}, "case", tmp_path)
     ours, built = simulate(case).response, simulate(coarse_case, setup=coarse_setup).response
-    assert np.array_equal(ours["displacement"], built["displacement"])
-    assert np.array_equal(ours["pressure"], built["pressure"])
+    # Two condensations, each with the rounding of its own factorisation.
+    for name in ("displacement", "pressure"):
+        scale = np.abs(built[name]).max()
+        np.testing.assert_allclose(ours[name], built[name], rtol=0.0, atol=1e-9 * scale)
 
 
 def with_sets(structure, suffix, folder):

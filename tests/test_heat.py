@@ -172,9 +172,9 @@ def test_an_uneven_joint_conducts_where_it_is_pressed():
     _, flow = heat_step(
         made.thermal, np.zeros(made.spaces.heat.N), level(made.thermal, 1.0), conductance
     )
-    assert flow[1] == 0.0
     assert flow.sum() == pytest.approx(10.0, rel=1e-3)  # less what the left film takes
-    assert flow.min() >= 0.0
+    assert flow[[0, 2]].min() > 1.0
+    assert abs(flow[1]) < 1e-12 * flow.sum()
 
 
 def transient(step, count):
@@ -223,7 +223,7 @@ def test_nothing_gets_colder_when_heat_comes_in(mesh):
     for _ in range(20):
         before = temperature
         temperature, _ = heat_step(made.thermal, before, level(made.thermal, 1.0), joint)
-        assert (temperature - before).min() >= -1e-3 * temperature.max()
+        assert (temperature - before).min() >= -1e-12 * temperature.max()
 
 
 def test_the_ambient_carries_a_body_along():
@@ -244,8 +244,8 @@ def test_held_ends_drive_the_heat_of_two_bars_in_series(mesh):
     after, flow = heat_step(made.thermal, before, inputs, 18806.0 * made.operators.area)
     resistance = LEFT / IRON.conductivity + 1.0 / 18806.0 + RIGHT / STEEL.conductivity
     assert flow.sum() == pytest.approx(40.0 * AREA / resistance, rel=1e-9)
-    assert after.max() == pytest.approx(30.0, rel=1e-15)
-    assert after.min() == pytest.approx(-10.0, rel=1e-15)
+    assert after.max() == pytest.approx(30.0, rel=1e-12)
+    assert after.min() == pytest.approx(-10.0, rel=1e-12)
 
 
 def test_heat_through_held_surfaces_is_in_the_balance():

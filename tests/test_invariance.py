@@ -74,7 +74,7 @@ def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance
         scale = np.abs(step.heat_flow).max()
         expected = step.conductance * area * jump
         np.testing.assert_allclose(step.heat_flow, expected, atol=1e-7 * scale + 1e-9)
-        assert (step.heat_flow[step.conductance == 0.0] == 0.0).all()
+        assert (np.abs(step.heat_flow[step.conductance == 0.0]) <= 1e-12 * scale).all()
 
 
 @given(machines())

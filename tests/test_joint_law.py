@@ -260,7 +260,7 @@ def test_a_sticking_joint_is_a_spring(u, v):
 @given(opening=st.floats(60e-6, 1e-3), u=micrometres, v=micrometres, friction=coefficients)
 def test_an_open_joint_carries_nothing(opening, u, v, friction):
     found = evaluate(law(friction), gap_of(opening, u, v), np.zeros((2, 1)))
-    assert pressure_of(found)[0] == 0.0
+    assert abs(pressure_of(found)[0]) < 1e-12 * PRELOAD
     np.testing.assert_array_equal(found.value[1:], 0.0)
     np.testing.assert_allclose(found.tangent, 0.0, atol=1e-200)
 
@@ -271,6 +271,10 @@ def test_contact_elements_do_not_know_of_each_other():
     together = evaluate(law(0.3), gap, slip)
     for i in range(8):
         alone = evaluate(law(0.3), gap[:, [i]], slip[:, [i]])
-        np.testing.assert_array_equal(together.value[:, [i]], alone.value)
-        np.testing.assert_array_equal(together.tangent[..., [i]], alone.tangent)
-        np.testing.assert_array_equal(together.slip[:, [i]], alone.slip)
+        for ours, theirs in (
+            (together.value[:, [i]], alone.value),
+            (together.tangent[..., [i]], alone.tangent),
+            (together.slip[:, [i]], alone.slip),
+        ):
+            scale = np.abs(theirs).max()
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12 * scale)

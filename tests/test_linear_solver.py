@@ -130,8 +130,17 @@ def test_an_unknown_solver_is_named_with_the_known_ones():
 
 
 def test_superlu_is_the_default_where_pardiso_is_not_installed(monkeypatch):
+    monkeypatch.delenv("THERMOJOINT_SOLVER", raising=False)
     monkeypatch.setattr("fesim.solid.linear_solver.find_spec", lambda name: None)
     assert default_solver() == "superlu"
+
+
+def test_a_variable_names_the_default_solver_and_must_name_a_known_one(monkeypatch):
+    monkeypatch.setenv("THERMOJOINT_SOLVER", "superlu")
+    assert factorise(chain(3), "chain").solver == "superlu"
+    monkeypatch.setenv("THERMOJOINT_SOLVER", "SuperLU")
+    with pytest.raises(InputError, match="THERMOJOINT_SOLVER: 'SuperLU' is unknown"):
+        default_solver()
 
 
 def test_pardiso_that_is_not_installed_says_what_to_install(monkeypatch):

@@ -81,19 +81,22 @@ def test_every_joint_has_its_own_law(bars):
     pressure = machine.preload + together.value[0]
     for law, at in ((other, slice(0, 2)), (usual, slice(2, 6))):
         alone = evaluate(law, gap[:, at], slip[:, at])
-        np.testing.assert_array_equal(together.value[:, at], alone.value)
-        np.testing.assert_array_equal(together.tangent[..., at], alone.tangent)
-        np.testing.assert_array_equal(together.slip[:, at], alone.slip)
-        np.testing.assert_array_equal(
-            machine.conductance(pressure)[at], law.conductance(pressure[at])
-        )
+        for ours, theirs in (
+            (together.value[:, at], alone.value),
+            (together.tangent[..., at], alone.tangent),
+            (together.slip[:, at], alone.slip),
+            (machine.conductance(pressure)[at], law.conductance(pressure[at])),
+        ):
+            scale = np.abs(theirs).max()
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12 * scale)
     steps = take(machine, step_history(1.0), 10)
     assert max(step.residual for step in steps) <= 1e-11
     assert max(abs(step.heat_balance) for step in steps) <= 1e-8
 
 
-def test_time_is_the_step_index_times_the_step(hard_run):
+def test_time_is_the_step_index_times_the_step(hard_run, coarse_response):
     assert [step.state.index for step in hard_run] == list(range(1, 1051))
+    np.testing.assert_allclose(coarse_response["time"], 2.0 * np.arange(31), rtol=1e-12)
 
 
 def test_heat_flows_from_hot_to_cold_through_every_contact(hard_run, coarse_setup):
@@ -114,10 +117,10 @@ def test_balance_holds_when_the_heat_is_gone(bars, advance):
 
 def test_at_rest_nothing_happens(bars):
     for step in take(bars, step_history(0.0), 3):
-        np.testing.assert_array_equal(step.state.temperature, 0.0)
+        np.testing.assert_allclose(step.state.temperature, 0.0, atol=1e-12)
         np.testing.assert_allclose(step.displacement, 0.0, atol=1e-20)
         np.testing.assert_allclose(step.state.pressure, bars.preload, rtol=1e-12)
-        assert step.heat_balance == 0.0
+        assert abs(step.heat_balance) <= 1e-12
 
 
 def test_small_inputs_are_answered_in_proportion(bars):
@@ -147,9 +150,10 @@ def test_iterated_coupling_agrees_with_itself(bars):
 
 def test_staggered_uses_the_pressure_of_the_last_step(bars):
     steps = take(bars, step_history(1.0), 5)
-    np.testing.assert_array_equal(steps[0].conductance, bars.conductance(bars.preload))
+    np.testing.assert_allclose(steps[0].conductance, bars.conductance(bars.preload), rtol=1e-12)
     for before, step in pairwise(steps):
-        np.testing.assert_array_equal(step.conductance, bars.conductance(before.state.pressure))
+        expected = bars.conductance(before.state.pressure)
+        np.testing.assert_allclose(step.conductance, expected, rtol=1e-12)
 
 
 def test_staggered_and_iterated_come_together_in_proportion_to_the_step():

@@ -148,5 +148,5 @@ def test_a_transfer_function_that_is_zero_is_refused():
 
 def test_far_down_the_left_half_plane_nothing_overflows():
     over = over_interval(simple_bank(np.array([-50.0]), np.array([50.0])), 1e5)
-    assert over.advance[0, 0] == 0.0
+    assert abs(over.advance[0, 0]) < 1e-300
     assert over.end[0, 0] * (over.old + over.new)[0, 0] == pytest.approx(1.0)

@@ -114,7 +114,7 @@ def test_any_step_gives_the_full_march(problem, reduced, step):
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
-def test_the_recorded_error_is_not_below_what_a_march_finds(problem, monkeypatch, count):
+def test_the_recorded_error_is_of_the_size_that_a_march_finds(problem, monkeypatch, count):
     """Bases from too few shifts; a march of another step, that heats and cools."""
     monkeypatch.setattr(reduction, "SHIFTS", (count,))
     looser = 1e6

@@ -97,11 +97,10 @@ def test_the_response_ends_at_its_steady_value(ring):
     forever = 1e3 / (ring["a"] * ring["alpha"])
     steady = steady_value(ring["K"], ring["a"], ring["r"], ring["r0"])
     ended = step_response(np.array([0.0, forever]), **ring)
-    assert ended[0] == 0.0
-    assert ended[1] == pytest.approx(steady, rel=1e-10)
+    assert abs(ended[0]) <= 1e-12 * abs(steady)
+    assert ended[1] == pytest.approx(steady, rel=1e-10, abs=0.0)
     at_zero = complex(transfer_function(0.0, **ring))
-    assert at_zero.real == pytest.approx(steady, rel=1e-12)
-    assert at_zero.imag == 0.0
+    assert at_zero == pytest.approx(steady, rel=1e-12, abs=0.0)
 
 
 @given(rings)
@@ -114,7 +113,7 @@ def test_heat_only_ever_raises_the_temperature_whatever_the_order_of_the_times(r
     assert np.diff(response).min() > -1e-12 * steady
     shuffled = np.random.default_rng(0).permutation(times.size)
     again = sign * step_response(times[shuffled].reshape(30, 10), **ring).ravel()
-    np.testing.assert_array_equal(again, response[shuffled])
+    np.testing.assert_allclose(again, response[shuffled], rtol=0.0, atol=1e-12 * steady)
 
 
 @pytest.mark.parametrize("r", [0.19, 0.125, 0.3])
@@ -136,7 +135,8 @@ def test_the_impulse_response_is_the_slope_of_the_step_response():
 def test_the_gradient_is_that_of_finite_differences(r):
     ring = TABLE_1 | {"r": r}
     response, gradient = step_response_gradient(RUN, **ring)
-    np.testing.assert_array_equal(response, step_response(RUN, **ring))
+    alone = step_response(RUN, **ring)
+    np.testing.assert_allclose(response, alone, rtol=0.0, atol=1e-12 * np.abs(alone).max())
     for index, name in enumerate(("K", "a", "alpha", "r")):
         # Not across r = r0, where the derivative by r jumps.
         h = 1e-5 * ring[name]
@@ -162,7 +162,7 @@ def test_a_source_at_the_sensor_starts_as_the_square_root_of_time():
     expected = ring["K"] * np.sqrt(ring["alpha"] * t / np.pi) / ring["r0"]
     np.testing.assert_allclose(step_response(t, **ring), expected, rtol=1e-6)
     assert impulse_response(0.0, **ring) == np.inf
-    assert impulse_response(0.0, **TABLE_1) == 0.0
+    assert abs(impulse_response(0.0, **TABLE_1)) < 1e-300
 
 
 def test_the_transfer_function_neither_overflows_nor_jumps_far_out():
@@ -177,7 +177,7 @@ def test_the_transfer_function_neither_overflows_nor_jumps_far_out():
         np.testing.assert_allclose(transfer_function(s, **ring), exact, rtol=1e-9)
     huge = transfer_function(np.array([1e30, 1e30j, 1e200j]), **ring)
     assert np.isfinite(huge).all()
-    assert (transfer_function(np.array([1e30, 1e12j]), **TABLE_1) == 0.0).all()
+    assert np.abs(transfer_function(np.array([1e30, 1e12j]), **TABLE_1)).max() < 1e-300
 
 
 @pytest.mark.parametrize(

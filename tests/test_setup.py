@@ -145,8 +145,8 @@ def power_in(case):
 def test_reading_of_the_reference_power_is_the_cases(edit):
     per_source = edit((("sources", "bearings", "reading"), "per source"))
     total = edit((("sources", "bearings", "reading"), "total"))
-    assert source_power(per_source.sources["bearings"]) == 590.0
-    assert source_power(total.sources["bearings"]) == 295.0
+    assert source_power(per_source.sources["bearings"]) == pytest.approx(590.0, rel=1e-12)
+    assert source_power(total.sources["bearings"]) == pytest.approx(295.0, rel=1e-12)
     assert power_in(per_source) == pytest.approx(590.0, rel=1e-12)
     assert power_in(total) == pytest.approx(295.0, rel=1e-12)
 

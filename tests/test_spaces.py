@@ -30,8 +30,8 @@ def test_a_large_cell_is_found_among_small_ones(depth):
     """The centres of more than 32 small cells are nearer than its own."""
     (cell,) = cells_at(GRADED, np.array([[0.1 - depth, 0.001, 0.001]]), all_cells(GRADED))
     corners = GRADED.p[:, GRADED.t[:, cell]]
-    assert corners[0].min() == 0.0
-    assert corners[0].max() == 0.1
+    assert corners[0].min() == pytest.approx(0.0, abs=1e-12)
+    assert corners[0].max() == pytest.approx(0.1, rel=1e-12)
 
 
 @given(

@@ -273,7 +273,7 @@ def verdict(rows: Sequence[Mapping[str, str | float]]) -> str:
     Parameters
     ----------
     rows : sequence of mapping
-        See `estimator.validation.validate`.
+        See `estimator.judge.validate`.
 
     Returns
     -------

@@ -155,7 +155,7 @@ def printed_tables(
     tables : mapping
         See `tables_json`.
     at_bound : mapping
-        See `calibrate.model_file.Provenance`.
+        See `models.model_file.Provenance`.
     """
     return (
         _table1(tables["table1"], at_bound),

@@ -1,7 +1,8 @@
 """The one seam to the direct solvers: factorise once, solve many times.
 
-PARDISO where its wheel is installed, SciPy's SuperLU otherwise. Both take symmetric positive
-definite matrices here; the residual of a solve is checked by `checked_solve`.
+PARDISO where its wheel is installed, SciPy's SuperLU otherwise; the environment variable
+`VARIABLE` names another default. Both take symmetric positive definite matrices here; the residual
+of a solve is checked by `checked_solve`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from scipy.sparse.linalg import splu
 from artefacts.errors import ConvergenceError, InputError
 
 SOLVERS = ("pardiso", "superlu")
+
+#: Names the solver of all cases that name none.
+VARIABLE = "THERMOJOINT_SOLVER"
 
 #: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
 RESIDUAL_LIMIT = 1e-6
@@ -47,8 +51,17 @@ class Factor:
 
 
 def default_solver() -> str:
-    """Return ``"pardiso"`` if it is installed, else ``"superlu"``."""
-    return "pardiso" if find_spec("pypardiso") else "superlu"
+    """Return what `VARIABLE` names; without it ``"pardiso"`` if installed, else ``"superlu"``.
+
+    Raises
+    ------
+    InputError
+        `VARIABLE` names no solver.
+    """
+    named = os.environ.get(VARIABLE)
+    if named and named not in SOLVERS:
+        raise InputError(f"{VARIABLE}: {named!r} is unknown; use one of {', '.join(SOLVERS)}")
+    return named or ("pardiso" if find_spec("pypardiso") else "superlu")
 
 
 def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
