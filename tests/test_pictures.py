@@ -120,6 +120,11 @@ def test_a_field_that_fills_its_range_has_even_bands():
     assert np.diff(scale.levels) == pytest.approx(np.diff(scale.levels)[0])
 
 
+def test_bands_that_no_value_is_in_are_left_out():
+    pressure = np.array([3.0, 4.0, 6.0, 7.0, 80.0])
+    assert colour_scale("pressure (MPa)", [pressure]).levels == (2.0, 5.0, 10.0, 20.0, 50.0, 80.0)
+
+
 def test_rounding_below_zero_is_not_a_band():
     heat = np.concatenate([[-1e-3], 74.0 * np.exp(-12.0 * np.linspace(0.0, 1.0, 400))])
     assert colour_scale("temperature (K)", [heat]).levels[0] == pytest.approx(0.0, abs=1e-12)

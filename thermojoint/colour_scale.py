@@ -73,7 +73,7 @@ def colour_scale(label: str, values: Sequence[Array]) -> ColourScale:
     label : str
         What is shown and its unit.
     values : sequence of ndarray
-        Of all faces, panels and times that share the scale; finite.
+        One of each picture that shares the scale, finite: the fullest one decides about the bands.
     """
     every = np.concatenate([np.ravel(part) for part in values])
     low, high = float(every.min()), float(every.max())
@@ -104,7 +104,9 @@ def _uneven(low: float, high: float) -> tuple[float, ...]:
     steps = steps[steps >= largest * 10.0**-_DECADES]
     below, above = (_up_to(end, steps, largest) for end in (-low, high))
     around = [] if below and above else [0.0]
-    return (*(-value for value in reversed(below)), *around, *above)
+    levels = [*(-value for value in reversed(below)), *around, *above]
+    used = [k for k in range(len(levels) - 1) if levels[k + 1] > low and levels[k] < high]
+    return tuple(levels[used[0] : used[-1] + 2])
 
 
 def _up_to(end: float, steps: Array, largest: float) -> list[float]:

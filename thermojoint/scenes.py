@@ -124,8 +124,10 @@ def finished(scenes: Sequence[Scene]) -> list[Scene]:
     """
     values: dict[str, list[Array]] = {}
     for panel in (panel for scene in scenes for panel in scene.panels):
-        values.setdefault(panel.shows, []).extend(_drawn(panel))
-    scales = {shows: colour_scale(shows, found) for shows, found in values.items() if found}
+        drawn = _drawn(panel)
+        if drawn:
+            values.setdefault(panel.shows, []).append(np.concatenate(drawn))
+    scales = {shows: colour_scale(shows, found) for shows, found in values.items()}
     windows = [
         window_around(np.concatenate([_held(panel) for panel in panels]))
         for panels in zip(*(scene.panels for scene in scenes), strict=True)
