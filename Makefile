@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
 
-.PHONY: install reproduce test portable lint types check bench clean
+.PHONY: install reproduce test portable lint types docs wheel check bench clean
 
 install: $(INSTALLED)
 
@@ -39,7 +39,18 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy
 
-check: lint types test
+# Every link, anchor, image and docstring is checked on the way. To search in it:
+# python3 -m http.server -d site
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The wheel in dist/, and the whole chain run from it alone.
+wheel: $(INSTALLED)
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist
+	.ci/wheel_alone dist/*.whl
+
+check: lint types docs test
 
 # Half an hour to an hour; alone on the machine, or both sides wait for others.
 bench: $(INSTALLED)
@@ -47,8 +58,8 @@ bench: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,gmsh,dask,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,gmsh,dask,docs,dev]'
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT)
+	rm -rf $(VENV) $(OUT) build dist site

@@ -38,7 +38,7 @@ class JsonKind:
         return {"schema": self.schema, "schema_version": self.version}
 
 
-def read_json(path: Path, kind: JsonKind) -> dict[str, Any]:
+def read_json(path: Path | str, kind: JsonKind) -> dict[str, Any]:
     """Return the content of a file of a kind, without its header.
 
     Raises

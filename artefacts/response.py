@@ -132,19 +132,32 @@ def make_response(
     return check_response(response, "make_response")
 
 
-def write_response(response: xr.Dataset, path: Path) -> None:
-    """Write `response` to `path` (NetCDF), whole or not at all."""
+def write_response(response: xr.Dataset, path: Path | str) -> None:
+    """Write a response, whole or not at all.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `check_response` wants it.
+    path : Path or str
+        NetCDF to write.
+    """
     packed = {
         str(name): {"zlib": True, "complevel": 4}
         for name, variable in response.data_vars.items()
         if variable.dtype.kind == "f"
     }
-    with whole_file(path) as part:
+    with whole_file(Path(path)) as part:
         response.to_netcdf(part, engine="h5netcdf", encoding=packed)
 
 
-def read_response(path: Path) -> xr.Dataset:
+def read_response(path: Path | str) -> xr.Dataset:
     """Read a response and check it.
+
+    Parameters
+    ----------
+    path : Path or str
+        NetCDF, written by `write_response` or laid out as `VARIABLES` says.
 
     Raises
     ------

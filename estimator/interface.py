@@ -109,9 +109,16 @@ class Estimator(Protocol):
         ...
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
-        """Take one sample: `values` in the order of `channels`, at `time` (s).
+        """Take one sample; the state that is given stays as it is.
 
-        The state that is given stays as it is.
+        Parameters
+        ----------
+        state : ndarray
+            What the sample before returned, or the initial state.
+        time : float
+            s; later than that of the sample before.
+        values : sequence of float
+            In the order of `channels`.
 
         Raises
         ------
@@ -124,7 +131,16 @@ class Estimator(Protocol):
 def follow(
     estimator: Estimator, samples: Iterable[Sequence[float]], state: Array
 ) -> Iterator[tuple[Array, Estimate]]:
-    """Yield (state, estimate) for each of `samples`: (time, value of each channel).
+    """Yield (state, estimate) for each of a row of samples.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Of any kind.
+    samples : iterable of sequences
+        Time (s) and the value of each channel.
+    state : ndarray
+        Before the first of them.
 
     Raises
     ------

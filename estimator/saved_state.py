@@ -23,8 +23,17 @@ from models.assembly_file import as_content, from_content
 FILE = JsonKind("thermojoint-estimator-state", 2, "state", "saved by the estimator", "start afresh")
 
 
-def save_state(estimator: Fchs, state: Array, path: Path) -> None:
-    """Write an estimator and its `state` to `path`, whole or not at all.
+def save_state(estimator: Fchs, state: Array, path: Path | str) -> None:
+    """Write an estimator and its state, whole or not at all.
+
+    Parameters
+    ----------
+    estimator : Fchs
+        With all that was fitted.
+    state : ndarray
+        What its last sample returned, or its initial state.
+    path : Path or str
+        JSON to write.
 
     Raises
     ------
@@ -39,11 +48,16 @@ def save_state(estimator: Fchs, state: Array, path: Path) -> None:
         "estimator": as_content(estimator.assembly),
         "state": None if fresh else state.tolist(),
     }
-    write_text(path, json.dumps(content, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
 
 
-def load_state(path: Path) -> tuple[Fchs, Array]:
-    """Read an estimator and its state that `save_state` wrote, here or elsewhere.
+def load_state(path: Path | str) -> tuple[Fchs, Array]:
+    """Read an estimator and its state, saved here or elsewhere.
+
+    Parameters
+    ----------
+    path : Path or str
+        JSON written by `save_state`.
 
     Raises
     ------

@@ -18,23 +18,26 @@ from models.parameters import Model
 RUN_LENGTH = 7200.0
 
 
-def model_in(path: Path) -> Model:
+def model_in(path: Path | str) -> Model:
     """Read the model of a model file or of an assembled estimator; raises as their readers."""
     return assembly_file.read_assembly(path).model if _is_assembly(path) else read_model(path)
 
 
 def started(
-    path: Path, interval: float, run_length: float = RUN_LENGTH, resume: Path | None = None
+    path: Path | str,
+    interval: float,
+    run_length: float = RUN_LENGTH,
+    resume: Path | str | None = None,
 ) -> tuple[Fchs, Array]:
     """Return an estimator and the state to go on from.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A model, which is assembled, or an estimator that was, which is taken as it is.
     interval, run_length : float
-        Of an assembly that is made here, s.
-    resume : Path, optional
+        Nominal sampling interval and length of a run of an assembly that is made here, s.
+    resume : Path or str, optional
         A saved state: the estimator is the one that saved it.
 
     Raises
@@ -59,7 +62,7 @@ def started(
     return estimator, estimator.initial_state()
 
 
-def _is_assembly(path: Path) -> bool:
+def _is_assembly(path: Path | str) -> bool:
     """Whether a file says that it is one; what cannot be read is left to the reader of models."""
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))

@@ -75,7 +75,7 @@ _DAMAGE = (
 )
 
 
-def read_structure(path: Path, unit: float = 1.0) -> Structure:
+def read_structure(path: Path | str, unit: float = 1.0) -> Structure:
     """Read a structure.
 
     Cells of second order keep their shape; straight ones are read by their corners. Nodes of no
@@ -83,7 +83,7 @@ def read_structure(path: Path, unit: float = 1.0) -> Structure:
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A file with one of the suffixes of `_READERS`; MSH of version 4.1 or 2.2.
     unit : float
         Length of one unit of its coordinates, m.
@@ -119,14 +119,14 @@ def read_structure(path: Path, unit: float = 1.0) -> Structure:
         raise InputError(f"{path}: {error}") from error
 
 
-def write_structure(structure: Structure, path: Path) -> None:
+def write_structure(structure: Structure, path: Path | str) -> None:
     """Write a structure, whole or not at all; cells, nodes and facets keep their order.
 
     Parameters
     ----------
     structure : Structure
         What to write; its ``symmetry_factor`` is not kept.
-    path : Path
+    path : Path or str
         ``.vtu``, or ``.msh`` (written in version 2.2, binary: meshio's 4.1 cannot hold a facet of
         several surfaces).
 

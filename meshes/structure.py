@@ -66,13 +66,29 @@ class Structure:
         _check_probes(self)
 
     def body(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the cells of a body; InputError names the nearest one if there is none."""
+        """Return the cells of a body; InputError names the nearest one if there is none.
+
+        Parameters
+        ----------
+        name : str
+            Of the body.
+        where : str
+            What the error calls the place that names it.
+        """
         if name not in self.bodies:
             raise unknown_name("body", name, self.bodies, where)
         return self.bodies[name]
 
     def surface(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the facets of a surface; InputError names the nearest one if there is none."""
+        """Return the facets of a surface; InputError names the nearest one if there is none.
+
+        Parameters
+        ----------
+        name : str
+            Of the surface.
+        where : str
+            What the error calls the place that names it.
+        """
         if name not in self.surfaces:
             raise unknown_name("surface", name, self.surfaces, where)
         return self.surfaces[name]

@@ -36,13 +36,26 @@ _BANKS = ("heat", "linear", "temperature", "sources", "nonlinear")
 _COMPLEX = ("poles", "gain", "double")
 
 
-def write_assembly(assembly: Assembly, path: Path) -> None:
-    """Write an assembly to `path` (JSON), whole or not at all."""
-    write_text(path, json.dumps(as_content(assembly), indent=1, allow_nan=False) + "\n")
+def write_assembly(assembly: Assembly, path: Path | str) -> None:
+    """Write an assembly, whole or not at all.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        What `models.assembly.assemble` made.
+    path : Path or str
+        JSON to write.
+    """
+    write_text(Path(path), json.dumps(as_content(assembly), indent=1, allow_nan=False) + "\n")
 
 
-def read_assembly(path: Path) -> Assembly:
-    """Read an assembly that `write_assembly` wrote.
+def read_assembly(path: Path | str) -> Assembly:
+    """Read an assembly.
+
+    Parameters
+    ----------
+    path : Path or str
+        JSON written by `write_assembly`.
 
     Raises
     ------

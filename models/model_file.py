@@ -80,8 +80,17 @@ _PROVENANCE: TypeAdapter[Provenance] = TypeAdapter(Provenance)
 T = TypeVar("T")
 
 
-def write_model(model: Model, path: Path, provenance: Provenance) -> None:
-    """Write `model` to `path` (JSON), whole or not at all.
+def write_model(model: Model, path: Path | str, provenance: Provenance) -> None:
+    """Write a model, whole or not at all.
+
+    Parameters
+    ----------
+    model : Model
+        Tables 1-3.
+    path : Path or str
+        JSON to write.
+    provenance : Provenance
+        Where it came from, e.g. `calibrate.provenance.provenance_of`.
 
     Raises
     ------
@@ -107,8 +116,13 @@ def write_model(model: Model, path: Path, provenance: Provenance) -> None:
     write_text(Path(path), text + "\n")
 
 
-def read_model(path: Path) -> Model:
-    """Read a model written by `write_model`.
+def read_model(path: Path | str) -> Model:
+    """Read a model.
+
+    Parameters
+    ----------
+    path : Path or str
+        JSON written by `write_model`.
 
     Raises
     ------
@@ -119,12 +133,18 @@ def read_model(path: Path) -> Model:
     return _read(path)[0]
 
 
-def read_provenance(path: Path) -> Provenance:
-    """Read where the model at `path` came from; raises as `read_model`."""
+def read_provenance(path: Path | str) -> Provenance:
+    """Read where a model came from; raises as `read_model`.
+
+    Parameters
+    ----------
+    path : Path or str
+        JSON written by `write_model`.
+    """
     return _read(path)[1]
 
 
-def _read(path: Path) -> tuple[Model, Provenance]:
+def _read(path: Path | str) -> tuple[Model, Provenance]:
     return _parsed(read_json(path, FILE), str(path))
 
 

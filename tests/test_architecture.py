@@ -1,6 +1,7 @@
 """The arrows between the packages run one way, and the tests hold the page that says so."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,10 @@ def test_the_page_of_the_architecture_names_every_package():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     for package in ARROWS:
         assert f"`{package}`" in page
+
+
+def test_the_wheel_and_the_type_checker_take_every_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]
+    found = project["setuptools"]["packages"]["find"]["include"]
+    assert set(found) == {f"{package}*" for package in ARROWS}
+    assert set(project["mypy"]["packages"]) == set(ARROWS)

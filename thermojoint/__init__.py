@@ -1,1 +1,159 @@
-"""The front door: the command line, the chain across the packages, report and pictures."""
+"""Simulate nonlinear thermal joints, calibrate the generalised models, estimate displacement.
+
+Every public name of the program is an attribute of this package, and is listed in `__all__`. What a
+name stands for is loaded when it is first used: ``import thermojoint`` alone loads no library.
+
+Examples
+--------
+>>> import thermojoint as tj
+>>> response = tj.simulate(tj.read_case("machine.toml")).response  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from artefacts.errors import ConvergenceError, InputError, ThermojointError
+    from artefacts.response import make_response, read_response, write_response
+    from calibrate.chain import Calibrated
+    from calibrate.chain import calibrate_responses as calibrate
+    from calibrate.provenance import provenance_of
+    from estimator.fchs.estimator import Fchs
+    from estimator.interface import Channel, Estimate, Estimator, Status, follow
+    from estimator.judge import Validated
+    from estimator.judge import validate_model as validate
+    from estimator.saved_state import load_state as load_estimator
+    from estimator.saved_state import save_state as save_estimator
+    from estimator.starting import started as start_estimator
+    from fesim.case.schema import (
+        Case,
+        RampInput,
+        SampledInput,
+        StepInput,
+        TriangleInput,
+        case_from_data,
+        read_case,
+    )
+    from fesim.setup.machine import Setup, set_up
+    from fesim.simulate import Simulation, simulate
+    from meshes.exchange import read_structure, write_structure
+    from meshes.structure import Structure
+    from models.assembly import Assembly, assemble
+    from models.assembly_file import read_assembly, write_assembly
+    from models.model_file import Provenance, read_model, read_provenance, write_model
+    from models.parameters import Model
+
+    __version__: str
+
+__all__ = [
+    "Assembly",
+    "Calibrated",
+    "Case",
+    "Channel",
+    "ConvergenceError",
+    "Estimate",
+    "Estimator",
+    "Fchs",
+    "InputError",
+    "Model",
+    "Provenance",
+    "RampInput",
+    "SampledInput",
+    "Setup",
+    "Simulation",
+    "Status",
+    "StepInput",
+    "Structure",
+    "ThermojointError",
+    "TriangleInput",
+    "Validated",
+    "assemble",
+    "calibrate",
+    "case_from_data",
+    "follow",
+    "load_estimator",
+    "make_response",
+    "provenance_of",
+    "read_assembly",
+    "read_case",
+    "read_model",
+    "read_provenance",
+    "read_response",
+    "read_structure",
+    "save_estimator",
+    "set_up",
+    "simulate",
+    "start_estimator",
+    "validate",
+    "write_assembly",
+    "write_model",
+    "write_response",
+    "write_structure",
+]
+
+#: Public name to where it stands; kept in step with the imports above by the tests.
+_HOMES = {
+    "Assembly": "models.assembly:Assembly",
+    "Calibrated": "calibrate.chain:Calibrated",
+    "Case": "fesim.case.schema:Case",
+    "Channel": "estimator.interface:Channel",
+    "ConvergenceError": "artefacts.errors:ConvergenceError",
+    "Estimate": "estimator.interface:Estimate",
+    "Estimator": "estimator.interface:Estimator",
+    "Fchs": "estimator.fchs.estimator:Fchs",
+    "InputError": "artefacts.errors:InputError",
+    "Model": "models.parameters:Model",
+    "Provenance": "models.model_file:Provenance",
+    "RampInput": "fesim.case.schema:RampInput",
+    "SampledInput": "fesim.case.schema:SampledInput",
+    "Setup": "fesim.setup.machine:Setup",
+    "Simulation": "fesim.simulate:Simulation",
+    "Status": "estimator.interface:Status",
+    "StepInput": "fesim.case.schema:StepInput",
+    "Structure": "meshes.structure:Structure",
+    "ThermojointError": "artefacts.errors:ThermojointError",
+    "TriangleInput": "fesim.case.schema:TriangleInput",
+    "Validated": "estimator.judge:Validated",
+    "assemble": "models.assembly:assemble",
+    "calibrate": "calibrate.chain:calibrate_responses",
+    "case_from_data": "fesim.case.schema:case_from_data",
+    "follow": "estimator.interface:follow",
+    "load_estimator": "estimator.saved_state:load_state",
+    "make_response": "artefacts.response:make_response",
+    "provenance_of": "calibrate.provenance:provenance_of",
+    "read_assembly": "models.assembly_file:read_assembly",
+    "read_case": "fesim.case.schema:read_case",
+    "read_model": "models.model_file:read_model",
+    "read_provenance": "models.model_file:read_provenance",
+    "read_response": "artefacts.response:read_response",
+    "read_structure": "meshes.exchange:read_structure",
+    "save_estimator": "estimator.saved_state:save_state",
+    "set_up": "fesim.setup.machine:set_up",
+    "simulate": "fesim.simulate:simulate",
+    "start_estimator": "estimator.starting:started",
+    "validate": "estimator.judge:validate_model",
+    "write_assembly": "models.assembly_file:write_assembly",
+    "write_model": "models.model_file:write_model",
+    "write_response": "artefacts.response:write_response",
+    "write_structure": "meshes.exchange:write_structure",
+}
+
+if not TYPE_CHECKING:  # a type checker sees the imports above, and refuses any other name
+
+    def __getattr__(name: str) -> object:
+        """Load a public name when it is first used (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("thermojoint")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'thermojoint' has no attribute {name!r}")
+        from pkgutil import resolve_name
+
+        return globals().setdefault(name, resolve_name(_HOMES[name]))
+
+
+def __dir__() -> list[str]:
+    """Return what completion offers: the public names."""
+    return [*__all__, "__version__"]

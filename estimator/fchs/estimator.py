@@ -59,7 +59,17 @@ class Fchs:
         return np.concatenate((inner[:1], [np.nan], inner[1:]))
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
-        """Take one sample; see `estimator.interface.Estimator` and `estimator.fchs.stream.step`."""
+        """Take one sample; see `estimator.interface.Estimator` and `estimator.fchs.stream.step`.
+
+        Parameters
+        ----------
+        state : ndarray
+            What the sample before returned, or the initial state.
+        time : float
+            s; later than that of the sample before.
+        values : sequence of float
+            ΔT and the temperatures at the joint above the current ambient, K.
+        """
         inner, signals = stream.step(
             self.assembly, np.concatenate((state[:1], state[2:])), time, *values
         )

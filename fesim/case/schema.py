@@ -318,8 +318,13 @@ class Case(_Section):
         return self
 
 
-def read_case(path: Path) -> Case:
-    """Read and validate a case file; relative file names in it are relative to its folder.
+def read_case(path: Path | str) -> Case:
+    """Read and validate a case file.
+
+    Parameters
+    ----------
+    path : Path or str
+        TOML; relative file names in it are relative to its folder.
 
     Raises
     ------
@@ -336,7 +341,22 @@ def parse_case(text: str, where: str, folder: Path) -> Case:
 
 
 def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
-    """Validate a case given as nested dictionaries; see `read_case`."""
+    """Validate a case given as nested dictionaries.
+
+    Parameters
+    ----------
+    data : dict
+        What a case file says, e.g. from `tomllib.loads`.
+    where : str
+        What error messages call it.
+    folder : Path
+        Relative file names are relative to it.
+
+    Raises
+    ------
+    InputError
+        A key is unknown or missing, or a value is out of range.
+    """
     try:
         # Absolute: a worker of a batch may stand in another folder.
         return Case.model_validate(with_files(data, lambda name: str((folder / name).absolute())))

@@ -116,12 +116,23 @@ class Setup:
         return self.make_field()
 
     def nodal_temperature(self, state: State) -> NDArray[np.float64]:
-        """Temperature above the initial ambient at every unknown of `spaces.heat`, K."""
+        """Temperature above the initial ambient at every unknown of `spaces.heat`, K.
+
+        Parameters
+        ----------
+        state : State
+            Of a march of this set-up.
+        """
         return state.temperature if self.modes is None else self.modes.basis @ state.temperature
 
 
 def set_up(case: Case) -> Setup:
     """Build, check and condense everything a case names.
+
+    Parameters
+    ----------
+    case : Case
+        Its heat input is not used: one set-up serves any number of them.
 
     Raises
     ------
