@@ -40,7 +40,7 @@ def test_a_body_pulled_off_by_more_than_its_preload_has_come_loose():
             found, _ = relax(problem, pulled, zero[1:], zero)
             assert found.traction.value[0, 0] == pytest.approx(-share * law.preload, rel=1e-6)
         else:
-            with pytest.raises(ConvergenceError, match="moves by more than 1 m.*has come loose"):
+            with pytest.raises(ConvergenceError, match=r"moves by more than 1 m.*has come loose"):
                 relax(problem, pulled, zero[1:], zero)
 
 
@@ -59,7 +59,7 @@ def test_what_cannot_be_solved_says_why(spoil, tolerance, match):
 def test_a_wedge_of_high_friction_snaps_once_and_then_slides():
     """Sliding opens it, which takes pressure off, which takes friction off.
 
-    One contact element on springs a across, b along and c between, all in units of the joint's: slip
+    One contact element on springs a across, b along and c between, in units of the joint's: slip
     u opens the gap by n = -c u / (a + s), s the slope of the pressure. While it slides the force
     grows by (b + c (mu s - c) / (a + s)) u: where that is negative, no equilibrium is near.
     """
