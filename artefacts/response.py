@@ -35,8 +35,8 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_area": (("contact",), "m2", "area of the contact elements"),
     "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),
     "gap_residual": (("time",), "m", "largest residual of the gap equations"),
-    "iterations": (("time",), "1", "Newton iterations of the solves that succeeded"),
-    "cuts": (("time",), "1", "viscous steps that the step was cut into where a joint snapped"),
+    "iterations": (("time",), "1", "Newton iterations"),
+    "cuts": (("time",), "1", "viscous steps where a joint snapped"),
     "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
 }
 REQUIRED = ("heat_input", "temperature", "displacement")

@@ -1,18 +1,20 @@
-"""Does the march always converge? Heat, friction, preload and normal law swept on the machine.
+"""Does the march always find an equilibrium? Marches drawn at random over all that matters to it.
 
-Run: ``python benchmarks/robustness.py [--markdown docs/robustness.md]``. The structure is condensed
-once: neither heat nor joint law enters the condensation. Exit code 1 if a march fails.
+Run: ``python benchmarks/robustness.py [--count 2000] [--markdown docs/robustness.md]``. A structure
+is condensed once for `LAWS` marches: neither heat nor joint law enters the condensation. Every
+march follows from the seed and its number alone, so ``--first N --count 1`` marches number N again.
+Exit code 1 if one fails.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,27 +22,42 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from artefacts.errors import ConvergenceError
+from artefacts.errors import ThermojointError
 from artefacts.files import write_text
 from fesim.batch.summary import OPEN_BELOW, is_open
-from fesim.case.schema import Case, StepInput, TriangleInput, case_from_data
-from fesim.setup.machine import set_up, with_laws
+from fesim.case.schema import Case, case_from_data
+from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 
-HEATS = (0.1, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0)
-FRICTIONS = (0.0, 0.15, 0.3, 0.6, 1.0)
-PRELOADS = (0.1, 1.0, 4.41, 10.0, 20.0)
-NORMAL_LAWS = ("surface", "back-burdekin")
-#: In-step iteration costs more: it is tried on fewer combinations.
-ITERATED = {"heats": (0.5, 3.0, 6.0), "frictions": (0.0, 0.3, 1.0), "preloads": (0.1, 4.41, 20.0)}
+Data = dict[str, Any]
+
+SEED = 9
+COUNT = 2000
+#: Marches of one condensed structure.
+LAWS = 40
+#: Of this many structures one is the bolted flange: three bodies, three joints.
+FLANGES = 5
+STEPS = 200
+STEP_SECONDS = (1.0, 2.0, 5.0, 10.0)
+#: Upper ends of the bands of friction that the table tells apart.
+BANDS = (0.3, 1.0, 3.0, 10.0)
+FLANGE = Path(__file__).parents[1] / "examples/bolted_flange"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One march: its number, whose structure it is, its highest friction, and the case."""
+
+    number: int
+    structure: str
+    friction: float
+    case: Case
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What the marches of one group came to."""
+    """What one march came to."""
 
-    marches: int
-    failed: int
     steps: int
     iterations: int
     most_iterations: int
@@ -50,149 +67,224 @@ class Figures:
     most_open: float
 
 
-def cases(coupling: str) -> Iterator[tuple[tuple[str, float], Case]]:
-    """Yield ((normal law, preload), case) over the sweep: steps, and triangles from 3 on."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
-    data = tomllib.loads(text)
-    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
-    data["march"]["coupling"] = coupling
-    data["candidates"] = []
-    data["probes"] = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
-    few = coupling == "iterated"
-    heats = ITERATED["heats"] if few else HEATS
-    frictions = ITERATED["frictions"] if few else FRICTIONS
-    preloads = ITERATED["preloads"] if few else PRELOADS
-    for law, preload, friction in itertools.product(NORMAL_LAWS, preloads, frictions):
-        joint = {"normal_law": law, "preload_MPa": preload, "friction_coefficient": friction}
-        data["joints"]["knee"] |= joint
-        case = case_from_data(data, "robustness", Path())
-        inputs = [StepInput(kind="step", level=level) for level in heats]
-        inputs += [
-            TriangleInput(kind="triangle", peak=peak, duration_min=10.0)
-            for peak in heats
-            if peak >= 3.0
-        ]
-        for heat in inputs:
-            yield (law, preload), case.model_copy(update={"heat_input": heat})
+def spread(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a number between two, even in its logarithm."""
+    return float(low * (high / low) ** rng.uniform())
 
 
-def figures(responses: list[xr.Dataset], failed: int) -> Figures:
-    """Sum up the marches of one group."""
-    together = {
-        name: np.concatenate([np.abs(one[name].to_numpy().ravel()) for one in responses])
-        for name in ("iterations", "cuts", "gap_residual", "heat_balance")
+def drawn_structure(rng: np.random.Generator, flange: bool) -> Data:
+    """Return a case with materials, films, place of the source and step drawn at random.
+
+    One body is a hundred times softer to a million times stiffer than usual.
+    """
+    if flange:
+        data: Data = tomllib.loads((FLANGE / "case.toml").read_text("utf-8"))
+    else:
+        text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+        data = tomllib.loads(text)
+        top = float(rng.uniform(400.0, 750.0))
+        data["structure"] = {
+            "kind": "box_milling_machine",
+            "element_size_mm": 100.0,
+            "dimensions_mm": {"source_top": top, "bracket_bottom": 750.0},
+        }
+        data["candidates"] = []
+        data["probes"] = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
+    data["materials"] = {body: _material(rng) for body in data["bodies"]}
+    data["bodies"] = {body: body for body in data["bodies"]}
+    odd = str(rng.choice(list(data["bodies"])))
+    data["materials"][odd]["youngs_modulus_GPa"] *= spread(rng, 1e-2, 1e6)
+    for surface in data["convection_W_m2K"]:
+        data["convection_W_m2K"][surface] = spread(rng, 2.0, 50.0)
+    step = float(rng.choice(STEP_SECONDS))
+    data["march"] |= {"step_s": step, "duration_min": STEPS * step / 60.0}
+    return data
+
+
+def _material(rng: np.random.Generator) -> Data:
+    return {
+        "conductivity_W_mK": spread(rng, 10.0, 400.0),
+        "density_kg_m3": 7200.0,
+        "heat_capacity_J_kgK": spread(rng, 31.0, 1000.0),
+        "youngs_modulus_GPa": spread(rng, 50.0, 250.0),
+        "poisson_ratio": float(rng.uniform(0.2, 0.35)),
+        "expansion_1_K": float(rng.uniform(5e-6, 25e-6)),
     }
-    opened = [is_open(one["pressure"].to_numpy()).mean(axis=1).max() for one in responses]
+
+
+def draw_march(rng: np.random.Generator, data: Data, flange: bool) -> float:
+    """Put joint laws, heat and coupling at random into a case; return the highest friction."""
+    highest = 0.0
+    for joint in data["joints"].values():
+        # Without friction nothing holds the bolt of the flange in its hole.
+        friction = 0.0 if not flange and rng.uniform() < 0.1 else spread(rng, 0.05, BANDS[-1])
+        highest = max(highest, friction)
+        joint |= {
+            "friction_coefficient": friction,
+            "preload_MPa": spread(rng, 0.1, 20.0),
+            "normal_law": str(rng.choice(["surface", "back-burdekin"])),
+            "roughness_um": spread(rng, 0.2, 5.0),
+            "tangential_stiffness_ratio": float(rng.uniform(0.2, 1.0)),
+        }
+    level = spread(rng, 0.1, 6.0) * float(rng.choice([-1.0, 1.0, 1.0, 1.0]))
+    minutes = data["march"]["duration_min"]
+    heat: Data = [
+        {"kind": "step", "level": level},
+        {"kind": "ramp", "level": level, "duration_min": minutes / 2.0},
+        {"kind": "triangle", "peak": level, "duration_min": minutes / 3.0},
+    ][int(rng.integers(3))]
+    data["heat_input"] = heat
+    for source in data["sources"].values():
+        source.pop("heat_input", None)
+    data["march"]["coupling"] = "iterated" if rng.uniform() < 0.2 else "staggered"
+    return highest
+
+
+def marches(first: int, count: int) -> Iterator[Drawn]:
+    """Yield the marches from number `first` on."""
+    group, data, flange = -1, {}, False
+    for number in range(first, first + count):
+        if number // LAWS != group:
+            group = number // LAWS
+            flange = group % FLANGES == FLANGES - 1
+            data = drawn_structure(np.random.default_rng([SEED, 0, group]), flange)
+        friction = draw_march(np.random.default_rng([SEED, 1, number]), data, flange)
+        name = "bolted flange" if flange else "milling machine"
+        yield Drawn(number, name, friction, case_from_data(data, f"march {number}", FLANGE))
+
+
+def figures(response: xr.Dataset) -> Figures:
+    """Sum up one march."""
     return Figures(
-        marches=len(responses) + failed,
-        failed=failed,
-        steps=sum(one.sizes["time"] - 1 for one in responses),
-        iterations=int(together["iterations"].sum()),
-        most_iterations=int(together["iterations"].max()),
-        cuts=int(together["cuts"].sum()),
-        residual=float(together["gap_residual"].max()),
-        balance=float(together["heat_balance"].max()),
-        most_open=float(max(opened)),
+        steps=response.sizes["time"] - 1,
+        iterations=int(response["iterations"].sum()),
+        most_iterations=int(response["iterations"].max()),
+        cuts=int(response["cuts"].sum()),
+        residual=float(response["gap_residual"].max()),
+        balance=float(np.abs(response["heat_balance"]).max()),
+        most_open=float(is_open(response["pressure"].to_numpy()).mean(axis=1).max()),
     )
 
 
-def sweep(coupling: str) -> dict[tuple[str, float], Figures]:
-    """March every case; return the figures by (normal law, preload)."""
-    groups: dict[tuple[str, float], tuple[list[xr.Dataset], list[str]]] = {}
-    setup = None
-    for group, case in track(list(cases(coupling)), coupling, console=Console(stderr=True)):
-        setup = set_up(case) if setup is None else with_laws(setup, case)
-        done, failed = groups.setdefault(group, ([], []))
+def sweep(first: int, count: int) -> list[tuple[Drawn, Figures | str]]:
+    """March; return the figures of each, or why it failed."""
+    found: list[tuple[Drawn, Figures | str]] = []
+    setup: Setup | None = None
+    console = Console(stderr=True)
+    for one in track(marches(first, count), "marches", total=count, console=console):
+        if setup is None or one.number % LAWS == 0:
+            setup = set_up(one.case)
         try:
-            response = simulate(case, setup=setup).response
-            done.append(
-                response[["iterations", "cuts", "gap_residual", "heat_balance", "pressure"]]
-            )
-        except ConvergenceError as error:
-            failed.append(str(error))
-            print(group, case.joints["knee"].friction_coefficient, case.heat_input, error)
-    return {group: figures(done, len(failed)) for group, (done, failed) in groups.items()}
+            response = simulate(one.case, setup=with_laws(setup, one.case)).response
+        except ThermojointError as error:
+            console.print(f"{one.number} failed, friction {one.friction:.2g}: {error}")
+            found.append((one, str(error)))
+        else:
+            found.append((one, figures(response)))
+    return found
 
 
 HEADER = (
-    "coupling",
-    "normal law",
-    "preload, MPa",
+    "structure",
+    "highest friction",
     "marches",
     "failed",
     "steps",
     "iterations a step",
     "most",
-    "cuts",
+    "marches that snap",
+    "viscous steps",
     "worst gap residual, m",
     "worst heat balance",
-    "most of the joint open",
+    "most of the joints open",
 )
 
 
-def rows(coupling: str, found: dict[tuple[str, float], Figures]) -> list[tuple[str, ...]]:
-    """Return the table's rows as text."""
-    return [
-        (
-            coupling,
-            law,
-            f"{preload:g}",
-            f"{f.marches}",
-            f"{f.failed}",
-            f"{f.steps}",
-            f"{f.iterations / max(f.steps, 1):.2f}",
-            f"{f.most_iterations}",
-            f"{f.cuts}",
-            f"{f.residual:.1e}",
-            f"{f.balance:.1e}",
-            f"{100.0 * f.most_open:.0f} %",
-        )
-        for (law, preload), f in found.items()
-    ]
+def rows(found: list[tuple[Drawn, Figures | str]]) -> list[tuple[str, ...]]:
+    """Return the table's rows as text: one for each structure and band of friction."""
+    lines = []
+    for structure in sorted({one.structure for one, _ in found}, reverse=True):
+        for low, high in zip((-1.0, *BANDS), BANDS, strict=False):
+            group = [
+                end
+                for one, end in found
+                if one.structure == structure and low < one.friction <= high
+            ]
+            done = [end for end in group if isinstance(end, Figures)]
+            if not done:
+                continue
+            steps = sum(one.steps for one in done)
+            lines.append(
+                (
+                    structure,
+                    f"{max(low, 0.0):g} to {high:g}",
+                    f"{len(group)}",
+                    f"{len(group) - len(done)}",
+                    f"{steps}",
+                    f"{sum(one.iterations for one in done) / steps:.2f}",
+                    f"{max(one.most_iterations for one in done)}",
+                    f"{sum(one.cuts > 0 for one in done)}",
+                    f"{sum(one.cuts for one in done)}",
+                    f"{max(one.residual for one in done):.1e}",
+                    f"{max(one.balance for one in done):.1e}",
+                    f"{100.0 * max(one.most_open for one in done):.0f} %",
+                )
+            )
+    return lines
 
 
-def page(lines: list[tuple[str, ...]]) -> str:
+def page(lines: list[tuple[str, ...]], first: int, count: int) -> str:
     """Return docs/robustness.md."""
     table = ["| " + " | ".join(line) + " |" for line in (HEADER, ("---",) * len(HEADER), *lines)]
     return "\n".join(
         [
-            "# Does the march always converge?",
+            "# Does the march always find an equilibrium?",
             "",
-            "The reference machine with elements of 100 mm, 35 min at 2 s. Every combination of "
-            f"heat input {HEATS[0]:g} to {HEATS[-1]:g} (steps; triangles of 10 min from 3 on), "
-            f"friction {FRICTIONS[0]:g} to {FRICTIONS[-1]:g}, preload {PRELOADS[0]:g} to "
-            f"{PRELOADS[-1]:g} MPa and both normal laws; with in-step iteration a subset. "
-            "A joint may open wholly: that is a result. A contact element counts as open below "
-            f"{OPEN_BELOW:g} of its preload. Written by",
+            f"{count} marches of {STEPS} steps, drawn at random (seed {SEED}): four in five of the "
+            "reference machine with elements of 100 mm, the rest of the bolted flange of the "
+            "examples with its three bodies and three joints. Drawn for each structure: of each "
+            "body conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), modulus 50 to "
+            "250 GPa, expansion 5 to 25e-6 1/K; one body a hundred times softer to a million times "
+            "stiffer; film 2 to 50 W/(m² K); the height of the source; a step of "
+            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s. Drawn for each march: of each joint "
+            "friction 0.05 to 10 (on the machine one in ten without), preload 0.1 to 20 MPa, both "
+            "normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 of the normal one; "
+            "heat input 0.1 to 6, one in four cooling; step, ramp or triangle; one in five with "
+            "in-step iteration. A joint may open wholly: that is a result. A contact element is "
+            f"open below {OPEN_BELOW:g} of its preload. Written by",
             "",
             "```sh",
-            "python benchmarks/robustness.py --markdown docs/robustness.md",
+            f"python benchmarks/robustness.py --first {first} --count {count} "
+            "--markdown docs/robustness.md",
             "```",
             "",
             *table,
             "",
             "Iterations are Newton iterations of the gap equations, with all sweeps where the "
-            "coupling is iterated; a step that does not converge is cut and, in the end, raised "
-            "([march.md](march.md)).",
+            "coupling is iterated. Where a joint snaps, viscous steps lead to its next equilibrium "
+            "([march.md](march.md)). A march that fails is printed with its number; "
+            "`--first NUMBER --count 1` marches it again.",
             "",
         ]
     )
 
 
 def main() -> int:
-    """Sweep, print, write."""
+    """March, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--markdown", type=Path)
     asked = parser.parse_args()
-    found = {coupling: sweep(coupling) for coupling in ("staggered", "iterated")}
-    lines = [line for coupling, groups in found.items() for line in rows(coupling, groups)]
+    found = sweep(asked.first, asked.count)
+    lines = rows(found)
     table = Table(*HEADER)
     for line in lines:
         table.add_row(*line)
     Console(width=170).print(table)
     if asked.markdown:
-        write_text(asked.markdown, page(lines))
-    return int(any(f.failed for groups in found.values() for f in groups.values()))
+        write_text(asked.markdown, page(lines, asked.first, asked.count))
+    return int(any(isinstance(end, str) for _, end in found))
 
 
 if __name__ == "__main__":

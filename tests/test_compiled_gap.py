@@ -137,7 +137,7 @@ def test_a_law_of_the_users_own_is_left_to_the_plain_method():
     @dataclass(frozen=True)
     class Softer(SurfaceNormalLaw):
         def pressure(self, opening):
-            return 0.5 * super().pressure(opening)
+            return super().pressure(0.5 * opening)
 
     problem, _ = random_problem(1, 2, 1e-6, 0.6)
     law = surface_law(0.6)

@@ -39,7 +39,7 @@ def gap_of(*components):
 
 
 def pressure_of(traction):
-    return traction.value[0] + law(0.0).preload
+    return traction.value[0] + PRELOAD
 
 
 # --- conductance ---------------------------------------------------------------------------------
@@ -113,21 +113,24 @@ def test_pressure_at_zero_opening_is_the_preload():
         np.testing.assert_allclose(normal.pressure(np.zeros(1)), PRELOAD, rtol=1e-12)
 
 
-def test_a_joint_at_rest_exerts_nothing_whatever_its_normal_law():
-    """The preload is what the law says at opening zero, not another number beside it."""
+@pytest.mark.parametrize("normal", [NORMAL, MEASURED])
+def test_a_joint_at_rest_exerts_nothing(normal):
+    one = law(0.6, normal)
+    assert one.preload == normal.preload
+    at_rest = evaluate(one, np.zeros((3, 1)), np.zeros((2, 1)))
+    np.testing.assert_allclose(at_rest.value, 0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        stiffness_at_rest([(one, 1)]), -np.diagonal(at_rest.tangent[..., 0]), rtol=1e-12
+    )
 
+
+def test_a_normal_law_that_is_not_at_its_preload_at_rest_is_refused():
     class Softer(SurfaceNormalLaw):
         def pressure(self, opening):
             return 0.5 * super().pressure(opening)
 
-    soft = law(0.6, Softer(HARDNESS, ROUGHNESS, PRELOAD))
-    assert soft.preload == pytest.approx(0.5 * PRELOAD, rel=1e-12)
-    for one in (soft, law(0.6), law(0.6, MEASURED)):
-        at_rest = evaluate(one, np.zeros((3, 1)), np.zeros((2, 1)))
-        np.testing.assert_allclose(at_rest.value, 0.0, atol=1e-6)
-        np.testing.assert_allclose(
-            stiffness_at_rest([(one, 1)]), -np.diagonal(at_rest.tangent[..., 0]), rtol=1e-12
-        )
+    with pytest.raises(InputError, match=r"at opening zero is 2.205e\+06 Pa, the preload 4.41e"):
+        law(0.6, Softer(HARDNESS, ROUGHNESS, PRELOAD))
 
 
 def test_surface_model_stiffness_at_the_papers_preload():

@@ -30,7 +30,7 @@ class Convergence:
     iterations, most_iterations : int
         Newton iterations in all, and of the hardest step.
     cuts : int
-        How often a step was cut, in all.
+        Viscous steps where a joint snapped, in all.
     steps : int
         Steps of the march.
     modes : int

@@ -35,7 +35,7 @@ FIGURES = {
     "heat_balance": "largest error of the heat balance, relative",
     "steps": "time steps",
     "iterations": "Newton iterations",
-    "cuts": "how often a step was cut",
+    "cuts": "viscous steps where a joint snapped",
 }
 #: The whole numbers among them.
 COUNTS = ("steps", "iterations", "cuts")

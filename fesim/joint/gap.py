@@ -116,6 +116,8 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
     return GapProblem(springs, exchange @ force_compliance, exchange, law)
 
 
+# A step too far ends in infinities, which are never accepted.
+@np.errstate(over="ignore", invalid="ignore")
 def solve_gap(
     problem: GapProblem,
     thermal_gap: Array,

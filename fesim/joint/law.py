@@ -22,6 +22,11 @@ Array = NDArray[np.float64]
 class NormalLaw(Protocol):
     """Pressure against opening; the pressure at opening zero is the preload."""
 
+    @property
+    def preload(self) -> float:
+        """p0, Pa."""
+        ...
+
     def pressure(self, opening: Array) -> Array:
         """Pressure, Pa, never negative."""
         ...
@@ -131,16 +136,30 @@ class JointLaw:
         Shear traction against slip.
     conductance : callable
         Pressure (Pa) to contact conductance, W/(m2 K).
+
+    Raises
+    ------
+    InputError
+        The pressure at opening zero is not the preload.
     """
 
     normal: NormalLaw
     friction: Friction
     conductance: Callable[[Array], Array]
 
+    def __post_init__(self) -> None:
+        """Check what a normal law promises."""
+        at_rest = float(self.normal.pressure(np.zeros(1))[0])
+        if abs(at_rest - self.preload) > 1e-9 * self.preload:
+            raise InputError(
+                f"joint law: the pressure at opening zero is {at_rest:g} Pa, the preload "
+                f"{self.preload:g} Pa; make them one in the normal law"
+            )
+
     @property
     def preload(self) -> float:
-        """p0: the pressure at opening zero, Pa."""
-        return float(self.normal.pressure(np.zeros(1))[0])
+        """p0: that of the normal law, Pa."""
+        return self.normal.preload
 
     @property
     def stiffness(self) -> tuple[float, float, float]:

@@ -32,6 +32,7 @@ AT_REST = 1e-6
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
 MAX_SWEEPS = 100
+LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ class Step:
     residual : float
         Largest residual of the gap equations, m.
     iterations, cuts : int
-        Newton iterations, and the viscous steps that the step was cut into where a joint snapped.
+        Newton iterations, and viscous steps where a joint snapped.
     heat_balance : float
         (in - stored - convected) / the largest of the three.
     """
@@ -250,7 +251,7 @@ def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
 
 
 def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
-    """One step in which conductance and pressure agree at its end.
+    """One step in which conductance and pressure agree at its end, unless the joint snaps in it.
 
     Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
     sees one increment only.
@@ -261,18 +262,19 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         The pressures still change after `MAX_SWEEPS` sweeps.
     """
     pressure = state.pressure
-    weight, last_change = 1.0, np.inf
+    weight, last = 1.0, np.zeros_like(pressure)
     iterations = cuts = 0
     for _ in range(MAX_SWEEPS):
         step = _step_with(machine, state, inputs, machine.conductance(pressure))
         iterations += step.iterations
         cuts += step.cuts
-        change = float(np.abs((step.state.pressure - pressure) / machine.preload).max(initial=0.0))
-        if change <= PRESSURE_TOLERANCE:
+        misfit = (step.state.pressure - pressure) / machine.preload
+        change = float(np.abs(misfit).max(initial=0.0))
+        # Where the joint snaps the pressure leaps: none agrees with the conductance it leaps from.
+        if change <= PRESSURE_TOLERANCE or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
-        if change > last_change:
-            weight /= 2.0
-        last_change = change
+        slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
+        weight, last = _aitken(weight, last, misfit) if slow else 1.0, misfit
         # The next sweep's first guess: the same gaps again give the same pressures again, while
         # another guess moves them within the tolerance of the gap equations for ever.
         state = replace(state, change=step.state.change)
@@ -281,6 +283,14 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         f"in-step iteration: pressures still change by {change:.1e} of the preload after "
         f"{MAX_SWEEPS} sweeps; take a shorter step or the staggered coupling"
     )
+
+
+def _aitken(weight: float, last: Array, misfit: Array) -> float:
+    """Weight of the next sweep by Aitken's method (Irons & Tuck 1969); all of it at first."""
+    turn = misfit - last
+    if not last.any() or not turn.any():
+        return 1.0
+    return float(np.clip(-weight * (last @ turn) / (turn @ turn), LEAST_WEIGHT, 1.0))
 
 
 def heat_step(
