@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
-from scipy.signal import butter, sosfiltfilt
 
 from artefacts.errors import InputError, unknown_name
 from calibrate.model import Model
 from calibrate.steps import step_level
 from estimator import blocks
 from estimator.fchs import Estimate, Estimator, run, start
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Period above which the noise is filtered out, s: it has no offset and no drift.
 NOISE_PERIOD_S = 60.0
@@ -73,6 +75,9 @@ def sensor_noise(
     InputError
         There are too few samples for the filter, or they are too far apart.
     """
+    # Here, not above: a stream of samples needs no filter.
+    from scipy.signal import butter, sosfiltfilt
+
     interval = float(times[-1] - times[0]) / (len(times) - 1)
     white = np.random.default_rng(seed).standard_normal((len(times), channels))
     edge = 2.0 * interval / NOISE_PERIOD_S

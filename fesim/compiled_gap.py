@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fesim.gap import (
@@ -28,6 +27,7 @@ from fesim.gap import (
     unconverged,
 )
 from fesim.joint_law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+from fesim.machine_code import compiled
 
 Array = NDArray[np.float64]
 
@@ -165,7 +165,7 @@ def _full(tangent: Array) -> Array:
     return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _pressure(law: Array, opening: float) -> tuple[float, float]:
     """Pressure (Pa) and its slope (Pa/m), as `SurfaceNormalLaw` and `BackBurdekinLaw` say."""
     if law[_KIND] == _SURFACE:
@@ -180,7 +180,7 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
     return approach**power, -power / law[_SCALE] * approach ** (power - 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _evaluate(
     laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
 ) -> None:
@@ -213,7 +213,7 @@ def _evaluate(
         tangent[5, e] = -stiffness * ratio * (1.0 - across * across)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _residual(
     force_compliance: Array,
     reference: Array,
@@ -235,7 +235,7 @@ def _residual(
             residual[at] = gap[i, e] - thermal_gap[at] - residual[at]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _newton_step(
     laws: Array,
     at_rest: Array,
@@ -293,7 +293,7 @@ def _newton_step(
         step[i] += total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _largest(values: Array) -> float:
     """The largest magnitude; NaN if there is one, which must not look like convergence."""
     largest = 0.0
@@ -304,7 +304,7 @@ def _largest(values: Array) -> float:
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _solve(
     force_compliance: Array,
     reference: Array,

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError, ThermojointError
-from fesim.compiled_gap import compile_gap
 from fesim.condensation import ElasticCondensation, ThermalCondensation
 from fesim.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
 from fesim.joint_law import JointLaw, Traction, evaluate
@@ -103,6 +102,9 @@ def gap_solver(
     problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
 ) -> Settle:
     """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
+    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
+    from fesim.compiled_gap import compile_gap
+
     compiled = compile_gap(problem.force_compliance, problem.reference, laws)
     solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
     return partial(solve, tolerance=tolerance)

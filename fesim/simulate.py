@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
@@ -30,6 +30,9 @@ from fesim.march import (
     staggered,
 )
 from fesim.setup import Setup, measured_points, set_up
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 

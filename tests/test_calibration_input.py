@@ -17,7 +17,7 @@ from calibrate.model_file import read_model, read_provenance
 from fesim.case import CandidatesSection, Case, case_from_data
 from thermojoint import arguments, reproduce, study
 from thermojoint.calibration_input import check_drivable, check_placeable, moving_axes
-from thermojoint.cli import app
+from thermojoint.commands.app import app
 from thermojoint.console import paper_claim
 
 PAGE = (Path(__file__).parents[1] / "docs" / "calibration.md").read_text("utf-8")

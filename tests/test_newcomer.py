@@ -14,7 +14,7 @@ from step_files import write_step
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Structure
-from thermojoint.cli import app
+from thermojoint.commands.app import app
 
 PAGE = Path(__file__).parents[1] / "docs" / "your-own-machine.md"
 BLOCKS = re.findall(r"^```(\w+)([^\n]*)\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)

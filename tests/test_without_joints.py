@@ -11,7 +11,7 @@ from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint import pictures, view
-from thermojoint.cli import app
+from thermojoint.commands.app import app
 
 LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
 

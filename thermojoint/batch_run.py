@@ -57,8 +57,8 @@ def stop_request() -> Iterator[Callable[[], bool]]:
 
     def press(number: int, frame: FrameType | None) -> None:
         nonlocal pressed
-        if pressed:
-            raise KeyboardInterrupt
+        if pressed and callable(before):
+            before(number, frame)
         pressed = True
 
     before = signal.signal(signal.SIGINT, press)

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -20,8 +21,10 @@ from rich.progress import (
 from rich.table import Table
 
 from thermojoint import paper_values
-from thermojoint.summary import Convergence, PressureShare, SchemeErrors
-from thermojoint.tables import NOTE, PrintedTable
+
+if TYPE_CHECKING:
+    from thermojoint.summary import Convergence, PressureShare, SchemeErrors
+    from thermojoint.tables import PrintedTable
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
@@ -82,6 +85,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
+    from thermojoint.tables import NOTE
+
     for printed in tables:
         table = Table()
         table.add_column("parameter")

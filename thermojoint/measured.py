@@ -13,14 +13,17 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
 from calibrate.model import Model
 from estimator.fchs import Estimate
 from estimator.validation import readings, sensor_noise
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _MICRO = 1e6
 #: A probe this near to a sensor of the model is that sensor, m.

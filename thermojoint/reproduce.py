@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from artefacts.files import write_text
+from artefacts.folders import whole_folder
 from artefacts.response import write_response
 from calibrate.model import Model
 from calibrate.model_file import Provenance, write_model
@@ -62,7 +63,7 @@ CAPTIONS = {
 def reproduce(case: Case, out: Path) -> None:
     """Run the chain on `case`, fill the folder `out` and print what came out.
 
-    Every file is written whole or not at all, as soon as its content is known.
+    The folder is all old until everything is there, and then all new (`artefacts.folders`).
 
     Parameters
     ----------
@@ -82,14 +83,14 @@ def reproduce(case: Case, out: Path) -> None:
     """
     check_drivable(case)
     check_placeable(case)
-    with console.progress_bars() as report:
+    with whole_folder(out) as folder, console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(case)
         report("setting up", 1, 1)
         inputs = study.CALIBRATION | study.VALIDATION
         responses = study.simulate_inputs(case, inputs, setup=setup, progress=report)
         for name, response in responses.items():
-            write_response(response, out / "responses" / f"{name}.nc")
+            write_response(response, folder / "responses" / f"{name}.nc")
 
         report("calibrating", 0, 1)
         calibrated, provenance = _calibrate(case, responses)
@@ -99,10 +100,10 @@ def reproduce(case: Case, out: Path) -> None:
                 for name, response in responses.items()
             }
             for name, response in responses.items():
-                write_response(response, out / "responses" / f"{name}.nc")
-        write_model(calibrated.model, out / "model.json", provenance)
+                write_response(response, folder / "responses" / f"{name}.nc")
+        write_model(calibrated.model, folder / "model.json", provenance)
         tables = tables_json(calibrated.model, provenance)
-        _write_json(out / "tables.json", tables)
+        _write_json(folder / "tables.json", tables)
         report("calibrating", 1, 1)
 
         report("validating", 0, 1)
@@ -110,30 +111,30 @@ def reproduce(case: Case, out: Path) -> None:
         validated = study.validate_model(
             calibrated.model, responses[REFERENCE], judged, noisy=[TRIANGLE]
         )
-        _write_json(out / "validation.json", validated.figures())
+        _write_json(folder / "validation.json", validated.figures())
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
         hot = case.model_copy(update={"heat_input": inputs[PRESSURE]})
-        pictures = _draw(out / "figures", figures, hot, setup, calibrated.model.sensors, report)
+        pictures = _draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)
 
-    data = ReportData(
-        title=case.title,
-        facts=facts(case, responses[REFERENCE]),
-        tables=printed_tables(tables),
-        validation=validated.rows,
-        schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
-        blocks=validated.blocks,
-        convergence={name: convergence(response) for name, response in responses.items()},
-        share=pressure_share(responses[PRESSURE]),
-        placement="" if calibrated.placement is None else str(calibrated.placement),
-        fits=provenance.reports,
-        pictures=pictures,
-        case=case.model_dump_json(indent=2),
-    )
-    write_report(data, out / "report.html")
+        data = ReportData(
+            title=case.title,
+            facts=facts(case, responses[REFERENCE]),
+            tables=printed_tables(tables),
+            validation=validated.rows,
+            schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
+            blocks=validated.blocks,
+            convergence={name: convergence(response) for name, response in responses.items()},
+            share=pressure_share(responses[PRESSURE]),
+            placement="" if calibrated.placement is None else str(calibrated.placement),
+            fits=provenance.reports,
+            pictures=pictures,
+            case=case.model_dump_json(indent=2),
+        )
+        write_report(data, folder / "report.html")
     show(console.out(), data)
 
 

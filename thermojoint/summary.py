@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from artefacts.errors import InputError
 from fesim.reduced_march import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: A contact pressure that moves by less than this part of the largest change has no share.
 _STILL = 1e-3

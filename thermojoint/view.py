@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
@@ -29,18 +28,7 @@ from thermojoint.scenes import (
     structure_scene,
     temperature_scene,
 )
-
-
-class Show(StrEnum):
-    """What a picture shows."""
-
-    structure = "structure"
-    curves = "curves"
-    pressures = "pressures"
-    temperature = "temperature"
-    deformation = "deformation"
-    pressure = "pressure"
-
+from thermojoint.show import Show
 
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
 FIELDS = (Show.temperature, Show.deformation, Show.pressure)

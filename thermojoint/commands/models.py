@@ -8,23 +8,15 @@ import math
 from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from artefacts.errors import InputError
-from artefacts.files import write_text
-from artefacts.response import read_response
-from calibrate.model_file import read_model, read_provenance, write_model
-from estimator.assembly import start
-from estimator.fchs import initial_state, stream
-from estimator.state_file import load_state, save_state
-from fesim.case import read_case
-from thermojoint import arguments, console, measured, study
-from thermojoint.provenance import provenance_of
-from thermojoint.reproduce import reproduce as run_all
-from thermojoint.summary import compare_schemes
-from thermojoint.tables import printed_tables, tables_json
+from thermojoint import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from thermojoint.measured import Sample
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
 
@@ -53,10 +45,18 @@ def calibrate(
     Example: [bold]thermojoint calibrate --reference measured-1.nc --input 0.5=measured-05.nc
     --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
     """
-    arguments.check_writable(out)
+    from artefacts.response import read_response
+    from calibrate.model_file import write_model
+    from thermojoint import console, study
+    from thermojoint.provenance import provenance_of
+    from thermojoint.tables import printed_tables, tables_json
+
+    pairs = [arguments.level_and_file(text) for text in given]
+    inputs = [reference, *(path for _, path in pairs)]
+    arguments.check_outputs({"--out": (out, file_kinds.MODEL)}, inputs)
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
-    others = {level: read_response(path) for level, path in map(arguments.level_and_file, given)}
+    others = {level: read_response(path) for level, path in pairs}
     if len(others) < len(given):
         raise InputError("--input: a heat input is given twice; give each once")
     with console.progress_bars() as report:
@@ -80,6 +80,10 @@ def tables(
 
     Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
     """
+    from calibrate.model_file import read_model, read_provenance
+    from thermojoint import console
+    from thermojoint.tables import printed_tables, tables_json
+
     content = tables_json(read_model(model), read_provenance(model))
     if as_json:
         print(json.dumps(content, indent=2, allow_nan=False))
@@ -125,14 +129,28 @@ def estimate(
 
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
-    arguments.check_writable(out, save)
+    from artefacts.response import read_response
+    from calibrate.model_file import read_model
+    from estimator.assembly import start
+    from estimator.fchs import initial_state, stream
+    from estimator.state_file import load_state, save_state
+    from thermojoint import console, measured
+
+    # Not with the state of --continue: it may be replaced by its successor.
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.ESTIMATE),
+            "--save-state": (save, file_kinds.ESTIMATOR_STATE),
+        },
+        [model, temperatures],
+    )
     if not 0.0 < run_length < math.inf:
         raise InputError(f"--run-length-min {run_length:g}: give a positive number of minutes")
     table = read_model(model)
     sensors, where = list(table.linear.direct), arguments.shown(temperatures)
     live = str(out) == "-"
     with arguments.opened(temperatures) as source:
-        samples: Iterator[measured.Sample]
+        samples: Iterator[Sample]
         if source is None:
             samples = measured.response_samples(read_response(temperatures), table)
         else:
@@ -177,7 +195,13 @@ def validate(
 
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
     """
-    arguments.check_writable(out)
+    from artefacts.files import write_text
+    from artefacts.response import read_response
+    from calibrate.model_file import read_model
+    from thermojoint import console, measured, study
+    from thermojoint.summary import compare_schemes
+
+    arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, [model, reference, *responses])
     table = read_model(model)
     base = read_response(reference) if reference else None
     given = {path.stem: read_response(path) for path in responses}
@@ -211,7 +235,11 @@ def reproduce(
 
     Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
     """
-    arguments.check_folder(out)
+    from fesim.case import read_case
+    from thermojoint import console
+    from thermojoint.reproduce import reproduce as run_all
+
+    arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
     run_all(given, out)

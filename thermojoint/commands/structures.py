@@ -10,15 +10,8 @@ from typing import Annotated
 import typer
 
 from artefacts.errors import InputError
-from artefacts.files import write_text
-from fesim.case import read_case
-from fesim.setup import UNITS, build_structure, check_names
-from meshes.cad import mesh_cad, read_names
-from meshes.exchange import read_structure
-from meshes.inspection import inspect as look_over
-from thermojoint import arguments, console, inspection_report
-from thermojoint.pictures import check_png, write_pictures
-from thermojoint.view import Show, bare_structure, draw
+from thermojoint import arguments, file_kinds
+from thermojoint.show import Show
 
 
 class Unit(StrEnum):
@@ -47,7 +40,12 @@ def mesh(
 
     Example: [bold]thermojoint mesh part.step --size-mm 10 --out part.msh[/bold]
     """
-    arguments.check_writable(out)
+    from meshes.cad import mesh_cad, read_names
+    from meshes.exchange import read_structure
+    from meshes.inspection import inspect as look_over
+    from thermojoint import console, inspection_report
+
+    arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
     if not 0.0 < size < math.inf:
         raise InputError(f"--size-mm {size:g}: give a positive length")
     mesh_cad(part, out, 1e-3 * size, order, read_names(names) if names else None)
@@ -73,8 +71,22 @@ def inspect(
 
     Example: [bold]thermojoint inspect part.msh --unit mm --out part.png --case part.toml[/bold]
     """
-    arguments.check_writable(out, as_json, skeleton)
+    from artefacts.files import write_text
+    from fesim.case import read_case
+    from fesim.setup import UNITS, build_structure, check_names
+    from meshes.exchange import read_structure
+    from meshes.inspection import inspect as look_over
+    from thermojoint import console, inspection_report
+
+    outputs = {
+        "--out": (out, file_kinds.PICTURE),
+        "--json": (as_json, file_kinds.INSPECTION),
+        "--case": (skeleton, file_kinds.DRAFT),
+    }
+    arguments.check_outputs(outputs, [source])
     if out:
+        from thermojoint.pictures import check_png
+
         check_png(out)
     if source.suffix == ".toml":
         if skeleton:
@@ -91,6 +103,9 @@ def inspect(
     if skeleton:
         write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:
+        from thermojoint.pictures import write_pictures
+        from thermojoint.view import bare_structure
+
         write_pictures({out: bare_structure(structure)})
     console.wrote(as_json, skeleton, out)
 
@@ -111,7 +126,10 @@ def view(
 
     Example: [bold]thermojoint view machine.nc --show deformation --out deformed.png[/bold]
     """
-    arguments.check_writable(out)
+    from thermojoint import console
+    from thermojoint.view import draw
+
+    arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [source])
     with console.progress_bars() as report:
         draw(source, show, out, report)
     console.wrote(out)
