@@ -153,11 +153,11 @@ def read_response(path: Path) -> xr.Dataset:
         The file is missing, truncated, no response, of another version, or fails
         `check_response`.
     """
-    import xarray as xr
-
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a response written by 'thermojoint simulate'")
+    import xarray as xr
+
     try:
         response = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError, RuntimeError) as error:

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
 from calibrate import source_thermal, steps
@@ -23,6 +23,9 @@ from calibrate.model import DeformationModel, FictitiousSource, RingModel
 from calibrate.regularisation import choose_regularisation
 from calibrate.source_deformation import fit_source_deformation, source_displacements
 from calibrate.source_thermal import SourceFit
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError
 from calibrate import deformation, ring_source, steps
@@ -21,6 +21,9 @@ from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, solve_linear
 from calibrate.model import DeformationModel, LinearModel, Relaxation, RingModel
 from calibrate.regularisation import choose_regularisation
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
 RING_RADIUS = 0.12

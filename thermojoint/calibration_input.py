@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
 from calibrate import steps
@@ -20,6 +20,9 @@ from fesim.case import CandidatesSection, Case, step_count
 from fesim.history import read_history
 from fesim.loads import held_history
 from fesim.simulate import case_in
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 ROLES = ("a", "b", *JOINT_SENSORS)
 #: An axis along which nothing moves by more than this part of the largest displacement is left out.

@@ -24,9 +24,8 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from artefacts.errors import InputError
 from artefacts.files import whole_file
-from thermojoint.figures import write_figure
+from thermojoint.figures import check_png, write_figure
 from thermojoint.scene_file import load_scene, save_scene
 from thermojoint.scenes import Array, Panel, Scene, Surface
 
@@ -80,18 +79,6 @@ def write_pictures(pictures: Mapping[Path, Scene], pyvista: bool = True) -> dict
             write_figure(matplotlib_picture(scene), path, dpi=110)
             used[path] = "matplotlib"
     return used
-
-
-def check_png(path: Path) -> None:
-    """Refuse a name that says another format than PNG.
-
-    Raises
-    ------
-    InputError
-        The suffix is not ``.png``.
-    """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: 3-D pictures are PNG files; name it {path.stem}.png")
 
 
 def _with_pyvista(pictures: Mapping[Path, Scene]) -> dict[Path, bytes]:

@@ -21,11 +21,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from artefacts.errors import InputError, ThermojointError
 from calibrate import steps
@@ -36,6 +35,9 @@ from calibrate.regularisation import choose_regularisation, steepest_rise
 from estimator.assembly import deformation_bank
 from estimator.inverse import inverse_bank
 from estimator.recursion import Bank, respond_to_line, respond_to_steps, stacked
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -306,6 +308,8 @@ def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
     """Return the response with further probes named after the roles they play."""
     chosen = response.sel(probe=list(roles.values())).assign_coords(probe=list(roles))
     kept = response.sel(probe=[str(p) for p in response["probe"].to_numpy() if str(p) not in roles])
+    import xarray as xr
+
     joined = xr.concat(
         [chosen[["temperature", "probe_position"]], kept[["temperature", "probe_position"]]],
         dim="probe",
@@ -323,6 +327,8 @@ def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> f
 
 def _filtered(deviations: Array, interval: float) -> Array:
     """Deviations (n, sensors) through each low-pass filter, shape (n, sensors * filters)."""
+    from scipy.signal import lfilter
+
     columns = []
     for time in UNCERTAIN_TIMES:
         pole = np.exp(-interval / time)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from artefacts.files import write_text
@@ -29,13 +28,16 @@ from thermojoint.figures import (
     write_figure,
 )
 from thermojoint.measured import roles_in
-from thermojoint.pictures import write_pictures
 from thermojoint.placement import with_roles
 from thermojoint.provenance import provenance_of
 from thermojoint.report import Picture, ReportData, write_report
 from thermojoint.summary import compare_schemes, convergence, pressure_share
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 REFERENCE = "step-1.0"
 #: The response of Figure 7, and of the field pictures.
@@ -253,6 +255,8 @@ def _draw(
     report: console.Report,
 ) -> list[Picture]:
     """Write the figures and the 3-D pictures of the end of `case`."""
+    from thermojoint.pictures import write_pictures
+
     _, _, last = run_to_end(case, report, setup)
     scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
     scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}

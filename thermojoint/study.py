@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import ConvergenceError, InputError, ThermojointError
@@ -57,6 +57,9 @@ from thermojoint.placement import (
     sources_for,
     with_roles,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 HeatInput = StepInput | TriangleInput
 Report = Callable[[str, int, int], None]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
@@ -16,8 +15,13 @@ from fesim.setup import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.console import Report
-from thermojoint.figures import check_format, pressure_figure, response_figure, write_figure
-from thermojoint.pictures import check_png, write_pictures
+from thermojoint.figures import (
+    check_format,
+    check_png,
+    pressure_figure,
+    response_figure,
+    write_figure,
+)
 from thermojoint.scenes import (
     Scene,
     deformed_scene,
@@ -29,6 +33,9 @@ from thermojoint.scenes import (
     temperature_scene,
 )
 from thermojoint.show import Show
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
 FIELDS = (Show.temperature, Show.deformation, Show.pressure)
@@ -67,6 +74,9 @@ def draw(source: Path, show: Show | None, out: Path, report: Report) -> None:
         return
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
+    # Here, not above: what is wrong with a case is said before anything can draw.
+    from thermojoint.pictures import write_pictures
+
     if show is Show.structure:
         write_pictures({out: whole_structure(case, build_structure(case))})
         return

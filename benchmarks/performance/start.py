@@ -17,8 +17,8 @@ COMMANDS = {
     "start-help": (["--help"], "thermojoint --help"),
     "start-simulate": (
         ["simulate", "nowhere.toml", "--out", "nowhere.nc"],
-        "thermojoint simulate of a case that is not there: its imports and its one line; xarray and "
-        "the compiler are loaded when a response and a joint ask for them",
+        "thermojoint simulate of a case that is not there: its imports and its one line; xarray "
+        "and the compiler are loaded when a response and a joint ask for them",
     ),
 }
 

@@ -85,7 +85,7 @@ def inspect(
     }
     arguments.check_outputs(outputs, [source])
     if out:
-        from thermojoint.pictures import check_png
+        from thermojoint.figures import check_png
 
         check_png(out)
     if source.suffix == ".toml":
