@@ -3,17 +3,22 @@
 One labelled dataset with units in its metadata, stored as NetCDF. It is the only thing that
 `calibrate` knows of a structure. A measured response needs `heat_input`, `temperature` and
 `displacement` only; a simulated one also holds the joint and the solver's figures.
+
+xarray is imported where a response is made or read: it takes as long as most of a command's start.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
 from artefacts.files import whole_file
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SCHEMA = "thermojoint-response"
 SCHEMA_VERSION = 1
@@ -116,6 +121,8 @@ def make_response(
     attrs : dict, optional
         Further metadata, e.g. ``reference_power_W`` and ``case``.
     """
+    import xarray as xr
+
     data = {}
     for name, value in values.items():
         if name not in VARIABLES:
@@ -168,6 +175,8 @@ def read_response(path: Path | str) -> xr.Dataset:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a response written by 'thermojoint simulate'")
+    import xarray as xr
+
     try:
         response = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError, RuntimeError) as error:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError, unknown_name
 from artefacts.response import check_response
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Samples on which starts are compared before the full series is used.
 COARSE = 150

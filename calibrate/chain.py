@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import ConvergenceError, InputError, ThermojointError
@@ -51,6 +51,9 @@ from models.parameters import (
     Span,
 )
 from models.sensors import JOINT_SENSORS, ROLES, readings
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0

@@ -16,7 +16,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import lfilter
 
 from artefacts import steps
 from artefacts.errors import InputError
@@ -53,6 +52,8 @@ def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -
     list of ndarray, shape (n, channels)
         One per `UNCERTAIN_TIMES`, K.
     """
+    from scipy.signal import lfilter
+
     interval = float(times[1] - times[0])
     random = np.random.default_rng(seed)
     signals = []

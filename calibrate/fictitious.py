@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts import steps
 from artefacts.errors import InputError, unknown_name
@@ -25,6 +25,9 @@ from calibrate.source_thermal import SourceFit
 from models.parameters import DeformationModel, FictitiousSource, RingModel
 from models.regularisation import choose_regularisation
 from models.sensors import JOINT_SENSORS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)

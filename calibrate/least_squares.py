@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from artefacts.errors import InputError
 from calibrate.fit_result import INDISTINCT, Fit, covariance
@@ -168,6 +167,8 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
 
 def _starts(problem: Separable, count: int, seed: int) -> np.ndarray:
     """Return `count` starts, log-uniform within the bounds, shape (count, k)."""
+    from scipy.stats import qmc
+
     sampler = qmc.Sobol(len(problem.names), seed=seed)
     points = sampler.random_base2(max(0, int(np.ceil(np.log2(max(1, count))))))[:count]
     lower, upper = np.log(problem.lower), np.log(problem.upper)

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts import steps
 from artefacts.errors import InputError
@@ -25,6 +25,9 @@ from models.parameters import DeformationModel, LinearModel, Relaxation, RingMod
 from models.regularisation import choose_regularisation
 from models.relaxation import relaxation_response
 from models.sensors import JOINT_SENSORS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
 RING_RADIUS = 0.12

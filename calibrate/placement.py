@@ -21,11 +21,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from artefacts import steps
 from artefacts.errors import InputError, ThermojointError
@@ -37,6 +36,9 @@ from models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
 from models.filters.inverse import inverse_bank
 from models.parameters import DeformationModel
 from models.regularisation import choose_regularisation, steepest_rise
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -309,6 +311,8 @@ def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
     """Return the response with further probes named after the roles they play."""
     chosen = response.sel(probe=list(roles.values())).assign_coords(probe=list(roles))
     kept = response.sel(probe=[name for name in probes_of(response) if name not in roles])
+    import xarray as xr
+
     joined = xr.concat(
         [chosen[["temperature", "probe_position"]], kept[["temperature", "probe_position"]]],
         dim="probe",
@@ -333,6 +337,8 @@ def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> f
 
 def _filtered(deviations: Array, interval: float) -> Array:
     """Deviations (n, sensors) through each low-pass filter, shape (n, sensors * filters)."""
+    from scipy.signal import lfilter
+
     columns = []
     for time in UNCERTAIN_TIMES:
         pole = np.exp(-interval / time)

@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts import steps
 from artefacts.errors import InputError, unknown_name
@@ -18,6 +18,9 @@ from artefacts.response import axes_of, probes_of
 from calibrate.fictitious import check_steps
 from calibrate.source_thermal import make_geometry
 from models.sensors import JOINT_SENSORS, ROLES
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: An axis along which nothing moves by more than this part of the largest displacement is left out.
 STILL = 1e-3

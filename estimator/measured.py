@@ -13,12 +13,14 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from artefacts.errors import InputError
 from models.parameters import Model
 from models.sensors import readings, roles_in
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
 _LARGEST = 5000.0

@@ -21,9 +21,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from platformdirs import user_cache_path
 
 from artefacts.files import DAMAGED_ARCHIVE, whole_file
+from artefacts.own_folder import user_cache
 
 #: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
 VARIABLE = "THERMOJOINT_CACHE"
@@ -74,7 +74,7 @@ def folder() -> Path | None:
     given = os.environ.get(VARIABLE, "")
     if given.lower() == "off":
         return None
-    return Path(given) if given else user_cache_path("thermojoint", appauthor=False)
+    return Path(given) if given else user_cache()
 
 
 def load(key: str) -> Arrays | None:

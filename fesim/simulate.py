@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
@@ -31,6 +31,9 @@ from fesim.setup.machine import Setup, measured_points, set_up
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
 

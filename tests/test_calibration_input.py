@@ -19,7 +19,7 @@ from models import deformation, ring_source
 from models.model_file import read_model, read_provenance
 from models.parameters import DeformationModel, RingModel
 from thermojoint import arguments, reproduce
-from thermojoint.cli import app
+from thermojoint.commands.app import app
 from thermojoint.paper import inputs
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.summary import paper_claim

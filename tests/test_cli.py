@@ -3,33 +3,27 @@
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import tomllib
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
+from in_process import undisturbed
+from reference_case import CASE, lasting
 
 from artefacts.response import read_response, write_response
 from models.model_file import Provenance, read_model, write_model
-from thermojoint import cli, console, paper_values, view
-from thermojoint.commands import models, simulation
+from thermojoint import cli, console, paper_values, reproduce, view
+from thermojoint.commands.app import app
 from thermojoint.paper import inputs
 
-CASE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
-COARSE = re.sub(r"joint_element_size_mm.*", "", CASE).replace(
-    "element_size_mm = 50.0", "element_size_mm = 100.0"
-)
 CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
-
-
-def lasting(minutes):
-    return COARSE.replace("duration_min = 35.0", f"duration_min = {minutes}")
 
 
 @pytest.fixture
@@ -38,12 +32,8 @@ def command(monkeypatch, capsys):
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
-        before = signal.getsignal(signal.SIGTERM)
-        try:
-            with pytest.raises(SystemExit) as stop:
-                cli.main()
-        finally:
-            signal.signal(signal.SIGTERM, before)
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
         told = capsys.readouterr()
         return int(stop.value.code or 0), told.out, told.err
 
@@ -56,13 +46,11 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reproduce")
     (folder / "coarse.toml").write_text(lasting(3.0))
     patch = pytest.MonkeyPatch()
-    before = signal.getsignal(signal.SIGTERM)
-    with patch.context() as within:
+    with patch.context() as within, undisturbed():
         arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
         within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])
         with pytest.raises(SystemExit) as stop:
             cli.main()
-    signal.signal(signal.SIGTERM, before)
     assert not stop.value.code
     return folder / "results"
 
@@ -221,7 +209,7 @@ def stripped(text):
     return re.sub(r"[\s│─╭╮╰╯]", "", re.sub(r"\x1b\[[0-9;]*m", "", text))
 
 
-HELPED = typer.main.get_command(cli.app).commands
+HELPED = typer.main.get_command(app).commands
 
 
 @pytest.mark.parametrize("name", HELPED)
@@ -253,7 +241,7 @@ def test_the_version_is_printed(command):
 
 
 def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_hand, monkeypatch):
-    monkeypatch.setattr(simulation, "set_up", None)  # would fail if it were called
+    monkeypatch.setattr("fesim.setup.machine.set_up", None)  # would fail if it were called
     case = files_at_hand / "case.toml"
     code, _, err = command("simulate", case, "--out", files_at_hand)
     assert (code, err.count("\n")) == (2, 1)
@@ -266,7 +254,7 @@ def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_h
 def test_a_folder_of_snapshots_that_cannot_be_is_refused_before_any_work(
     command, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(simulation, "set_up", None)  # would fail if it were called
+    monkeypatch.setattr("fesim.setup.machine.set_up", None)  # would fail if it were called
     case, taken = tmp_path / "case.toml", tmp_path / "run-snapshots"
     case.write_text(lasting(0.1))
     taken.write_text("a file")
@@ -598,9 +586,31 @@ def test_the_report_holds_everything_in_one_page(results):
     assert "<script" not in page
 
 
+def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
+    command, results, tmp_path, monkeypatch
+):
+    """Ctrl-C comes when the new responses are written."""
+    out = tmp_path / "results"
+    shutil.copytree(results, out)
+    (out / "figures" / "notes.txt").write_text("mine")
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    (tmp_path / "short.toml").write_text(lasting(0.5))
+
+    def interrupted(case, responses):
+        [beside] = tmp_path.glob(".results.*")
+        assert len(list(beside.rglob("*.nc"))) == len(responses)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(reproduce, "_calibrate", interrupted)
+    code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
+    assert (code, err) == (130, "thermojoint: interrupted; no unfinished file is left\n")
+    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]
+
+
 def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
     seen = []
-    monkeypatch.setattr(models, "run_all", lambda case, out: seen.append((case, out)))
+    monkeypatch.setattr(reproduce, "reproduce", lambda case, out: seen.append((case, out)))
     code, _, _ = command("reproduce", "--out", tmp_path / "results")
     assert code == 0
     [(case, _)] = seen

@@ -97,6 +97,12 @@ def test_a_file_left_behind_a_hang_a_traceback_and_a_missing_response_fail(ended
     assert ended(0, "") == "exit code 0 without a response"
 
 
+def test_an_input_that_has_changed_fails(tmp_path):
+    (tmp_path / "stderr").write_text("thermojoint: one\n")
+    (tmp_path / "case.toml").write_text("overwritten")
+    assert verdict(tmp_path, {"case.toml": b"given"}, 2) == "input changed: ['case.toml']"
+
+
 def test_a_whole_response_passes(tmp_path, ended, coarse_response):
     write_response(coarse_response, tmp_path / "out.nc")
     assert ended(0, "wrote out.nc\n") == "result"

@@ -2,7 +2,6 @@
 
 import json
 import math
-import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process import undisturbed
 
 from artefacts.errors import ConvergenceError
 from thermojoint import cli, verification_run
@@ -125,12 +125,8 @@ def command(monkeypatch, capsys):
         groups = Group("Rods", first), Group("More rods", lambda: after)
         monkeypatch.setattr(verification_run, "GROUPS", groups)
         monkeypatch.setattr(sys, "argv", ["thermojoint", "verify", *map(str, arguments)])
-        before = signal.getsignal(signal.SIGTERM)
-        try:
-            with pytest.raises(SystemExit) as stop:
-                cli.main()
-        finally:
-            signal.signal(signal.SIGTERM, before)
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
         return int(stop.value.code or 0), capsys.readouterr().out
 
     return run_on

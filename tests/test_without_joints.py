@@ -11,7 +11,7 @@ from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint import renderer, view
-from thermojoint.cli import app
+from thermojoint.commands.app import app
 
 LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
 
@@ -87,7 +87,8 @@ def test_a_snapshot_without_joints_is_the_structure_alone(simulated):
     fields = simulated / "fields"
     index = ElementTree.parse(fields / "snapshots.pvd").getroot()
     assert [entry.get("file") for entry in index.iter("DataSet")] == ["structure_000002.vtu"]
-    assert {path.name for path in fields.iterdir()} == {"snapshots.pvd", "structure_000002.vtu"}
+    written = {"contents.json", "snapshots.pvd", "structure_000002.vtu"}
+    assert {path.name for path in fields.iterdir()} == written
 
 
 @pytest.mark.parametrize("show", ["structure", "temperature", "deformation"])

@@ -6,14 +6,18 @@ import io
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
-from models.sensors import JOINT_SENSORS
+from artefacts.folders import check_replaceable
+from thermojoint.file_kinds import Kind
+
+if TYPE_CHECKING:
+    from fesim.case.schema import Case
 
 
 def shown(path: Path) -> str:
@@ -21,14 +25,55 @@ def shown(path: Path) -> str:
     return "standard input" if str(path) == "-" else str(path)
 
 
-def check_writable(*paths: Path | None) -> None:
-    """Refuse, before any work, a place where no file can be written."""
-    for path in paths:
-        if path is None or str(path) == "-":
+def check_outputs(
+    outputs: Mapping[str, tuple[Path | None, Kind]], inputs: Iterable[Path | None] = ()
+) -> None:
+    """Refuse, before any work, an output that cannot be written or would cost somebody a file.
+
+    Parameters
+    ----------
+    outputs : mapping
+        Option to the file, None or ``-`` if there is none, and what will be written.
+    inputs : iterable of Path or None
+        What the command reads, also what its case names.
+
+    Raises
+    ------
+    InputError
+        An output is a folder or cannot be written, is an input (by whatever name or link) or
+        another output, or exists and is of another kind.
+    """
+    taken = [("an input", one) for one in inputs if one is not None and _named(one)]
+    for option, (path, kind) in outputs.items():
+        if path is None or not _named(path):
             continue
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
         _check_place(path, path.absolute().parent)
+        for what, other in taken:
+            if _same(path, other):
+                raise InputError(f"{option} {path}: is {what} of this command; give another name")
+        taken.append(("another output", path))
+        if path.exists() and not (
+            path.is_file() and (path.stat().st_size == 0 or kind.holds(path))
+        ):
+            raise InputError(
+                f"{option} {path}: exists and is not {kind.name}; give another name, or remove it"
+            )
+
+
+def files_of(case: Case) -> list[Path]:
+    """Return the files that a case names: its mesh and its histories."""
+    from fesim.case.schema import with_files
+
+    names: list[str] = []
+
+    def note(name: str) -> str:
+        names.append(name)
+        return name
+
+    with_files(case.model_dump(mode="json"), note)
+    return [Path(name) for name in names]
 
 
 def check_folder(path: Path) -> None:
@@ -36,6 +81,23 @@ def check_folder(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file; give a folder")
     _check_place(path, path.absolute())
+
+
+def check_whole_folder(path: Path) -> None:
+    """Refuse, before any work, a folder that cannot be replaced whole, or must not be."""
+    check_replaceable(path)
+    _check_place(path, path.resolve().parent)
+
+
+def _named(path: Path | None) -> bool:
+    return path is not None and str(path) != "-"
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Say whether two names are, or would be, one file: by links of either kind, too."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
 
 
 def _check_place(path: Path, folder: Path) -> None:
@@ -65,6 +127,8 @@ def level_and_file(text: str) -> tuple[float, Path]:
 
 def distances(text: str) -> list[list[float]]:
     """Split ``r11,r12,r21,r22`` (mm) into r_ij, m: row i from source i, column j to sensor T_j."""
+    from calibrate.linear import JOINT_SENSORS
+
     count = len(JOINT_SENSORS)
     with suppress(ValueError):
         values = [1e-3 * float(part) for part in text.split(",")]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING, TypeAlias
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -21,12 +22,13 @@ from rich.progress import (
 from rich.text import Text
 
 from artefacts.errors import InputError
-from fesim.batch import run
-from fesim.batch.crew import Crew
-from fesim.batch.local import local_crew
 from fesim.batch.study import Study, StudyCase, brief, read_study, shown
 from thermojoint.console import warn
 from thermojoint.plausibility import of_cases
+
+if TYPE_CHECKING:
+    from fesim.batch import run
+    from fesim.batch.crew import Crew
 
 #: Workers that are shown one by one; of more only the number.
 SHOWN_WORKERS = 8
@@ -36,6 +38,9 @@ def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run
     """Run a study file's batch and show how it goes."""
     study = read_study(path)
     warn(of_cases((one.case for one in study.cases), str(path)))
+    # Here, not above: what is wrong with a study is said before Zarr and Arrow are loaded.
+    from fesim.batch import run
+
     with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
         crew = crew_of(workers, scheduler, say)
         return run.run_batch(study, out, crew, watch=watch, tell=tell, stopped=stopped)
@@ -46,6 +51,8 @@ def crew_of(
 ) -> Callable[[], AbstractContextManager[Crew]]:
     """Return what recruits the workers: processes of this machine, or those of a Dask cluster."""
     if scheduler is None:
+        from fesim.batch.local import local_crew
+
         return lambda: local_crew(workers)
     # Here, not above: Dask is an extra.
     from fesim.batch.cluster import dask_crew
@@ -60,8 +67,8 @@ def stop_request() -> Iterator[Callable[[], bool]]:
 
     def press(number: int, frame: FrameType | None) -> None:
         nonlocal pressed
-        if pressed:
-            raise KeyboardInterrupt
+        if pressed and callable(before):
+            before(number, frame)
         pressed = True
 
     before = signal.signal(signal.SIGINT, press)
@@ -71,7 +78,7 @@ def stop_request() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-Watch = Callable[[run.Progress], None]
+Watch: TypeAlias = "Callable[[run.Progress], None]"
 Tell = Callable[[StudyCase, str], None]
 Say = Callable[[str], None]
 

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import xarray as xr
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -20,17 +20,13 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from fesim.batch.summary import figures_of
 from thermojoint import paper_values
-from thermojoint.summary import (
-    STILL,
-    Convergence,
-    PressureShare,
-    SchemeErrors,
-    paper_claim,
-    result_lines,
-)
-from thermojoint.tables import NOTE, PrintedTable
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from thermojoint.summary import Convergence, PressureShare, SchemeErrors
+    from thermojoint.tables import PrintedTable
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
@@ -97,6 +93,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
+    from thermojoint.tables import NOTE
+
     for printed in tables:
         table = Table()
         table.add_column("parameter")
@@ -120,6 +118,8 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
 
 def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
     """Print the errors of the estimators, from temperatures alone."""
+    from thermojoint.summary import paper_claim
+
     table = Table()
     title = "Validation from temperatures alone (µm)"
     for name in ("case", "estimator", "axis"):
@@ -184,6 +184,9 @@ def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> 
 
 def show_results(console: Console, response: xr.Dataset) -> None:
     """Print what a simulated response comes to: displacement, temperature, and the joint."""
+    from fesim.batch.summary import figures_of
+    from thermojoint.summary import result_lines
+
     figures = figures_of(response)
     table = Table()
     table.add_column("axis")
@@ -223,6 +226,8 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
 
 def show_share(console: Console, share: PressureShare) -> None:
     """Print how far the contact pressure of each contact element has come by a given time."""
+    from thermojoint.summary import STILL
+
     table = Table()
     title = (
         f"Change of contact pressure after {share.at_s:g} s "

@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -28,6 +27,8 @@ _SIZE = (7.0, 4.2)
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
 _NOISY_WIDTH = 0.4
+#: What curves are written as.
+FORMATS = ("png", "svg", "pdf")
 #: Above this many contact elements their curves get no label of their own.
 _LABELLED = 12
 
@@ -190,16 +191,31 @@ def check_format(path: Path) -> str:
     Raises
     ------
     InputError
-        matplotlib does not know the suffix.
+        The suffix is none of `FORMATS`.
     """
     suffix = Path(path).suffix.lstrip(".").lower()
-    if suffix not in FigureCanvasAgg.get_supported_filetypes():
+    if suffix not in FORMATS:
         raise InputError(f"{path}: no picture format {suffix!r}; use .png, .svg or .pdf")
     return suffix
 
 
+def check_png(path: Path) -> None:
+    """Refuse a name that says another format than PNG.
+
+    Raises
+    ------
+    InputError
+        The suffix is not ``.png``.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: 3-D pictures are PNG files; name it {path.stem}.png")
+
+
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
     """Return an empty figure with `panels` panels side by side, without pyplot's global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, list(figure.subplots(1, panels, squeeze=False)[0])

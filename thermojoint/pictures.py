@@ -16,9 +16,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
-from artefacts.errors import InputError
 from thermojoint.colour_scale import ColourScale
-from thermojoint.figures import write_figure
+from thermojoint.figures import check_png, write_figure
 from thermojoint.labels import place_labels
 from thermojoint.renderer import Pixels, painted, pixel_size, rendered
 from thermojoint.scenes import Panel, Scene, finished
@@ -74,18 +73,6 @@ def write_pictures(
         write_figure(sheet(scene, images, height).figure, path, dpi=height / _PANEL)
         used[path] = "matplotlib" if images is None else "pyvista"
     return used
-
-
-def check_png(path: Path) -> None:
-    """Refuse a name that says another format than PNG.
-
-    Raises
-    ------
-    InputError
-        The suffix is not ``.png``.
-    """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: 3-D pictures are PNG files; name it {path.stem}.png")
 
 
 def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from artefacts.files import write_text
+from artefacts.folders import whole_folder
 from artefacts.response import write_response
 from calibrate import chain
 from calibrate.placement import with_roles
@@ -35,11 +35,14 @@ from thermojoint.figures import (
 )
 from thermojoint.paper import inputs
 from thermojoint.paper.inputs import check_drivable, check_placeable
-from thermojoint.pictures import write_pictures
 from thermojoint.report import Picture, ReportData, write_report
 from thermojoint.summary import compare_schemes, convergence, pressure_share, verdict
 from thermojoint.tables import printed_tables, tables_json
 from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 REFERENCE = "step-1.0"
 #: The response of Figure 7, and of the field pictures.
@@ -67,7 +70,7 @@ CAPTIONS = {
 def reproduce(case: Case, out: Path) -> None:
     """Run the chain on `case`, fill the folder `out` and print what came out.
 
-    Every file is written whole or not at all, as soon as its content is known.
+    The folder is all old until everything is there, and then all new (`artefacts.folders`).
 
     Parameters
     ----------
@@ -88,14 +91,14 @@ def reproduce(case: Case, out: Path) -> None:
     """
     check_drivable(case)
     check_placeable(case)
-    with console.progress_bars() as report:
+    with whole_folder(out) as folder, console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(case)
         report("setting up", 1, 1)
         heats = inputs.CALIBRATION | inputs.VALIDATION
         responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
         for name, response in responses.items():
-            write_response(response, out / "responses" / f"{name}.nc")
+            write_response(response, folder / "responses" / f"{name}.nc")
 
         report("calibrating", 0, 1)
         calibrated, provenance = _calibrate(case, responses)
@@ -105,10 +108,10 @@ def reproduce(case: Case, out: Path) -> None:
                 for name, response in responses.items()
             }
             for name, response in responses.items():
-                write_response(response, out / "responses" / f"{name}.nc")
-        write_model(calibrated.model, out / "model.json", provenance)
+                write_response(response, folder / "responses" / f"{name}.nc")
+        write_model(calibrated.model, folder / "model.json", provenance)
         tables = tables_json(calibrated.model, provenance)
-        _write_json(out / "tables.json", tables)
+        _write_json(folder / "tables.json", tables)
         report("calibrating", 1, 1)
 
         report("validating", 0, 1)
@@ -116,30 +119,30 @@ def reproduce(case: Case, out: Path) -> None:
         validated = judge.validate_model(
             calibrated.model, responses[REFERENCE], judged, noisy=[TRIANGLE]
         )
-        _write_json(out / "validation.json", validated.figures())
+        _write_json(folder / "validation.json", validated.figures())
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
         hot = case.model_copy(update={"heat_input": heats[PRESSURE]})
-        pictures = _draw(out / "figures", figures, hot, setup, calibrated.model.sensors, report)
+        pictures = _draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)
 
-    data = ReportData(
-        title=case.title,
-        facts=facts(case, responses[REFERENCE]),
-        tables=printed_tables(tables, provenance.at_bound),
-        validation=validated.rows,
-        schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
-        blocks=validated.blocks,
-        convergence={name: convergence(response) for name, response in responses.items()},
-        share=pressure_share(responses[PRESSURE]),
-        placement="" if calibrated.placement is None else str(calibrated.placement),
-        fits=provenance.reports,
-        pictures=pictures,
-        case=case.model_dump_json(indent=2),
-    )
-    write_report(data, out / "report.html")
+        data = ReportData(
+            title=case.title,
+            facts=facts(case, responses[REFERENCE]),
+            tables=printed_tables(tables, provenance.at_bound),
+            validation=validated.rows,
+            schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
+            blocks=validated.blocks,
+            convergence={name: convergence(response) for name, response in responses.items()},
+            share=pressure_share(responses[PRESSURE]),
+            placement="" if calibrated.placement is None else str(calibrated.placement),
+            fits=provenance.reports,
+            pictures=pictures,
+            case=case.model_dump_json(indent=2),
+        )
+        write_report(data, folder / "report.html")
     show(console.out(), data)
 
 
@@ -269,6 +272,8 @@ def _draw(
     report: console.Report,
 ) -> list[Picture]:
     """Write the figures and the 3-D pictures of the end of `case`."""
+    from thermojoint.pictures import write_pictures
+
     _, _, last = run_to_end(case, report, setup)
     scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
     scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError
-from fesim.march.reduced import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
 from thermojoint import paper_values
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: A contact pressure whose final change is below this part of the largest one has no share of it.
 STILL = 0.1
@@ -51,6 +53,8 @@ class Convergence:
     @property
     def thermal_model(self) -> str:
         """The thermal model in words, with its error if it is the reduced one."""
+        from fesim.march.reduced import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
+
         if not self.modes:
             return "full"
         return (

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
@@ -32,9 +31,14 @@ from thermojoint.field_scenes import (
     outside_panel,
     pressure_panel,
 )
-from thermojoint.figures import check_format, pressure_figure, response_figure, write_figure
+from thermojoint.figures import (
+    check_format,
+    check_png,
+    pressure_figure,
+    response_figure,
+    write_figure,
+)
 from thermojoint.film import check_film, write_film
-from thermojoint.pictures import check_png, write_pictures
 from thermojoint.plausibility import of_case
 from thermojoint.scenes import (
     Marker,
@@ -44,37 +48,11 @@ from thermojoint.scenes import (
     probe_position,
     up_direction,
 )
+from thermojoint.show import Show, Up
 from thermojoint.structure_scene import structure_scene
 
-
-class Show(StrEnum):
-    """What a picture shows."""
-
-    structure = "structure"
-    curves = "curves"
-    pressures = "pressures"
-    temperature = "temperature"
-    deformation = "deformation"
-    pressure = "pressure"
-
-
-class Up(StrEnum):
-    """What points upwards in a picture."""
-
-    x = "x"
-    y = "y"
-    z = "z"
-    minus_x = "-x"
-    minus_y = "-y"
-    minus_z = "-z"
-
-    @property
-    def vector(self) -> Vector:
-        """The direction as a unit vector."""
-        sign = -1.0 if self.value.startswith("-") else 1.0
-        x, y, z = (sign * (self.value[-1] == axis) for axis in "xyz")
-        return x, y, z
-
+if TYPE_CHECKING:
+    import xarray as xr
 
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
 FIELDS = (Show.temperature, Show.deformation, Show.pressure)
@@ -118,6 +96,9 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
+    # Here, not above: what is wrong with a case is said before anything can draw.
+    from thermojoint.pictures import write_pictures
+
     if show is Show.structure:
         structure = build_structure(case)
         write_pictures({out: whole_structure(case, structure, up=up)})

@@ -26,6 +26,7 @@ from benchmarks.performance import (
     march,
     reduced,
     scaling,
+    start,
     streaming,
 )
 from benchmarks.performance.cases import condensations
@@ -47,6 +48,7 @@ GROUPS: dict[str, Group] = {
     "calibration": calibration.rows,
     "batch": batch.rows,
     "reproduce": chain.rows,
+    "start": start.rows,
 }
 
 

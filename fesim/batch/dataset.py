@@ -12,10 +12,9 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 import zarr
 from numpy.typing import NDArray
 
@@ -23,6 +22,9 @@ from artefacts.errors import InputError
 from artefacts.response import VARIABLES
 from fesim.batch.study import Study, plain
 from fesim.case.schema import first_step_at
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: How a case stands, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}

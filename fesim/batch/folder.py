@@ -47,6 +47,10 @@ _UNFINISHED = (
 )
 
 
+#: What a batch writes. Before any of it there is the lock.
+_OURS = ("responses", "records", "dataset.zarr", "summary.csv", "summary.parquet", "journal.jsonl")
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other batches out of a folder, which is made if it is missing.
@@ -54,10 +58,15 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another process is at work there, or it is no folder.
+        Another process is at work there, it is no folder, or it holds files with the names of a
+        batch's that no batch wrote.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder")
+    if not (folder / "lock").exists():
+        for name in _OURS:
+            if (folder / name).exists():
+                raise InputError(f"{folder}: has a {name} of another origin; give a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("a+", encoding="utf-8") as file:
         try:

@@ -8,8 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from artefacts.errors import InputError
 from artefacts.response import read_response
@@ -20,6 +19,9 @@ from fesim.batch.queue import Queue
 from fesim.batch.study import Study, StudyCase
 from fesim.batch.summary import figures_of
 from fesim.batch.worker import Outcome, Task
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: A case that loses this many workers is given up: it, not chance, kills them.
 MOST_LOSSES = 3

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.stats import qmc
 
 from artefacts import toml
 from artefacts.errors import InputError, unknown_name
@@ -246,6 +245,8 @@ def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
     Each range is cut into as many strips as there are samples, equal in its scale, and each strip
     has one sample (McKay, Beckman & Conover 1979).
     """
+    from scipy.stats import qmc
+
     ranges = section.ranges
     unit = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(section.seed))
     low, high = (

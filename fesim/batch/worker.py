@@ -10,10 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from time import perf_counter
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import ConvergenceError, InputError, UnreadableError
 from artefacts.response import write_response
@@ -22,6 +21,9 @@ from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Set-ups that a worker keeps. Two: the one in use, and one to come back to.
 KEPT = 2

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fesim.joint.gap import (
@@ -29,6 +28,7 @@ from fesim.joint.gap import (
     unconverged,
 )
 from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+from fesim.machine_code import compiled
 
 Array = NDArray[np.float64]
 
@@ -126,7 +126,7 @@ def _full(tangent: Array) -> Array:
     return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _pressure(law: Array, opening: float) -> tuple[float, float]:
     """Pressure (Pa) and its slope (Pa/m), as `SurfaceNormalLaw` and `BackBurdekinLaw` say."""
     if law[_KIND] == _SURFACE:
@@ -141,7 +141,7 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
     return approach**power, -power / law[_SCALE] * approach ** (power - 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _evaluate(
     laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
 ) -> None:
@@ -174,7 +174,7 @@ def _evaluate(
         tangent[5, e] = -stiffness * ratio * (1.0 - across * across)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _residual(
     springs: Array,
     compliance: Array,
@@ -196,7 +196,7 @@ def _residual(
             residual[at] = gap[i, e] - free_gap[at] - residual[at]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _newton_step(
     springs: Array,
     compliance: Array,
@@ -251,7 +251,7 @@ def _newton_step(
         step[i] += total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _largest(values: Array) -> float:
     """The largest magnitude; NaN if there is one, which must not look like convergence."""
     largest = 0.0
@@ -262,7 +262,7 @@ def _largest(values: Array) -> float:
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _solve(
     springs: Array,
     compliance: Array,

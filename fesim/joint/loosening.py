@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError
 from fesim.joint.law import JointLaw, Traction
+from fesim.machine_code import compiled
 from fesim.solid.rigid_motions import Holds, described
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ def _loose(holds: Holds, motions: Array) -> ConvergenceError:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[np.int64]) -> bool:
     """Whether every group of contact elements surely holds all that it holds at rest."""
     count, groups = table.shape[0], needed.size
@@ -183,7 +183,7 @@ def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[n
     return held
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _off_line(table: Array, a: int, b: int, c: int) -> bool:
     """Whether the centre of contact element c is clearly off the line through those of a and b."""
     x, y, z = table[b, 3] - table[a, 3], table[b, 4] - table[a, 4], table[b, 5] - table[a, 5]
@@ -192,7 +192,7 @@ def _off_line(table: Array, a: int, b: int, c: int) -> bool:
     return cross > 1e-4 * (x * x + y * y + z * z) * (u * u + v * v + w * w)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _surely_held(
     pressure: Array, tangent: Array, table: Array, rows: Array, supports: Array
 ) -> bool:

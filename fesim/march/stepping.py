@@ -10,18 +10,20 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.errors import ConvergenceError, ThermojointError
-from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
-from fesim.joint.loosening import Watch, watch_of
 from fesim.joint.relaxation import relax
 from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
+
+if TYPE_CHECKING:
+    from fesim.joint.loosening import Watch
 
 Array = NDArray[np.float64]
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
@@ -83,6 +85,9 @@ class CondensedMachine:
     @cached_property
     def watch(self) -> Watch | None:
         """What sees a body come loose."""
+        # Here, not above, as in `gap_solver`.
+        from fesim.joint.loosening import watch_of
+
         return None if self.holds is None else watch_of(self.holds, self.laws)
 
     def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
@@ -118,6 +123,9 @@ def gap_solver(
     problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
 ) -> Settle:
     """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
+    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
+    from fesim.joint.compiled_gap import compile_gap
+
     compiled = compile_gap(problem, laws)
     solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
     return partial(solve, tolerance=tolerance)

@@ -7,27 +7,15 @@ import json
 from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from artefacts.errors import InputError
-from artefacts.files import write_text
-from artefacts.response import read_response
-from calibrate import chain
-from calibrate.provenance import provenance_of
-from estimator import estimate_table, judge, measured, noise
-from estimator.interface import follow
-from estimator.saved_state import save_state
-from estimator.starting import model_in, started
-from fesim.case.schema import read_case
-from models.assembly import assemble as assemble_model
-from models.assembly_file import write_assembly
-from models.model_file import read_model, read_provenance, write_model
-from thermojoint import arguments, console, plausibility
-from thermojoint.reproduce import reproduce as run_all
-from thermojoint.summary import compare_schemes
-from thermojoint.tables import printed_tables, tables_json
+from thermojoint import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from estimator.measured import Sample
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
 EstimatorFile = Annotated[
@@ -59,12 +47,19 @@ def calibrate(
     Example: [bold]thermojoint calibrate --reference measured-1.nc --input 0.5=measured-05.nc
     --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
     """
-    arguments.check_writable(out)
+    from artefacts.response import read_response
+    from calibrate import chain
+    from calibrate.provenance import provenance_of
+    from models.model_file import write_model
+    from thermojoint import console, plausibility
+    from thermojoint.tables import printed_tables, tables_json
+
+    pairs = [arguments.level_and_file(text) for text in given]
+    inputs = [reference, *(path for _, path in pairs)]
+    arguments.check_outputs({"--out": (out, file_kinds.MODEL)}, inputs)
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
-    named = [
-        (level, path, read_response(path)) for level, path in map(arguments.level_and_file, given)
-    ]
+    named = [(level, path, read_response(path)) for level, path in pairs]
     others = {level: response for level, _, response in named}
     if len(others) < len(given):
         raise InputError("--input: a heat input is given twice; give each once")
@@ -92,6 +87,10 @@ def tables(
 
     Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
     """
+    from models.model_file import read_model, read_provenance
+    from thermojoint import console
+    from thermojoint.tables import printed_tables, tables_json
+
     provenance = read_provenance(model)
     content = tables_json(read_model(model), provenance)
     if as_json:
@@ -138,12 +137,26 @@ def estimate(
 
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
-    arguments.check_writable(out, save)
+    from artefacts.response import read_response
+    from estimator import estimate_table, measured
+    from estimator.interface import follow
+    from estimator.saved_state import save_state
+    from estimator.starting import model_in, started
+    from thermojoint import console, plausibility
+
+    # Not with the state of --continue: it may be replaced by its successor.
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.ESTIMATE),
+            "--save-state": (save, file_kinds.ESTIMATOR_STATE),
+        },
+        [model, temperatures],
+    )
     length = arguments.positive("--run-length-min", run_length)
     table, where = model_in(model), arguments.shown(temperatures)
     live = str(out) == "-"
     with arguments.opened(temperatures) as source:
-        samples: Iterator[measured.Sample]
+        samples: Iterator[Sample]
         if source is None:
             response = read_response(temperatures)
             console.warn(plausibility.of_response(response, where))
@@ -190,7 +203,12 @@ def assemble(
 
     Example: [bold]thermojoint assemble model.json --interval-s 1 --out estimator.json[/bold]
     """
-    arguments.check_writable(out)
+    from models.assembly import assemble as assemble_model
+    from models.assembly_file import write_assembly
+    from models.model_file import read_model
+    from thermojoint import console
+
+    arguments.check_outputs({"--out": (out, file_kinds.ASSEMBLY)}, [model])
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     write_assembly(assemble_model(read_model(model), dt, 60.0 * length), out)
@@ -217,7 +235,14 @@ def validate(
 
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
     """
-    arguments.check_writable(out)
+    from artefacts.files import write_text
+    from artefacts.response import read_response
+    from estimator import judge, noise
+    from models.model_file import read_model
+    from thermojoint import console, plausibility
+    from thermojoint.summary import compare_schemes
+
+    arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, [model, reference, *responses])
     table = read_model(model)
     base = read_response(reference) if reference else None
     given = {path.stem: read_response(path) for path in responses}
@@ -253,7 +278,11 @@ def reproduce(
 
     Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
     """
-    arguments.check_folder(out)
+    from fesim.case.schema import read_case
+    from thermojoint import console, plausibility
+    from thermojoint.reproduce import reproduce as run_all
+
+    arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
     console.warn(plausibility.of_case(given, str(case or "reference machine")))

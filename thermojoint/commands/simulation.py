@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from artefacts.response import write_response
-from fesim.case.schema import read_case
-from fesim.march import state_file
-from fesim.setup.machine import set_up
-from fesim.simulate import simulate as run_case
-from fesim.snapshots import snapshot_writer
-from thermojoint import arguments, console, plausibility, verification_run
-from thermojoint.summary import convergence, covered_areas
+from thermojoint import arguments, file_kinds
 
 #: Exit code of `verify` if a check is out of tolerance.
 OUT_OF_TOLERANCE = 1
@@ -44,31 +38,47 @@ def simulate(
 
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
-    arguments.check_writable(out, save)
+    from artefacts.folders import whole_folder
+    from artefacts.response import write_response
+    from fesim.case.schema import read_case
+    from fesim.march.state_file import load_state, save_state
+    from fesim.setup.machine import set_up
+    from fesim.simulate import simulate as run_case
+    from fesim.snapshots import snapshot_writer
+    from thermojoint import console, plausibility
+    from thermojoint.summary import convergence, covered_areas
+
     given = read_case(case)
+    # Not with the state of --continue: it may be replaced by its successor.
+    arguments.check_outputs(
+        {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
+        [case, *arguments.files_of(given)],
+    )
     times = given.output.snapshots_s
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:
-        arguments.check_folder(folder)
+        arguments.check_whole_folder(folder)
     console.warn(plausibility.of_case(given, str(case)))
-    begin = state_file.load_state(resume, given) if resume else None
-    with console.progress_bars() as report:
+    begin = load_state(resume, given) if resume else None
+    with (
+        whole_folder(folder) if folder else nullcontext() as fields,
+        console.progress_bars() as report,
+    ):
         report("setting up", 0, 1)
         setup = set_up(given)
         report("setting up", 1, 1)
-        console.warn(plausibility.of_structure(setup.structure, str(case)))
         finished = run_case(
             given,
             setup=setup,
             start=begin,
-            on_step=snapshot_writer(setup, folder, times or [60.0 * given.march.duration_min])
-            if folder
+            on_step=snapshot_writer(setup, fields, times or [60.0 * given.march.duration_min])
+            if fields
             else None,
             progress=lambda done, total: report("marching", done, total),
         )
-    write_response(finished.response, out)
-    if save:
-        state_file.save_state(finished.state, given, save)
+        write_response(finished.response, out)
+        if save:
+            save_state(finished.state, given, save)
     console.show_results(console.out(), finished.response)
     console.show_convergence(console.out(), {out.name: convergence(finished.response)})
     if covered := covered_areas(finished.response):
@@ -97,8 +107,7 @@ def batch(
 
     Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
     """
-    # Here, not above: the other commands need neither Zarr nor Arrow.
-    from thermojoint import batch_run
+    from thermojoint import batch_run, console
 
     batch_run.check_workers(workers, scheduler)
     finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
@@ -120,7 +129,14 @@ def verify(
 
     Example: [bold]thermojoint verify --out verify.json[/bold]
     """
-    arguments.check_writable(out, markdown)
+    from thermojoint import console, verification_run
+
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.VERIFICATION),
+            "--markdown": (markdown, file_kinds.VERIFICATION_PAGE),
+        }
+    )
     with console.progress_bars() as report:
         results = verification_run.run_all(report)
     verification_run.show(console.out(), results)

@@ -6,23 +6,18 @@ import math
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from artefacts.errors import InputError
-from artefacts.files import write_text
-from fesim.case.schema import Case, read_case
-from fesim.setup.holds import checked_holds
-from fesim.setup.machine import UNITS, build_structure, check_names, paired_joints
-from meshes.cad import mesh_cad, read_names
-from meshes.exchange import read_structure
-from meshes.inspection import Inspection
-from meshes.inspection import inspect as look_over
-from meshes.structure import Structure
-from thermojoint import arguments, console, inspection_report, plausibility
-from thermojoint.pictures import check_png, write_pictures
-from thermojoint.view import Show, Up, bare_structure, draw, draw_film, whole_structure
+from thermojoint import arguments, file_kinds
+from thermojoint.show import Show, Up
+
+if TYPE_CHECKING:
+    from fesim.case.schema import Case
+    from meshes.inspection import Inspection
+    from meshes.structure import Structure
 
 
 class Unit(StrEnum):
@@ -53,7 +48,12 @@ def mesh(
 
     Example: [bold]thermojoint mesh part.step --size-mm 10 --out part.msh[/bold]
     """
-    arguments.check_writable(out)
+    from meshes.cad import mesh_cad, read_names
+    from meshes.exchange import read_structure
+    from meshes.inspection import inspect as look_over
+    from thermojoint import console, inspection_report
+
+    arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
     if not 0.0 < size < math.inf:
         raise InputError(f"--size-mm {size:g}: give a positive length")
     mesh_cad(part, out, 1e-3 * size, order, read_names(names) if names else None)
@@ -79,8 +79,22 @@ def inspect(
 
     Example: [bold]thermojoint inspect part.msh --unit mm --out part.png --case part.toml[/bold]
     """
-    arguments.check_writable(out, as_json, skeleton)
+    from artefacts.files import write_text
+    from fesim.case.schema import read_case
+    from fesim.setup.machine import UNITS, build_structure, check_names
+    from meshes.exchange import read_structure
+    from meshes.inspection import inspect as look_over
+    from thermojoint import console, inspection_report, plausibility
+
+    outputs = {
+        "--out": (out, file_kinds.PICTURE),
+        "--json": (as_json, file_kinds.INSPECTION),
+        "--case": (skeleton, file_kinds.DRAFT),
+    }
+    arguments.check_outputs(outputs, [source])
     if out:
+        from thermojoint.figures import check_png
+
         check_png(out)
     case = None
     if source.suffix == ".toml":
@@ -100,6 +114,9 @@ def inspect(
     if skeleton:
         write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:
+        from thermojoint.pictures import write_pictures
+        from thermojoint.view import bare_structure, whole_structure
+
         drawn = bare_structure(structure) if case is None else whole_structure(case, structure)
         write_pictures({out: drawn})
     console.wrote(as_json, skeleton, out)
@@ -107,6 +124,9 @@ def inspect(
 
 def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> Inspection:
     """Add to the warnings what the supports and joints of a case do not hold."""
+    from fesim.setup.holds import checked_holds
+    from fesim.setup.machine import paired_joints
+
     try:
         checked_holds(case, structure, paired_joints(case, structure))
     except InputError as error:
@@ -148,7 +168,10 @@ def view(
 
     Example: [bold]thermojoint view machine.toml --film --out machine.mp4[/bold]
     """
-    arguments.check_writable(out)
+    from thermojoint import console
+    from thermojoint.view import draw, draw_film
+
+    arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [source])
     if frames is not None and not film:
         raise InputError(f"--frames {frames}: only a film has frames; add --film")
     with console.progress_bars() as report:

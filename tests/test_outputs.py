@@ -1,0 +1,161 @@
+"""No command costs anybody a file: inputs and files of another kind are never overwritten."""
+
+import sys
+
+import pytest
+from in_process import undisturbed
+from reference_case import lasting
+
+from artefacts.errors import InputError
+from artefacts.response import write_response
+from benchmarks.fuzz_inputs import unharmed
+from fesim.batch import folder as batch_folder
+from models.model_file import Provenance, write_model
+from thermojoint import cli
+
+SHORT = lasting(0.1)
+SAMPLES = "time_s,delta_T_K,T1_K,T2_K\n" + "".join(f"{2 * k},{0.01 * k},0,0\n" for k in range(20))
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run the command line in this process; gives exit code and standard error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
+        return int(stop.value.code or 0), capsys.readouterr().err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory, coarse_response, hand_made_model):
+    """Content of one file of each kind, by name."""
+    folder = tmp_path_factory.mktemp("originals")
+    name, given = next((n, f) for f, n in unharmed(folder) if n.endswith(".msh"))
+    for file, content in given.items():
+        (folder / file).write_bytes(content)
+    (folder / name).rename(folder / "part.msh")
+    (folder / "case.toml").write_text(SHORT)
+    driven = SHORT.replace('kind = "step"\nlevel = 1.0', 'kind = "sampled"\nfile = "heat.csv"')
+    assert driven != SHORT
+    (folder / "driven.toml").write_text(driven)
+    (folder / "heat.csv").write_text("time_s,heat_input\n0,0\n2,1\n6,1\n")
+    (folder / "samples.csv").write_text(SAMPLES)
+    write_response(coarse_response, folder / "response.nc")
+    measured = coarse_response[["heat_input", "temperature", "displacement"]].copy()
+    del measured.attrs["case"]
+    write_response(measured, folder / "measured.nc")
+    write_model(hand_made_model, folder / "model.json", Provenance(case="by hand"))
+    (folder / "notes.md").write_text("# Verification of my own\n")
+    return {one.name: one.read_bytes() for one in folder.iterdir() if one.is_file()}
+
+
+@pytest.fixture
+def at_hand(originals, tmp_path, monkeypatch):
+    """A folder with those files, which is the working one."""
+    for name, content in originals.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def untouched(folder, originals, *, besides=()):
+    names = {one.name for one in folder.iterdir()}
+    return names - {*besides} == set(originals) and all(
+        (folder / name).read_bytes() == content for name, content in originals.items()
+    )
+
+
+CALIBRATE = ["calibrate", "--reference", "response.nc", "--input", "2=measured.nc"]
+SLIPS = {
+    "response over its case": ["simulate", "case.toml", "--out", "case.toml"],
+    "response over a history": ["simulate", "driven.toml", "--out", "heat.csv"],
+    "response over a measured one": ["simulate", "case.toml", "--out", "measured.nc"],
+    "response over a model": ["simulate", "case.toml", "--out", "model.json"],
+    "state over the case": ["simulate", "case.toml", "--out", "o.nc", "--save-state", "case.toml"],
+    "state over the response": ["simulate", "case.toml", "--out", "o.nc", "--save-state", "o.nc"],
+    "model over the reference": [*CALIBRATE, "--out", "response.nc"],
+    "model over a measurement": [*CALIBRATE, "--out", "measured.nc"],
+    "estimate over the model": ["estimate", "model.json", "samples.csv", "--out", "model.json"],
+    "estimate over the samples": ["estimate", "model.json", "samples.csv", "--out", "samples.csv"],
+    "estimate over a history": ["estimate", "model.json", "samples.csv", "--out", "heat.csv"],
+    "validation over the model": ["validate", "model.json", "response.nc", "--out", "model.json"],
+    "verification over a case": ["verify", "--out", "case.toml"],
+    "page over notes": ["verify", "--markdown", "notes.md"],
+    "picture over the mesh": ["inspect", "part.msh", "--out", "part.msh"],
+    "draft over a case": ["inspect", "part.msh", "--case", "case.toml"],
+    "inspection over a model": ["inspect", "part.msh", "--json", "model.json"],
+    "picture over the case": ["view", "case.toml", "--out", "case.toml"],
+    "picture over the response": ["view", "response.nc", "--out", "response.nc"],
+    "mesh over a case": ["mesh", "part.step", "--size-mm", "9", "--out", "case.toml"],
+    "mesh over its part": ["mesh", "part.msh", "--size-mm", "9", "--out", "part.msh"],
+    "results over other files": ["reproduce", "--case", "case.toml", "--out", "."],
+    "snapshots over other files": [*("simulate", "case.toml", "--out", "o.nc", "--snapshots", ".")],
+    "a device": ["simulate", "case.toml", "--out", "/dev/null"],
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_slip_ends_in_one_line_and_no_file_changes(slip, command, at_hand, originals):
+    code, err = command(*SLIPS[slip])
+    assert (code, err.count("\n")) == (2, 1)
+    assert untouched(at_hand, originals)
+
+
+@pytest.mark.parametrize("link", ["symbolic", "hard", "way round"])
+def test_an_input_is_known_by_every_name_it_has(link, command, at_hand, originals):
+    other = at_hand / "other.csv"
+    if link == "symbolic":
+        other.symlink_to(at_hand / "samples.csv")
+    elif link == "hard":
+        other.hardlink_to(at_hand / "samples.csv")
+    else:
+        (at_hand / "below").mkdir()
+        other = at_hand / "below" / ".." / "samples.csv"
+    code, err = command("estimate", "model.json", "samples.csv", "--out", other)
+    assert code == 2
+    assert "is an input of this command" in err
+    assert untouched(at_hand, originals, besides=["other.csv", "below"])
+
+
+def test_outputs_of_an_earlier_run_are_replaced(command, at_hand):
+    """Every kind of output is told from all others by what the command itself writes."""
+    runs = [
+        ["simulate", "case.toml", "--out", "o.nc", "--save-state", "s.npz", "--snapshots", "v"],
+        ["estimate", "model.json", "samples.csv", "--out", "e.csv", "--save-state", "e.json"],
+        ["inspect", "part.msh", "--json", "i.json", "--out", "i.png"],
+        *(["view", "response.nc", "--out", f"v.{suffix}"] for suffix in ("png", "svg", "pdf")),
+    ]
+    for arguments in runs:
+        for _ in range(2):
+            assert command(*arguments)[0] == 0
+
+
+def test_a_state_may_be_replaced_by_its_successor(command, at_hand):
+    estimate = ["estimate", "model.json", "samples.csv", "--out"]
+    assert command(*estimate, "one.csv", "--save-state", "state.json")[0] == 0
+    later = "".join(f"{100 + 2 * k},0.2,0,0\n" for k in range(5))
+    (at_hand / "later.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n" + later)
+    before = (at_hand / "state.json").read_bytes()
+    going_on = ["estimate", "model.json", "later.csv", "--out", "two.csv", "--interval-s", "2"]
+    code, err = command(*going_on, "--continue", "state.json", "--save-state", "state.json")
+    assert (code, err.count("\n")) == (0, 2)
+    assert (at_hand / "state.json").read_bytes() != before
+
+
+def test_an_empty_file_is_no_loss(command, at_hand):
+    (at_hand / "o.nc").touch()
+    assert command("simulate", "case.toml", "--out", "o.nc")[0] == 0
+
+
+def test_a_batch_leaves_a_folder_of_another_origin_alone(tmp_path):
+    (tmp_path / "summary.csv").write_text("mine")
+    with (
+        pytest.raises(InputError, match=r"a summary\.csv of another origin"),
+        batch_folder.locked(tmp_path),
+    ):
+        pytest.fail("nothing is written")
+    assert [one.name for one in tmp_path.iterdir()] == ["summary.csv"]

@@ -1,0 +1,108 @@
+"""What a file that exists holds: an output replaces only what the same command could have written.
+
+Told by content, not by name: a slip of the keyboard mostly gives the right name to the wrong file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of output.
+
+    Attributes
+    ----------
+    name : str
+        What it is, for a message.
+    holds : callable
+        Says whether an existing file is one.
+    """
+
+    name: str
+    holds: Callable[[Path], bool]
+
+
+def _starts(*starts: bytes) -> Callable[[Path], bool]:
+    def holds(path: Path) -> bool:
+        with path.open("rb") as file:
+            return file.read(max(map(len, starts))).startswith(starts)
+
+    return holds
+
+
+def _json(*keys: str, **values: object) -> Callable[[Path], bool]:
+    """A JSON object that has some keys, and some values."""
+
+    def holds(path: Path) -> bool:
+        found: Any = None
+        with suppress(ValueError, RecursionError):
+            found = json.loads(path.read_bytes())
+        return (
+            isinstance(found, dict)
+            and found.keys() >= {*keys, *values}
+            and all(found[name] == value for name, value in values.items())
+        )
+
+    return holds
+
+
+def _is_simulated(path: Path) -> bool:
+    """A response with the case it was simulated from: a measured one cannot be had again."""
+    import h5py
+
+    with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
+        return file.attrs.get("schema") == "thermojoint-response" and "case" in file.attrs
+    return False
+
+
+def _is_march_state(path: Path) -> bool:
+    import numpy as np
+
+    from artefacts.files import DAMAGED_ARCHIVE
+
+    with (
+        suppress(*DAMAGED_ARCHIVE, KeyError, TypeError),
+        np.load(path, allow_pickle=False) as content,
+    ):
+        return bool(json.loads(str(content["header"]))["schema"] == "thermojoint-march-state")
+    return False
+
+
+def _is_estimate(path: Path) -> bool:
+    with path.open("rb") as file:
+        header = file.readline(1 << 16).strip()
+    return header.startswith(b"time_s,") and header.endswith(b",status")
+
+
+def _is_picture(path: Path) -> bool:
+    with path.open("rb") as file:
+        start, rest = file.read(16), file.read(1 << 16)
+    drawn = b"matplotlib" in (start + rest + path.read_bytes()[-4096:]).lower()
+    return (
+        start.startswith((b"\x89PNG\r\n", b"GIF8"))
+        or start[4:8] == b"ftyp"
+        or (start.startswith((b"<?xml", b"%PDF")) and drawn)
+    )
+
+
+RESPONSE = Kind("a simulated response", _is_simulated)
+MARCH_STATE = Kind("the state of a simulation", _is_march_state)
+MODEL = Kind("a model file", _json(schema="thermojoint-model"))
+ESTIMATOR_STATE = Kind("the state of an estimator", _json(schema="thermojoint-estimator-state"))
+ESTIMATE = Kind("an estimate", _is_estimate)
+ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
+VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
+VERIFICATION = Kind("a verification", _json("cases"))
+VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
+MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
+INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
+#: A case that exists may be finished: no draft replaces it.
+DRAFT = Kind("to be replaced by a draft", lambda path: False)
+PICTURE = Kind("a picture of this program", _is_picture)

@@ -1,0 +1,35 @@
+"""Where matplotlib keeps what it found out about fonts, for users without a home of their own."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+#: Variable to what stands in its place below the home.
+_FOLDERS = {"XDG_CONFIG_HOME": ".config", "XDG_CACHE_HOME": ".cache"}
+
+
+def find_place() -> None:
+    """Give matplotlib a folder if it would find none; else it warns, and looks in every run anew.
+
+    To be called before matplotlib is imported; what it starts inherits the folder.
+    """
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111 - it raises where nobody knows the home
+    usual = [Path(os.environ.get(name) or home / below) for name, below in _FOLDERS.items()]
+    if "MPLCONFIGDIR" in os.environ or all(_can_be_made(place / "matplotlib") for place in usual):
+        return
+    # Here, not above: it takes longer than the look.
+    from artefacts.own_folder import own_folder
+
+    if folder := own_folder("matplotlib"):
+        os.environ["MPLCONFIGDIR"] = str(folder)
+
+
+def _can_be_made(folder: Path) -> bool:
+    nearest = next((place for place in (folder, *folder.parents) if place.exists()), None)
+    return (
+        folder.is_absolute()
+        and nearest is not None
+        and nearest.is_dir()
+        and os.access(nearest, os.W_OK)
+    )
