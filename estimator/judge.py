@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
@@ -23,6 +23,9 @@ from models import blocks
 from models.assembly import Assembly, assemble
 from models.parameters import Model
 from models.sensors import displacement_along, readings, roles_in
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _MICRO = 1e6
 

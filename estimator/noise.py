@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from scipy.signal import butter, sosfiltfilt
 
 from artefacts.errors import InputError, unknown_name
 from artefacts.response import probes_of
 from models.parameters import Model
 from models.sensors import JOINT_SENSORS, roles_in
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Period above which the noise is filtered out, s: it has no offset and no drift.
 NOISE_PERIOD_S = 60.0

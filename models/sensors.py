@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError, shown_point, unknown_name
 from artefacts.response import axes_of, probes_of
 from models.parameters import Model
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Near the heat source: ΔT = T_a - T_b (Eqs. 1-6).
 HEAT_SENSORS = ("a", "b")

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import BoundaryNorm, Colormap
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.colors import BoundaryNorm, Colormap
 
 Array = NDArray[np.float64]
 
@@ -53,11 +55,15 @@ class ColourScale:
     @property
     def colours(self) -> Colormap:
         """One colour for each band, perceptually uniform."""
+        from matplotlib import colormaps
+
         return colormaps[_COLOURS].resampled(len(self.levels) - 1)
 
     @property
     def norm(self) -> BoundaryNorm:
         """From value to band."""
+        from matplotlib.colors import BoundaryNorm
+
         return BoundaryNorm(self.levels, len(self.levels) - 1, clip=True)
 
     def position(self, values: Array) -> Array:

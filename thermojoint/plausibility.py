@@ -10,16 +10,18 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError
 from fesim.case.history import read_samples
 from fesim.case.schema import Case, SampledInput
 from meshes.inspection import USUAL_SIZE
 from meshes.structure import Structure
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)

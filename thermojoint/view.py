@@ -38,7 +38,6 @@ from thermojoint.figures import (
     response_figure,
     write_figure,
 )
-from thermojoint.film import check_film, write_film
 from thermojoint.plausibility import of_case
 from thermojoint.scenes import (
     Marker,
@@ -143,6 +142,8 @@ def draw_film(
     """
     if show is not None and show not in FIELDS:
         raise InputError(f"--show {show}: a film shows {', '.join(FIELDS)}; give one, or none")
+    from thermojoint.film import check_film, write_film
+
     check_film(out)
     if source.suffix == ".nc":
         response = read_response(source)

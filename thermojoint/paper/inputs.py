@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from artefacts.errors import InputError
 from calibrate.responses import check_boxes
@@ -15,6 +15,9 @@ from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from models.sensors import ROLES
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 HeatInput = StepInput | TriangleInput
 Report = Callable[[str, int, int], None]
