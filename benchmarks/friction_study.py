@@ -19,9 +19,9 @@ from rich.console import Console
 from calibrate import chain
 from estimator import judge
 from fesim.case.schema import read_case
-from thermojoint.console import show_blocks, show_schemes, show_validation
+from thermojoint.cli.console import show_blocks, show_schemes, show_validation
 from thermojoint.paper import inputs
-from thermojoint.summary import compare_schemes
+from thermojoint.paper.summary import compare_schemes
 
 COEFFICIENTS = (0.2, 0.6, 10.0)
 

@@ -45,7 +45,7 @@ SLIPS = 0.02
 OUT = "out.nc"
 #: What a simulation imports: loaded once, not in every process.
 LOADED = (
-    *("thermojoint.commands.app", "thermojoint.summary"),
+    *("thermojoint.cli.app", "thermojoint.paper.summary"),
     *("fesim.joint.compiled_gap", "fesim.snapshots", "fesim.march.state_file"),
 )
 

@@ -16,13 +16,12 @@ from artefacts.errors import InputError
 from meshes.pairing import facet_corners, outward_areas, pair_joint
 from meshes.quality import cell_quality, cell_volumes
 from meshes.structure import Structure
+from meshes.units import USUAL_SIZE
 
 Array = NDArray[np.float64]
 
 #: Cells below this quality give poor stresses; the worst are named.
 POOR = 0.1
-#: A machine is between these sizes, m; a mesh outside of them has perhaps another unit.
-USUAL_SIZE = (0.02, 20.0)
 #: Facing facets lie this near to each other, relative to the structure's size.
 TOUCHING = 1e-4
 #: Corners are the same if they lie this near to each other, relative to the structure's size.

@@ -18,11 +18,11 @@ from fesim.case.schema import CandidatesSection, Case, case_from_data
 from models import deformation, ring_source
 from models.model_file import read_model, read_provenance
 from models.parameters import DeformationModel, RingModel
-from thermojoint import arguments, reproduce
-from thermojoint.commands.app import app
-from thermojoint.paper import inputs
+from thermojoint.cli import arguments
+from thermojoint.cli.app import app
+from thermojoint.paper import inputs, reproduce
 from thermojoint.paper.inputs import check_drivable, check_placeable
-from thermojoint.summary import paper_claim
+from thermojoint.paper.summary import paper_claim
 
 PAGE = (Path(__file__).parents[1] / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]

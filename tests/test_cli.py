@@ -19,9 +19,11 @@ from reference_case import CASE, lasting
 
 from artefacts.response import read_response, write_response
 from models.model_file import Provenance, read_model, write_model
-from thermojoint import cli, console, paper_values, reproduce, view
-from thermojoint.commands.app import app
-from thermojoint.paper import inputs
+from thermojoint.cli import console
+from thermojoint.cli import main as cli
+from thermojoint.cli.app import app
+from thermojoint.paper import inputs, paper_values, reproduce
+from thermojoint.pictures import view
 
 CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
 

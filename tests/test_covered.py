@@ -20,7 +20,7 @@ from fesim.solid.spaces import make_spaces
 from meshes.covered import cover_of, covered_areas
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint
-from thermojoint.commands.app import app
+from thermojoint.cli.app import app
 
 #: A bar against the middle of a plate: of its side b a third is covered, facets in part.
 BROAD = 3 * WIDTH

@@ -11,9 +11,11 @@ from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
-from thermojoint import pictures
-from thermojoint.field_scenes import Fields, make_stage, pressure_panel
-from thermojoint.figures import (
+from thermojoint.paper.report import Picture, ReportData, report_html
+from thermojoint.paper.summary import convergence, pressure_share, verdict
+from thermojoint.pictures import stills as pictures
+from thermojoint.pictures.field_scenes import Fields, make_stage, pressure_panel
+from thermojoint.pictures.figures import (
     displacements_figure,
     heat_text,
     pressure_figure,
@@ -21,17 +23,15 @@ from thermojoint.figures import (
     temperatures_figure,
     write_figure,
 )
-from thermojoint.report import Picture, ReportData, report_html
-from thermojoint.scene_file import load_scene, save_scene
-from thermojoint.scenes import (
+from thermojoint.pictures.scene_file import load_scene, save_scene
+from thermojoint.pictures.scenes import (
     boundary_faces,
     finished,
     mirror_of,
     probe_position,
 )
-from thermojoint.structure_scene import structure_scene
-from thermojoint.summary import convergence, pressure_share, verdict
-from thermojoint.view import FIELDS, field_scene, whole_structure
+from thermojoint.pictures.structure_scene import structure_scene
+from thermojoint.pictures.view import FIELDS, field_scene, whole_structure
 
 PNG = b"\x89PNG\r\n\x1a\n"
 Y = (0.0, 1.0, 0.0)

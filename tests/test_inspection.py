@@ -18,7 +18,7 @@ from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine
 from meshes.quality import cell_quality
 from meshes.structure import Structure
-from thermojoint.inspection_report import as_json, case_skeleton, show
+from thermojoint.cli.inspection_report import as_json, case_skeleton, show
 
 
 def test_cubes_are_perfect_and_slanted_ones_are_worse():

@@ -26,7 +26,7 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())
-from thermojoint.cli import main
+from thermojoint.cli.main import main
 main()
 """
 
@@ -76,7 +76,7 @@ def test_ctrl_c_while_machine_code_is_made_is_one_line(tmp_path, tmp_path_factor
 
 SWALLOWED = """
 import signal, sys
-from thermojoint import cli
+from thermojoint.cli import main as cli
 
 class Late:
     def __del__(self):
@@ -94,7 +94,7 @@ cli.main()
 #: An extension module of NumPy's prints what went wrong in an import, and raises something else.
 PRINTED = """
 import sys
-from thermojoint import cli
+from thermojoint.cli import main as cli
 
 def work():
     try:
@@ -109,7 +109,7 @@ cli.main()
 
 TWICE = """
 import signal
-from thermojoint import cli
+from thermojoint.cli import main as cli
 
 def work():
     try:

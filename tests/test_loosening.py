@@ -19,7 +19,7 @@ from fesim.simulate import simulate
 from fesim.solid.rigid_motions import holds_of
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint
-from thermojoint.commands.app import app
+from thermojoint.cli.app import app
 
 
 def rod(low, high, cells=2):

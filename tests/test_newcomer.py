@@ -16,7 +16,7 @@ from skfem import MeshHex
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Structure
-from thermojoint.commands.app import app
+from thermojoint.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "your-own-machine.md"

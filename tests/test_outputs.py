@@ -11,7 +11,7 @@ from artefacts.response import write_response
 from benchmarks.fuzz_inputs import unharmed
 from fesim.batch import folder as batch_folder
 from models.model_file import Provenance, write_model
-from thermojoint import cli
+from thermojoint.cli import main as cli
 
 SHORT = lasting(0.1)
 SAMPLES = "time_s,delta_T_K,T1_K,T2_K\n" + "".join(f"{2 * k},{0.01 * k},0,0\n" for k in range(20))

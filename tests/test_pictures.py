@@ -11,13 +11,21 @@ from hypothesis import strategies as st
 
 from artefacts.errors import InputError
 from meshes.milling_machine import box_milling_machine
-from thermojoint import film, renderer, view
-from thermojoint.camera import Camera, facing, window_around
-from thermojoint.colour_scale import colour_scale
-from thermojoint.labels import place_labels
-from thermojoint.renderer import creases, painted, pixel_size
-from thermojoint.scenes import Panel, Scene, Surface, bodies, finished, outward_areas, up_direction
-from thermojoint.view import FIELDS, Up, film_scenes, whole_structure
+from thermojoint.pictures import film, renderer, view
+from thermojoint.pictures.camera import Camera, facing, window_around
+from thermojoint.pictures.colour_scale import colour_scale
+from thermojoint.pictures.labels import place_labels
+from thermojoint.pictures.renderer import creases, painted, pixel_size
+from thermojoint.pictures.scenes import (
+    Panel,
+    Scene,
+    Surface,
+    bodies,
+    finished,
+    outward_areas,
+    up_direction,
+)
+from thermojoint.pictures.view import FIELDS, Up, film_scenes, whole_structure
 
 finite = st.floats(-1.0, 1.0)
 directions = st.tuples(finite, finite, finite).filter(lambda v: np.linalg.norm(v) > 0.1)

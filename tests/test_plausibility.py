@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from artefacts.response import make_response
 from fesim.case.schema import case_from_data, read_case
-from thermojoint import plausibility
+from thermojoint.cli import plausibility
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = tomllib.loads(

@@ -29,9 +29,9 @@ from fesim.solid.condensation import condense_elasticity, condense_heat
 from fesim.solid.heat import HeatSource, heat_operators
 from fesim.solid.spaces import probe_rows
 from meshes.pairing import pair_joint
-from thermojoint.console import out, show_convergence
-from thermojoint.report import ReportData, report_html
-from thermojoint.summary import convergence
+from thermojoint.cli.console import out, show_convergence
+from thermojoint.paper.report import ReportData, report_html
+from thermojoint.paper.summary import convergence
 
 FLANGE = Path(__file__).parent.parent / "examples/bolted_flange/case.toml"
 

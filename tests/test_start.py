@@ -13,7 +13,7 @@ HEAVY = {
 
 LOADED = """
 import json, os, sys
-from thermojoint import cli
+from thermojoint.cli import main as cli
 try:
     cli.main()
 except SystemExit:

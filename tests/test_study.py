@@ -22,7 +22,7 @@ from estimator import judge, noise
 from fesim.case.schema import case_from_data
 from models.sensors import roles_in
 from thermojoint.paper import inputs
-from thermojoint.reproduce import reproduce
+from thermojoint.paper.reproduce import reproduce
 
 AXES = ("x", "y")
 

@@ -10,8 +10,9 @@ from rich.console import Console
 
 from models.model_file import Provenance
 from models.parameters import DeformationModel
-from thermojoint import console, paper_values
-from thermojoint.tables import NOTE, printed_tables, tables_json
+from thermojoint.cli import console
+from thermojoint.paper import paper_values
+from thermojoint.paper.tables import NOTE, printed_tables, tables_json
 
 ERRORS = Provenance(
     case="by hand",

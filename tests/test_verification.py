@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from in_process import undisturbed
 
 from artefacts.errors import ConvergenceError
-from thermojoint import cli, verification_run
+from thermojoint.cli import main as cli
+from thermojoint.cli import verification_run
 from verification.check import Check
 from verification.hot_spot import UNBOUNDED, square_plate_stress
 from verification.report import markdown, results_data, shown

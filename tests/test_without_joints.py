@@ -10,8 +10,8 @@ from skfem import MeshHex
 from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
-from thermojoint import renderer, view
-from thermojoint.commands.app import app
+from thermojoint.cli.app import app
+from thermojoint.pictures import renderer, view
 
 LENGTH, SIDE, RISE, EXPANSION = 0.2, 0.04, 20.0, 1.1e-5
 

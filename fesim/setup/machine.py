@@ -44,9 +44,7 @@ from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
-
-#: Length of one unit of a mesh file's coordinates, m.
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+from meshes.units import UNITS
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from thermojoint.camera import Array, Camera
-from thermojoint.colour_scale import ColourScale
-from thermojoint.scenes import Marker, Panel, Scene, Surface
+from thermojoint.pictures.camera import Array, Camera
+from thermojoint.pictures.colour_scale import ColourScale
+from thermojoint.pictures.scenes import Marker, Panel, Scene, Surface
 
 
 def save_scene(scene: Scene, path: Path) -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from artefacts.files import write_text
-from thermojoint.console import Report
+from thermojoint.cli.console import Report
 from verification.report import markdown, results_data, shown
 from verification.suite import GROUPS, Result, run
 

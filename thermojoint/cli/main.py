@@ -52,7 +52,7 @@ def main() -> None:
 
 def _run() -> None:
     from artefacts.errors import ThermojointError
-    from thermojoint.commands.app import app
+    from thermojoint.cli.app import app
 
     try:
         app()

@@ -9,7 +9,7 @@ from typing import Any
 
 from models.model_file import Provenance
 from models.parameters import DeformationModel, Model
-from thermojoint import paper_values
+from thermojoint.paper import paper_values
 
 _MICRO = 1e6
 #: Parameters of Eqs. 8 and 18 that carry a length; the model keeps them in m, people read µm.

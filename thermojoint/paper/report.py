@@ -11,9 +11,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from thermojoint import paper_values
-from thermojoint.console import number
-from thermojoint.summary import (
+from thermojoint.cli.console import number
+from thermojoint.paper import paper_values
+from thermojoint.paper.summary import (
     STILL,
     Convergence,
     PressureShare,
@@ -21,7 +21,7 @@ from thermojoint.summary import (
     paper_claim,
     verdict,
 )
-from thermojoint.tables import NOTE, PrintedTable
+from thermojoint.paper.tables import NOTE, PrintedTable
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
@@ -90,7 +90,7 @@ class ReportData:
 def report_html(data: ReportData) -> str:
     """Return the page; everything in it is escaped, nothing is loaded from elsewhere."""
     environment = Environment(
-        loader=PackageLoader("thermojoint"),
+        loader=PackageLoader("thermojoint.paper"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

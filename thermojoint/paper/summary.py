@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from artefacts.errors import InputError
-from thermojoint import paper_values
+from thermojoint.paper import paper_values
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,9 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
-from thermojoint.pictures import sheet
-from thermojoint.renderer import Pixels, painted, rendered
-from thermojoint.scenes import Scene, finished
+from thermojoint.pictures.renderer import Pixels, painted, rendered
+from thermojoint.pictures.scenes import Scene, finished
+from thermojoint.pictures.stills import sheet
 
 FRAMES_PER_SECOND = 12
 #: Suffix to the height of the panels, pixels: a GIF holds every frame almost uncompressed.

@@ -23,8 +23,8 @@ from rich.text import Text
 
 from artefacts.errors import InputError
 from fesim.batch.study import Study, StudyCase, brief, read_study, shown
-from thermojoint.console import warn
-from thermojoint.plausibility import of_cases
+from thermojoint.cli.console import warn
+from thermojoint.cli.plausibility import of_cases
 
 if TYPE_CHECKING:
     from fesim.batch import run

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from artefacts.errors import InputError
-from thermojoint import arguments, file_kinds
+from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
     from estimator.measured import Sample
@@ -51,8 +51,8 @@ def calibrate(
     from calibrate import chain
     from calibrate.provenance import provenance_of
     from models.model_file import write_model
-    from thermojoint import console, plausibility
-    from thermojoint.tables import printed_tables, tables_json
+    from thermojoint.cli import console, plausibility
+    from thermojoint.paper.tables import printed_tables, tables_json
 
     pairs = [arguments.level_and_file(text) for text in given]
     inputs = [reference, *(path for _, path in pairs)]
@@ -88,8 +88,8 @@ def tables(
     Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
     """
     from models.model_file import read_model, read_provenance
-    from thermojoint import console
-    from thermojoint.tables import printed_tables, tables_json
+    from thermojoint.cli import console
+    from thermojoint.paper.tables import printed_tables, tables_json
 
     provenance = read_provenance(model)
     content = tables_json(read_model(model), provenance)
@@ -142,7 +142,7 @@ def estimate(
     from estimator.interface import follow
     from estimator.saved_state import save_state
     from estimator.starting import model_in, started
-    from thermojoint import console, plausibility
+    from thermojoint.cli import console, plausibility
 
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
@@ -206,7 +206,7 @@ def assemble(
     from models.assembly import assemble as assemble_model
     from models.assembly_file import write_assembly
     from models.model_file import read_model
-    from thermojoint import console
+    from thermojoint.cli import console
 
     arguments.check_outputs({"--out": (out, file_kinds.ASSEMBLY)}, [model])
     dt = arguments.positive("--interval-s", interval)
@@ -239,8 +239,8 @@ def validate(
     from artefacts.response import read_response
     from estimator import judge, noise
     from models.model_file import read_model
-    from thermojoint import console, plausibility
-    from thermojoint.summary import compare_schemes
+    from thermojoint.cli import console, plausibility
+    from thermojoint.paper.summary import compare_schemes
 
     arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, [model, reference, *responses])
     table = read_model(model)
@@ -279,8 +279,8 @@ def reproduce(
     Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
     """
     from fesim.case.schema import read_case
-    from thermojoint import console, plausibility
-    from thermojoint.reproduce import reproduce as run_all
+    from thermojoint.cli import console, plausibility
+    from thermojoint.paper.reproduce import reproduce as run_all
 
     arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:

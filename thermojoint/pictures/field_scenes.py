@@ -11,9 +11,17 @@ from fesim.march.stepping import Step
 from fesim.setup.machine import Setup
 from meshes.pairing import PairedJoint
 from meshes.volume_cells import corner_mesh
-from thermojoint.camera import Array, Camera, Vector, facing
-from thermojoint.scenes import Mirror, Panel, Surface, away_from, bodies, boundary_faces, whole
-from thermojoint.structure_scene import onto
+from thermojoint.pictures.camera import Array, Camera, Vector, facing
+from thermojoint.pictures.scenes import (
+    Mirror,
+    Panel,
+    Surface,
+    away_from,
+    bodies,
+    boundary_faces,
+    whole,
+)
+from thermojoint.pictures.structure_scene import onto
 
 #: Largest displacement in the picture of the deformed shape, relative to the structure's size.
 _EXAGGERATED = 0.06

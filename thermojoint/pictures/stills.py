@@ -16,11 +16,11 @@ from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
-from thermojoint.colour_scale import ColourScale
-from thermojoint.figures import check_png, write_figure
-from thermojoint.labels import place_labels
-from thermojoint.renderer import Pixels, painted, pixel_size, rendered
-from thermojoint.scenes import Panel, Scene, finished
+from thermojoint.pictures.colour_scale import ColourScale
+from thermojoint.pictures.figures import check_png, write_figure
+from thermojoint.pictures.labels import place_labels
+from thermojoint.pictures.renderer import Pixels, painted, pixel_size, rendered
+from thermojoint.pictures.scenes import Panel, Scene, finished
 
 #: Height of the panels of a still picture, pixels.
 HEIGHT = 840

@@ -11,8 +11,8 @@ from skfem import Mesh
 
 from artefacts.errors import unknown_name
 from meshes.structure import Structure
-from thermojoint.camera import Array, Camera, Vector, Window, window_around
-from thermojoint.colour_scale import ColourScale, colour_scale
+from thermojoint.pictures.camera import Array, Camera, Vector, Window, window_around
+from thermojoint.pictures.colour_scale import ColourScale, colour_scale
 
 BODY_COLOURS = ("#c9ccd1", "#9db7d5", "#8f8f8f", "#d9c39a", "#a9c9a4")
 _AXES = {"x": 0, "y": 1, "z": 2}

@@ -17,9 +17,10 @@ from fesim.setup.loads import source_power
 from fesim.setup.machine import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
-from thermojoint.camera import Vector
-from thermojoint.console import Report, warn
-from thermojoint.field_scenes import (
+from thermojoint.cli.console import Report, warn
+from thermojoint.cli.plausibility import of_case
+from thermojoint.pictures.camera import Vector
+from thermojoint.pictures.field_scenes import (
     Fields,
     Stage,
     cut_panel,
@@ -31,15 +32,14 @@ from thermojoint.field_scenes import (
     outside_panel,
     pressure_panel,
 )
-from thermojoint.figures import (
+from thermojoint.pictures.figures import (
     check_format,
     check_png,
     pressure_figure,
     response_figure,
     write_figure,
 )
-from thermojoint.plausibility import of_case
-from thermojoint.scenes import (
+from thermojoint.pictures.scenes import (
     Marker,
     Panel,
     Scene,
@@ -47,8 +47,8 @@ from thermojoint.scenes import (
     probe_position,
     up_direction,
 )
-from thermojoint.show import Show, Up
-from thermojoint.structure_scene import structure_scene
+from thermojoint.pictures.show import Show, Up
+from thermojoint.pictures.structure_scene import structure_scene
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -96,7 +96,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
     # Here, not above: what is wrong with a case is said before anything can draw.
-    from thermojoint.pictures import write_pictures
+    from thermojoint.pictures.stills import write_pictures
 
     if show is Show.structure:
         structure = build_structure(case)
@@ -142,7 +142,7 @@ def draw_film(
     """
     if show is not None and show not in FIELDS:
         raise InputError(f"--show {show}: a film shows {', '.join(FIELDS)}; give one, or none")
-    from thermojoint.film import check_film, write_film
+    from thermojoint.pictures.film import check_film, write_film
 
     check_film(out)
     if source.suffix == ".nc":

@@ -17,11 +17,12 @@ import numpy as np
 from artefacts.errors import InputError
 from fesim.case.history import read_samples
 from fesim.case.schema import Case, SampledInput
-from meshes.inspection import USUAL_SIZE
-from meshes.structure import Structure
+from meshes.units import USUAL_SIZE
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from meshes.structure import Structure
 
 
 @dataclass(frozen=True)

@@ -25,20 +25,20 @@ from fesim.setup.machine import Setup, set_up
 from models.model_file import Provenance, write_model
 from models.parameters import Model
 from models.sensors import roles_in
-from thermojoint import console
-from thermojoint.figures import (
+from thermojoint.cli import console
+from thermojoint.paper import inputs
+from thermojoint.paper.inputs import check_drivable, check_placeable
+from thermojoint.paper.report import Picture, ReportData, write_report
+from thermojoint.paper.summary import compare_schemes, convergence, pressure_share, verdict
+from thermojoint.paper.tables import printed_tables, tables_json
+from thermojoint.pictures.figures import (
     displacements_figure,
     heat_text,
     pressure_figure,
     temperatures_figure,
     write_figure,
 )
-from thermojoint.paper import inputs
-from thermojoint.paper.inputs import check_drivable, check_placeable
-from thermojoint.report import Picture, ReportData, write_report
-from thermojoint.summary import compare_schemes, convergence, pressure_share, verdict
-from thermojoint.tables import printed_tables, tables_json
-from thermojoint.view import FIELDS, field_scene, run_to_end, whole_structure
+from thermojoint.pictures.view import FIELDS, field_scene, run_to_end, whole_structure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -272,7 +272,7 @@ def _draw(
     report: console.Report,
 ) -> list[Picture]:
     """Write the figures and the 3-D pictures of the end of `case`."""
-    from thermojoint.pictures import write_pictures
+    from thermojoint.pictures.stills import write_pictures
 
     _, _, last = run_to_end(case, report, setup)
     scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}

@@ -20,13 +20,13 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from thermojoint import paper_values
+from thermojoint.paper import paper_values
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from thermojoint.summary import Convergence, PressureShare, SchemeErrors
-    from thermojoint.tables import PrintedTable
+    from thermojoint.paper.summary import Convergence, PressureShare, SchemeErrors
+    from thermojoint.paper.tables import PrintedTable
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
@@ -93,7 +93,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
-    from thermojoint.tables import NOTE
+    from thermojoint.paper.tables import NOTE
 
     for printed in tables:
         table = Table()
@@ -118,7 +118,7 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
 
 def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
     """Print the errors of the estimators, from temperatures alone."""
-    from thermojoint.summary import paper_claim
+    from thermojoint.paper.summary import paper_claim
 
     table = Table()
     title = "Validation from temperatures alone (µm)"
@@ -185,7 +185,7 @@ def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> 
 def show_results(console: Console, response: xr.Dataset) -> None:
     """Print what a simulated response comes to: displacement, temperature, and the joint."""
     from fesim.batch.summary import figures_of
-    from thermojoint.summary import result_lines
+    from thermojoint.paper.summary import result_lines
 
     figures = figures_of(response)
     table = Table()
@@ -226,7 +226,7 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
 
 def show_share(console: Console, share: PressureShare) -> None:
     """Print how far the contact pressure of each contact element has come by a given time."""
-    from thermojoint.summary import STILL
+    from thermojoint.paper.summary import STILL
 
     table = Table()
     title = (

@@ -11,8 +11,10 @@ from typing import Annotated
 
 import typer
 
-from thermojoint import fonts
-from thermojoint.commands import models, simulation, structures
+from thermojoint.cli import meshing as structures
+from thermojoint.cli import modelling as models
+from thermojoint.cli import simulating as simulation
+from thermojoint.pictures import fonts
 
 #: In the order of the help page.
 COMMANDS = (

@@ -1,8 +1,8 @@
 """Panels to pixels: pyvista off-screen in a process of its own, or a painter of polygons.
 
 VTK can end the whole process where there is no OpenGL, so it works in another one
-(``python -m thermojoint.renderer HEIGHT FOLDER ...``), which writes raw pixels to its standard
-output. Whoever gets fewer than announced paints the rest (`painted`).
+(``python -m thermojoint.pictures.renderer HEIGHT FOLDER ...``), which writes raw pixels to its
+standard output. Whoever gets fewer than announced paints the rest (`painted`).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from thermojoint.camera import Array, Camera, Window
-from thermojoint.colour_scale import ColourScale
-from thermojoint.scene_file import load_scene, save_scene
-from thermojoint.scenes import Panel, Scene, Surface
+from thermojoint.pictures.camera import Array, Camera, Window
+from thermojoint.pictures.colour_scale import ColourScale
+from thermojoint.pictures.scene_file import load_scene, save_scene
+from thermojoint.pictures.scenes import Panel, Scene, Surface
 
 Pixels = NDArray[np.uint8]
 
@@ -72,7 +72,13 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
             folder.mkdir()
             for k, scene in enumerate(film):
                 save_scene(scene, folder / f"{k:06d}.npz")
-        command = [sys.executable, "-m", "thermojoint.renderer", str(height), *map(str, folders)]
+        command = [
+            sys.executable,
+            "-m",
+            "thermojoint.pictures.renderer",
+            str(height),
+            *map(str, folders),
+        ]
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
         ) as process:

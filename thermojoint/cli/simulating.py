@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint import arguments, file_kinds
+from thermojoint.cli import arguments, file_kinds
 
 #: Exit code of `verify` if a check is out of tolerance.
 OUT_OF_TOLERANCE = 1
@@ -45,8 +45,8 @@ def simulate(
     from fesim.setup.machine import set_up
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
-    from thermojoint import console, plausibility
-    from thermojoint.summary import convergence, covered_areas
+    from thermojoint.cli import console, plausibility
+    from thermojoint.paper.summary import convergence, covered_areas
 
     given = read_case(case)
     # Not with the state of --continue: it may be replaced by its successor.
@@ -107,7 +107,7 @@ def batch(
 
     Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
     """
-    from thermojoint import batch_run, console
+    from thermojoint.cli import batch_run, console
 
     batch_run.check_workers(workers, scheduler)
     finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
@@ -129,7 +129,7 @@ def verify(
 
     Example: [bold]thermojoint verify --out verify.json[/bold]
     """
-    from thermojoint import console, verification_run
+    from thermojoint.cli import console, verification_run
 
     arguments.check_outputs(
         {

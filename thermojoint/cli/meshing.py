@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from artefacts.errors import InputError
-from thermojoint import arguments, file_kinds
-from thermojoint.show import Show, Up
+from thermojoint.cli import arguments, file_kinds
+from thermojoint.pictures.show import Show, Up
 
 if TYPE_CHECKING:
     from fesim.case.schema import Case
@@ -51,7 +51,7 @@ def mesh(
     from meshes.cad import mesh_cad, read_names
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as look_over
-    from thermojoint import console, inspection_report
+    from thermojoint.cli import console, inspection_report
 
     arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
     if not 0.0 < size < math.inf:
@@ -81,10 +81,11 @@ def inspect(
     """
     from artefacts.files import write_text
     from fesim.case.schema import read_case
-    from fesim.setup.machine import UNITS, build_structure, check_names
+    from fesim.setup.machine import build_structure, check_names
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as look_over
-    from thermojoint import console, inspection_report, plausibility
+    from meshes.units import UNITS
+    from thermojoint.cli import console, inspection_report, plausibility
 
     outputs = {
         "--out": (out, file_kinds.PICTURE),
@@ -93,7 +94,7 @@ def inspect(
     }
     arguments.check_outputs(outputs, [source])
     if out:
-        from thermojoint.figures import check_png
+        from thermojoint.pictures.figures import check_png
 
         check_png(out)
     case = None
@@ -114,8 +115,8 @@ def inspect(
     if skeleton:
         write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:
-        from thermojoint.pictures import write_pictures
-        from thermojoint.view import bare_structure, whole_structure
+        from thermojoint.pictures.stills import write_pictures
+        from thermojoint.pictures.view import bare_structure, whole_structure
 
         drawn = bare_structure(structure) if case is None else whole_structure(case, structure)
         write_pictures({out: drawn})
@@ -168,8 +169,8 @@ def view(
 
     Example: [bold]thermojoint view machine.toml --film --out machine.mp4[/bold]
     """
-    from thermojoint import console
-    from thermojoint.view import draw, draw_film
+    from thermojoint.cli import console
+    from thermojoint.pictures.view import draw, draw_film
 
     arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [source])
     if frames is not None and not film:

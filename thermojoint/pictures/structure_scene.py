@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from meshes.structure import Structure
-from thermojoint.camera import Camera, Vector, facing
-from thermojoint.scenes import (
+from thermojoint.pictures.camera import Camera, Vector, facing
+from thermojoint.pictures.scenes import (
     Marker,
     Mirror,
     Panel,

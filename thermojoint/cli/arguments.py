@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TextIO
 from artefacts.errors import InputError
 from artefacts.files import whole_file
 from artefacts.folders import check_replaceable
-from thermojoint.file_kinds import Kind
+from thermojoint.cli.file_kinds import Kind
 
 if TYPE_CHECKING:
     from fesim.case.schema import Case

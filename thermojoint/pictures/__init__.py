@@ -1,0 +1,1 @@
+"""Pictures: structures and fields in space, curves, films."""
