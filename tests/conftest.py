@@ -5,6 +5,7 @@ import tomllib
 from importlib.resources import files
 from pathlib import Path
 
+import hypothesis
 import pytest
 from threadpoolctl import threadpool_limits
 
@@ -26,6 +27,10 @@ from models.regularisation import choose_regularisation
 # somebody asks for them (`make portable`). The variable is for what is loaded later and for
 # processes that tests start, the call for the rest.
 threadpool_limits(limits=int(os.environ.setdefault("OMP_NUM_THREADS", "1")))
+
+# How long an example takes says something of the machine and its load, nothing of a law.
+hypothesis.settings.register_profile("any machine", deadline=None)
+hypothesis.settings.load_profile("any machine")
 
 # No test finds what another run has left, nor leaves anything.
 os.environ["THERMOJOINT_CACHE"] = "off"

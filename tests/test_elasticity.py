@@ -273,7 +273,7 @@ def test_a_body_that_only_the_joint_holds_follows_it(mesh, springs):
     found, _, probes = settle(made, np.full(made.parts.spaces.heat.N, rise))
     np.testing.assert_allclose(found.traction.value, 0.0, atol=1e-6 * made.machine.preload[0])
     np.testing.assert_allclose(found.gap, 0.0, atol=1e-14)
-    assert probes[0] == pytest.approx(IRON.expansion * rise * (LEFT + RIGHT), rel=1e-8)
+    assert probes[0] == pytest.approx(IRON.expansion * rise * (LEFT + RIGHT), rel=1e-8, abs=0.0)
     # Held by the root alone, the cold left bar and the hot right one: no net force crosses.
     hot_right = np.where(alone.parts.left_nodes, 0.0, rise)
     found, _, _ = settle(alone, hot_right)

@@ -23,8 +23,9 @@ from fesim.solid.heat import HeatOperators
 Array = NDArray[np.float64]
 
 MAX_ITERATIONS, SHORTEST_STEP = 60, 2.0**-10
-#: The last step of Newton's method is smaller than this, m.
-SETTLED = 1e-17
+#: The last step of Newton's method is smaller than this, m: micrometres are compared, and a solve
+#: leaves 1e-17 of them by rounding.
+SETTLED = 1e-15
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""`python -m thermojoint.cli`."""
+"""`python -m thermojoint.cli.main`."""
 
 from thermojoint.cli.main import main
 
