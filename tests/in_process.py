@@ -8,7 +8,8 @@ from contextlib import contextmanager
 @contextmanager
 def undisturbed():
     """Give back, after the block, what the command line takes of the process."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    taken = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    handlers = {number: signal.getsignal(number) for number in taken}
     hooks = sys.excepthook, sys.unraisablehook
     try:
         yield

@@ -47,8 +47,9 @@ _UNFINISHED = (
 )
 
 
-#: What a batch writes. Before any of it there is the lock.
-_OURS = ("responses", "records", "dataset.zarr", "summary.csv", "summary.parquet", "journal.jsonl")
+#: What a batch writes anew; its other files have names that nobody else gives. Before any of them
+#: there is the lock.
+_REPLACED = ("dataset.zarr", "summary.csv", "summary.parquet")
 
 
 @contextmanager
@@ -58,13 +59,12 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another process is at work there, it is no folder, or it holds files with the names of a
-        batch's that no batch wrote.
+        Another process is at work there, it is no folder, or it has tables that no batch wrote.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder")
     if not (folder / "lock").exists():
-        for name in _OURS:
+        for name in _REPLACED:
             if (folder / name).exists():
                 raise InputError(f"{folder}: has a {name} of another origin; give a new folder")
     folder.mkdir(parents=True, exist_ok=True)

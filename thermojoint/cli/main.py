@@ -1,7 +1,9 @@
 """The way into the command line: what may end a run, and the one line that says so.
 
 Nothing else is imported before the signals are taken, so Ctrl-C ends in one line from the first
-import on.
+import on. A signal raises `Stopped` wherever the program is. Some places lose an exception: a
+finaliser, a library written in C while it is imported. So it is raised again and again until it has
+arrived; never while the program clears up because of it.
 """
 
 from __future__ import annotations
@@ -17,16 +19,15 @@ if TYPE_CHECKING:
 
 #: Exit code of everything the user can mend.
 BAD_INPUT = 2
-#: A signal that came where nothing can be raised (in a finaliser) comes again after this time, s.
-AGAIN_S = 0.01
+#: A stop that has not arrived is raised again after this time, s.
+AGAIN_S = 0.02
+
+#: The signals that came: they are the process's, like their handlers.
+_came: list[int] = []
 
 
 class Stopped(BaseException):
     """A signal asks the program to end; no library takes it for one of its own exceptions."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 def main() -> None:
@@ -35,48 +36,61 @@ def main() -> None:
     Exit code 2 for errors that a user can mend; 128 and the signal's number after Ctrl-C (130) and
     SIGTERM (143).
     """
+    _came.clear()
+    signal.signal(signal.SIGALRM, _raise_stop)
     for number in (signal.SIGINT, signal.SIGTERM):
         # Ignored in the background of a shell script, and by nohup.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
     sys.excepthook, sys.unraisablehook = _excepthook, _unraisablehook
     try:
-        _run()
-    except Stopped as stop:
-        _say(_line(stop))
-        raise SystemExit(128 + stop.number) from None
+        from thermojoint.cli.app import app
+
+        app()
+    except SystemExit:
+        raise
+    except BaseException as error:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if _came:
+            # Or what a library made of the stop.
+            _end(128 + _came[0], _stopped())
+        if message := _mendable(error):
+            _end(BAD_INPUT, message)
+        raise
     finally:
         # All is done, or cleared up: what remains is the interpreter's own end.
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _run() -> None:
+def _mendable(error: BaseException) -> str:
+    """Say in one line what the user can mend; nothing if it is the program that is wrong."""
     from artefacts.errors import ThermojointError
-    from thermojoint.cli.app import app
 
-    try:
-        app()
-    except ThermojointError as error:
-        _fail(str(error))
-    except MemoryError as error:
-        _fail(f"not enough memory ({error}); take larger elements or a shorter run")
-    except OSError as error:
-        _fail(f"{error.filename or 'file'}: {error.strerror or error}; choose another place")
+    if isinstance(error, ThermojointError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error}); take larger elements or a shorter run"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'file'}: {error.strerror or error}; choose another place"
+    return ""
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End with everything cleared up; a second signal does not disturb that."""
-    if not _holds_stop(sys.exc_info()[1]):
-        raise Stopped(number)
+    """End with everything cleared up."""
+    _came.append(number)
+    signal.setitimer(signal.ITIMER_REAL, AGAIN_S, AGAIN_S)
+    _raise_stop(number, frame)
 
 
-def _holds_stop(error: BaseException | None) -> bool:
-    """Say whether an exception, or one that it came in the course of, is a stop."""
+def _raise_stop(number: int, frame: FrameType | None) -> None:
+    """Raise the stop, but not in the course of itself."""
+    error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, Stopped):
-            return True
+            return
         error = error.__context__
-    return False
+    raise Stopped
 
 
 def _excepthook(
@@ -86,28 +100,24 @@ def _excepthook(
     if not isinstance(error, Stopped):
         sys.__excepthook__(kind, error, trace)
         return
-    _say(_line(error))
-    os._exit(128 + error.number)
+    _say(_stopped())
+    os._exit(128 + _came[0])
 
 
 def _unraisablehook(found: UnraisableHookArgs) -> None:
-    """Let a stop that came within a finaliser come again: there it is lost."""
+    """Print no stop that came within a finaliser: it comes again."""
     if not isinstance(found.exc_value, Stopped):
         sys.__unraisablehook__(found)
-        return
-    number = found.exc_value.number
-    signal.signal(signal.SIGALRM, lambda alarm, frame: _stop(number, frame))
-    signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
 
 
-def _line(stop: Stopped) -> str:
-    how = "interrupted" if stop.number == signal.SIGINT else "stopped by a signal"
+def _stopped() -> str:
+    how = "interrupted" if _came[0] == signal.SIGINT else "stopped by a signal"
     return f"{how}; no unfinished file is left"
 
 
-def _fail(message: str) -> NoReturn:
+def _end(code: int, message: str) -> NoReturn:
     _say(message)
-    raise SystemExit(BAD_INPUT)
+    raise SystemExit(code) from None
 
 
 def _say(message: str) -> None:
