@@ -24,9 +24,9 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from artefacts import steps
+from artefacts.arrays import Array
 from artefacts.errors import InputError, ThermojointError
 from artefacts.response import probes_of
 from calibrate.driven_deformation import UNCERTAIN_TIMES
@@ -40,7 +40,6 @@ from models.regularisation import choose_regularisation, steepest_rise
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 PROPORTIONAL = 1e-3
 SMALLEST_DIFFERENCE = 4.0

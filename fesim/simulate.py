@@ -26,7 +26,7 @@ from fesim.march.stepping import (
     march,
     staggered,
 )
-from fesim.setup.loads import heat_history, source_power, thermal_inputs
+from fesim.setup.loads import heat_history, input_layout, source_power, thermal_inputs
 from fesim.setup.machine import Setup, measured_points, set_up
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
@@ -164,11 +164,11 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
     machine = setup.machine
     names = [joint.name for joint in setup.joints for _ in joint.area]
     times = machine.thermal.step * np.array([step.state.index for step in steps])
-    inputs = np.array([step.inputs for step in steps])
+    inputs, layout = np.array([step.inputs for step in steps]), input_layout(case)
     values = {
-        "heat_input": _heat_input(case, times, inputs[:, : len(case.sources)]),
-        "source_power": inputs[:, : len(case.sources)],
-        "ambient": inputs[:, len(case.sources)],
+        "heat_input": _heat_input(case, times, inputs[:, layout.source_columns]),
+        "source_power": inputs[:, layout.source_columns],
+        "ambient": inputs[:, layout.ambient],
         "temperature": probes,
         "displacement": np.array([step.displacement for step in steps]),
         "probe_position": np.array([probe.position for probe in setup.probes.values()]),

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem import CellBasis, ElementHex0, ElementTetP0, Mesh
 
-Array = NDArray[np.float64]
+from artefacts.arrays import Array
 
 
 def cell_quality(mesh: Mesh) -> Array:

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.march.stepping import march, staggered
@@ -28,8 +28,6 @@ from fesim.solid.materials import Material
 from verification.check import Check
 from verification.rods import NO_FRICTION, Rods, rods
 from verification.structures import STEEL
-
-Array = NDArray[np.float64]
 
 ALUMINIUM = Material(
     conductivity=200.0,

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from artefacts.arrays import Array
 from fesim.joint.gap import Equilibrium, gap_problem
 from fesim.joint.law import (
     Friction,
@@ -33,8 +33,6 @@ from meshes.structure import Structure
 from verification.check import Check
 from verification.series import HARDNESS, ROUGHNESS, law_at
 from verification.structures import IRON, SECTION, bars
-
-Array = NDArray[np.float64]
 
 #: Largest gap residual, m: far below the march's, so that only the law is compared.
 RESIDUAL = 1e-18

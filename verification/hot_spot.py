@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshHex
 
+from artefacts.arrays import Array
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_cells
@@ -31,7 +32,6 @@ from verification.check import Check
 from verification.solving import solve_given
 from verification.structures import box_surfaces
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 RADIUS, THICKNESS = 1e-3, 1e-4

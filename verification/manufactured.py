@@ -21,11 +21,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
+from artefacts.arrays import Array
 from fesim.march.stepping import heat_step
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import heat_operators
@@ -36,8 +36,6 @@ from verification.check import Check
 from verification.nafems_heat import NO_JOINT, alone
 from verification.solving import solve_given
 from verification.structures import IRON, bent, block, box_grid
-
-Array = NDArray[np.float64]
 
 #: Elements along each edge of the cube, from coarse to fine.
 HEAT_MESHES = (4, 8, 16)

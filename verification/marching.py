@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array, kron
 
+from artefacts.arrays import Array
 from fesim.joint.law import Friction, JointLaw
 from fesim.joint.operators import JointOperators, joint_operators
 from fesim.march.reduced import (
@@ -37,8 +37,6 @@ from verification.manufactured import WITHIN
 from verification.plain_march import PlainStep, plain_march
 from verification.series import law_at
 from verification.structures import IRON, LEFT, SECTION, STEEL, bars
-
-Array = NDArray[np.float64]
 
 #: Largest gap residual, m: far below the march's, so that nothing but the method is compared.
 RESIDUAL = 1e-17

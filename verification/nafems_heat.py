@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fesim.joint.operators import JointOperators
@@ -24,8 +23,6 @@ from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.structure import Probe
 from verification.check import Check
 from verification.structures import block, box_grid
-
-Array = NDArray[np.float64]
 
 FOREVER = 1e15
 NO_JOINT = np.zeros(1)

@@ -11,16 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from artefacts.arrays import Array
 from fesim.joint.law import Friction
 from verification.check import Check
 from verification.friction import pressed
 from verification.series import law_at
 from verification.structures import IRON, box_grid, two_bars
-
-Array = NDArray[np.float64]
 
 #: Length, thickness and width of the strip, m. What its thickness shears is k_t t / (3 G) of the
 #: slip, 6e-5.

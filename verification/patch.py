@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
+from artefacts.arrays import Array
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
 from fesim.joint.operators import joint_operators
@@ -34,8 +34,6 @@ from verification.structures import (
     shaken,
     two_bars,
 )
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 #: Share of the spacing by which nodes inside are moved.

@@ -10,17 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.operators import JointOperators
 from fesim.march.stepping import CondensedMachine, Inputs
 from fesim.solid.elasticity import ElasticOperators
 from fesim.solid.heat import HeatOperators
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS, SHORTEST_STEP = 60, 2.0**-10
 #: The last step of Newton's method is smaller than this, m: micrometres are compared, and a solve

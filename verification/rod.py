@@ -26,10 +26,10 @@ from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import erfc
 
+from artefacts.arrays import Array
 from fesim.joint.law import (
     JointLaw,
     SurfaceNormalLaw,
@@ -40,8 +40,6 @@ from fesim.march.stepping import CondensedMachine, State, initial_state, iterate
 from verification.check import Check
 from verification.rods import NO_FRICTION, Rods, rods
 from verification.structures import IRON, STEEL
-
-Array = NDArray[np.float64]
 
 #: So long an implicit Euler step ends in the steady state, s.
 FOREVER = 1e15

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from artefacts.arrays import Array
 from fesim.joint.law import Friction, JointLaw
 from fesim.joint.operators import JointOperators, joint_operators
 from fesim.march.stepping import CondensedMachine
@@ -19,8 +18,6 @@ from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from verification.structures import box_grid, two_bars
-
-Array = NDArray[np.float64]
 
 #: Width and depth of a rod, m. Without lateral contraction they do not matter.
 SECTION = (0.1, 0.1)

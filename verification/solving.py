@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from artefacts.arrays import Array
 from fesim.solid.linear_solver import checked_solve, factorise
-
-Array = NDArray[np.float64]
 
 
 def solve_given(

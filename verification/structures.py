@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshTet
 
+from artefacts.arrays import Array
 from fesim.solid.materials import Material
 from meshes.structure import Structure
-
-Array = NDArray[np.float64]
 
 IRON = Material(
     conductivity=47.0,

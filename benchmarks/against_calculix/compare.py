@@ -8,10 +8,10 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem import CellBasis
 from threadpoolctl import threadpool_limits
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
 from benchmarks.against_calculix.deck import Choices, write_deck
 from benchmarks.against_calculix.laws import exponential, with_law
@@ -28,8 +28,6 @@ from fesim.solid.condensation import condense_heat
 from fesim.solid.heat import capacity_form, cell_field, heat_operators
 from fesim.solid.spaces import interpolation, probe_rows
 from meshes.pairing import PairedJoint, pair_joint
-
-Array = NDArray[np.float64]
 
 #: Parts of a contact element in each direction over which a pressure is averaged.
 PARTS = 4

@@ -20,6 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import CellBasis
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
 from benchmarks.against_calculix.elements import (
     connectivity,
@@ -32,7 +33,6 @@ from benchmarks.against_calculix.problem import Problem
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.solid.elasticity import DIRECTIONS
 
-Array = NDArray[np.float64]
 Table = list[tuple[float, float]]
 
 TEMPERATURE = 11

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from fesim.joint.law import JointLaw
 from fesim.march.stepping import CondensedMachine
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, InputError
 
-Array = NDArray[np.float64]
 PROGRAM = "ccx"
 
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from estimator.fchs.stream import run
 from models.assembly import Assembly
 from models.filters.bank import Bank, respond_to_line, respond_to_steps
-
-Array = NDArray[np.float64]
 
 
 class Blocks:

@@ -8,8 +8,8 @@ from statistics import median
 from time import perf_counter_ns
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
 from benchmarks.performance.timing import Row, paired
@@ -18,7 +18,6 @@ from estimator.fchs.stream import initial_state, run, step
 from models.assembly import Assembly, assemble
 from models.sensors import readings, roles_in
 
-Array = NDArray[np.float64]
 Sample = Callable[[int], object]
 
 #: Sampling interval and the two lengths of a run, s.

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator.fchs.stream import Signals, propagator
 from models.assembly import Assembly
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

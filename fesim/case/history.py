@@ -7,11 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError, UnreadableError
 
-Array = NDArray[np.float64]
 History = Callable[[Array], Array]
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from fesim.joint.gap import (
     MAX_FULL_STEPS,
     MAX_ITERATIONS,
@@ -29,8 +30,6 @@ from fesim.joint.gap import (
 )
 from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
 from fesim.machine_code import compiled
-
-Array = NDArray[np.float64]
 
 #: Columns of the table of laws, one row for each contact element.
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)

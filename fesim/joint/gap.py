@@ -15,12 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.law import Traction
 
-Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Traction]
 
 #: Largest residual of an accepted state, m.

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc, erfcinv
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 class NormalLaw(Protocol):

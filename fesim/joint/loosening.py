@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.law import JointLaw, Traction
 from fesim.machine_code import compiled
 from fesim.solid.rigid_motions import Holds, described
-
-Array = NDArray[np.float64]
 
 #: A contact element under this share of its preload holds nothing; nor does it along a tangent with
 #: this share of its stiffness.

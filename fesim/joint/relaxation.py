@@ -18,13 +18,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
 from fesim.joint.law import Traction
-
-Array = NDArray[np.float64]
 
 #: Viscous steps at most, those that failed included.
 MAX_STEPS = 500

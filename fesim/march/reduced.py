@@ -10,9 +10,9 @@ import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
+from artefacts.arrays import Array
 from fesim.joint.operators import JointOperators
 from fesim.solid.condensation import (
     ElasticCondensation,
@@ -23,8 +23,6 @@ from fesim.solid.condensation import (
 from fesim.solid.heat import HeatOperators
 from fesim.solid.linear_solver import Factor
 from fesim.solid.reduction import ReducedHeat, reduce_heat
-
-Array = NDArray[np.float64]
 
 #: What the inputs of a march are like: heat in all, W; ambient and held surfaces, K.
 USUAL_POWER, USUAL_RISE = 1000.0, 10.0
@@ -91,7 +89,7 @@ def thermal_modes(
     system = csr_array(heat.conduction + heat.convection)
     surfaces = _held_surfaces(heat)
     usual = np.full(heat.inputs.shape[1], USUAL_POWER)
-    usual[heat.inputs.shape[1] - surfaces.shape[1] - 1 :] = USUAL_RISE
+    usual[heat.layout.temperature_columns] = USUAL_RISE
     drives = usual * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
     flows = USUAL_POWER / max(len(joints.area), 1) * joints.jump.toarray().T
     outputs = np.vstack(
@@ -129,14 +127,14 @@ def project_heat(
     _, inputs = eliminate_held(heat, step)
     sums = heat_sums(heat, joints, step)
     count = modes.rates.size
-    held = modes.basis.shape[1] - count
+    held = heat.layout.held
     diagonal = np.concatenate([1.0 / step + modes.rates, np.ones(held)])
     jump = joints.jump @ modes.basis
     influence = np.zeros((count + held, jump.shape[0]))
     influence[:count] = jump[:, :count].T / diagonal[:count, None]
     projected = np.vstack([modes.basis[:, :count].T @ inputs, np.zeros((held, inputs.shape[1]))])
-    # A held surface's amplitude is its input: the last ones, in order.
-    projected[count:, inputs.shape[1] - held :] = np.eye(held)
+    # A held surface's amplitude is its input.
+    projected[count:, heat.layout.held_columns] = np.eye(held)
     return ThermalCondensation(
         factor=_diagonal_factor(diagonal),
         capacity_rate=diags_array(
@@ -169,10 +167,8 @@ def project_elasticity(elastic: ElasticCondensation, modes: ThermalModes) -> Ela
 
 def _held_surfaces(heat: HeatOperators) -> Array:
     """Nodal temperatures of each held surface at 1 K, shape (n, s)."""
-    driven = np.flatnonzero(heat.held_inputs.any(axis=0))
-    first = int(driven[0]) if driven.size else heat.inputs.shape[1]
-    surfaces = np.zeros((heat.inputs.shape[0], heat.inputs.shape[1] - first))
-    surfaces[heat.held] = heat.held_inputs[:, first:]
+    surfaces = np.zeros((heat.inputs.shape[0], heat.layout.held))
+    surfaces[heat.held] = heat.held_inputs[:, heat.layout.held_columns]
     return surfaces
 
 

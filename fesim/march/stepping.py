@@ -13,8 +13,8 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, ThermojointError
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
@@ -25,7 +25,6 @@ from fesim.solid.rigid_motions import Holds
 if TYPE_CHECKING:
     from fesim.joint.loosening import Watch
 
-Array = NDArray[np.float64]
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
 

@@ -19,6 +19,7 @@ from fesim.case.schema import (
     TriangleInput,
 )
 from fesim.solid.heat import HeatSource
+from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
 
 
@@ -50,8 +51,14 @@ def source_power(source: SourceSection) -> float:
     return each * source.count if source.reading == "per source" else each
 
 
+def input_layout(case: Case) -> InputLayout:
+    """Return the order of the inputs of a case's march."""
+    return InputLayout(len(case.sources), len(case.held_temperatures))
+
+
 def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
-    """Return the inputs of the march in time: see `fesim.solid.heat`."""
+    """Return the inputs of the march in time, in the order of `input_layout`."""
+    layout = input_layout(case)
     sources = [
         (source_power(source), heat_history(source.heat_input or case.heat_input))
         for source in case.sources.values()
@@ -62,8 +69,11 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
     def inputs(time: float) -> NDArray[np.float64]:
         at = np.array([time])
         change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
-        parts = [*(power * history(at) for power, history in sources), change]
-        return np.concatenate([*parts, *(history(at) for history in held)])
+        found = np.empty(layout.count)
+        found[layout.source_columns] = [power * history(at)[0] for power, history in sources]
+        found[layout.ambient] = change[0]
+        found[layout.held_columns] = [history(at)[0] for history in held]
+        return found
 
     return inputs
 

@@ -11,16 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
+from artefacts.arrays import Array
 from fesim.joint.operators import JointOperators
 from fesim.solid.elasticity import ElasticOperators
 from fesim.solid.heat import HeatOperators
 from fesim.solid.linear_solver import Factor, checked_solve, factorise
-
-Array = NDArray[np.float64]
-
 
 #: The unknowns of the full model: nodal temperatures.
 FULL = "full"

@@ -17,13 +17,13 @@ from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
+from artefacts.arrays import Array
+from fesim.solid.input_layout import InputLayout
 from fesim.solid.materials import Material
 from fesim.solid.spaces import interpolation
 from meshes.covered import cover_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class HeatOperators:
         Unknowns whose temperature is given; their rows of the equation do not hold.
     held_inputs : ndarray, shape (h, k)
         Their temperature per unit of each input.
+    layout : InputLayout
+        Which input is which.
     """
 
     capacity: csr_array
@@ -66,6 +68,7 @@ class HeatOperators:
     inputs: Array
     held: NDArray[np.int64]
     held_inputs: Array
+    layout: InputLayout
 
 
 @BilinearForm
@@ -142,16 +145,23 @@ def heat_operators(
     convection = csr_array((basis.N, basis.N))
     for name, coefficient in films.items():
         convection = convection + coefficient * film_matrix(structure, basis, name, joints)
-    inputs = np.zeros((basis.N, len(sources) + 1 + len(held)))
+    layout = InputLayout(len(sources), len(held))
+    inputs = np.zeros((basis.N, layout.count))
     for column, source in enumerate(sources):
         load = flux_form.assemble(_heated(structure, basis, source))
         inputs[:, column] = source.power * load / load.sum()
-    inputs[:, len(sources)] = np.asarray(convection.sum(axis=1)).ravel()
+    inputs[:, layout.ambient] = np.asarray(convection.sum(axis=1)).ravel()
     nodes, surface = _held_unknowns(structure, basis, held)
-    pattern = np.zeros((nodes.size, inputs.shape[1]))
-    pattern[np.arange(nodes.size), len(sources) + 1 + surface] = 1.0
+    pattern = np.zeros((nodes.size, layout.count))
+    pattern[np.arange(nodes.size), layout.held_columns.start + surface] = 1.0
     return HeatOperators(
-        csr_array(capacity), csr_array(conduction), csr_array(convection), inputs, nodes, pattern
+        csr_array(capacity),
+        csr_array(conduction),
+        csr_array(convection),
+        inputs,
+        nodes,
+        pattern,
+        layout,
     )
 
 

@@ -14,10 +14,10 @@ from importlib.util import find_spec
 from weakref import finalize
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, csr_matrix, sparray, triu
 from scipy.sparse.linalg import splu
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, InputError
 
 SOLVERS = ("pardiso", "superlu")
@@ -27,8 +27,6 @@ VARIABLE = "THERMOJOINT_SOLVER"
 
 #: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
 RESIDUAL_LIMIT = 1e-6
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
+from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.solid.linear_solver import checked_solve, factorise
-
-Array = NDArray[np.float64]
 
 #: Numbers of shifts that are tried one after the other.
 SHIFTS = (20, 28, 40)

@@ -20,12 +20,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
 from fesim.solid.elasticity import DIRECTIONS
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
-
-Array = NDArray[np.float64]
 
 #: A rigid motion of unit size that moves what could hold it by less than this is not held: normals
 #: that turn by less (rad) are parallel but for the rounding of a mesh file.

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import CellBasis
 
+from artefacts.arrays import Array
 from fesim.solid.heat import by_cell
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
-
-Array = NDArray[np.float64]
 
 
 def stress_at(

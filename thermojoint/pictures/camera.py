@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from artefacts.arrays import Array
+
 Vector = tuple[float, float, float]
 #: Left, right, bottom and top of a picture in the plane of projection, m.
 Window = tuple[float, float, float, float]

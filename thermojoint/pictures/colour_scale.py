@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from artefacts.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.colors import BoundaryNorm, Colormap
 
-Array = NDArray[np.float64]
 
 _COLOURS = "plasma"
 #: Even bands, at most.

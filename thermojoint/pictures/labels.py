@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from artefacts.arrays import Array
 
 #: Tried in this order: directions from the point to the label's middle.
 _DIRECTIONS = np.array(
