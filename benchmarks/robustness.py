@@ -233,7 +233,17 @@ def rows(found: list[tuple[Drawn, Figures | str]]) -> list[tuple[str, ...]]:
     return lines
 
 
-def page(lines: list[tuple[str, ...]], first: int, count: int) -> str:
+def failures(found: list[tuple[Drawn, Figures | str]]) -> list[str]:
+    """Return one line of Markdown for each march that failed."""
+    return [
+        f"- {one.number}, {one.structure}, {one.case.march.coupling}, friction {one.friction:.2g}: "
+        f"{end}"
+        for one, end in found
+        if isinstance(end, str)
+    ]
+
+
+def page(lines: list[tuple[str, ...]], failed: list[str], first: int, count: int) -> str:
     """Return docs/robustness.md."""
     table = ["| " + " | ".join(line) + " |" for line in (HEADER, ("---",) * len(HEADER), *lines)]
     return "\n".join(
@@ -263,7 +273,9 @@ def page(lines: list[tuple[str, ...]], first: int, count: int) -> str:
             "Iterations are Newton iterations of the gap equations, with all sweeps where the "
             "coupling is iterated. Where a joint snaps, viscous steps lead to its next equilibrium "
             "([march.md](march.md)). A march that fails is printed with its number; "
-            "`--first NUMBER --count 1` marches it again.",
+            "`--first NUMBER --count 1` marches it again. Failed:",
+            "",
+            *(failed or ["- none"]),
             "",
         ]
     )
@@ -283,7 +295,7 @@ def main() -> int:
         table.add_row(*line)
     Console(width=170).print(table)
     if asked.markdown:
-        write_text(asked.markdown, page(lines, asked.first, asked.count))
+        write_text(asked.markdown, page(lines, failures(found), asked.first, asked.count))
     return int(any(isinstance(end, str) for _, end in found))
 
 

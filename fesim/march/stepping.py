@@ -33,9 +33,10 @@ AT_REST = 1e-6
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
 MAX_SWEEPS = 100
+#: Least and largest weight of a sweep.
+WEIGHTS = 0.05, 10.0
 #: From this sweep on, an agreement within what the gap equations leave open is one.
 PATIENCE = 20
-LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -277,40 +278,42 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         step = _step_with(machine, state, inputs, machine.conductance(pressure))
         iterations += step.iterations
         cuts += step.cuts
-        misfit = (step.state.pressure - pressure) / machine.preload
+        after = step.state.pressure
+        misfit = (after - pressure) / machine.preload
         change = float(np.abs(misfit).max(initial=0.0))
         enough = PRESSURE_TOLERANCE if sweep < PATIENCE else _left_open(machine)
         # Where the joint snaps the pressure leaps: none agrees with the conductance it leaps from.
         if change <= enough or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
-        slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
-        weight, last = _aitken(weight, last, misfit) if slow else 1.0, misfit
         # The next sweep's first guess: the same gaps again give the same pressures again, while
         # another guess moves them within the tolerance of the gap equations for ever.
         state = replace(state, change=step.state.change)
-        pressure = pressure + weight * (step.state.pressure - pressure)
+        slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
+        weight, last = _aitken(weight, last, misfit) if slow else weight, misfit
+        ends = 0.5 * np.minimum(pressure, after), 2.0 * np.maximum(pressure, after)
+        pressure = np.clip(pressure + weight * (after - pressure), *ends)
     raise ConvergenceError(
-        f"in-step iteration: pressures still change by {change:.1e} of the preload after "
-        f"{MAX_SWEEPS} sweeps; take a shorter step or the staggered coupling"
+        f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
+        f'after {MAX_SWEEPS} sweeps; take a shorter march.step_s or coupling = "staggered"'
     )
 
 
 def _left_open(machine: CondensedMachine) -> float:
-    """Change of a pressure, relative to the preload, that the gap equations' tolerance leaves open.
-
-    Ten times what it means at rest: a joint pressed together is stiffer.
-    """
+    """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
     stiffness = machine.gap_problem.springs[: machine.contacts]
     left = 10.0 * machine.gap_tolerance * stiffness / machine.preload
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 
 def _aitken(weight: float, last: Array, misfit: Array) -> float:
-    """Weight of the next sweep by Aitken's method (Irons & Tuck 1969); all of it at first."""
+    """Weight of the next sweep by Aitken's method (Irons & Tuck 1969), where sweeps settle slowly.
+
+    Where they go on growing they leave an unstable state, and the whole way leads to a stable one.
+    """
     turn = misfit - last
-    if not last.any() or not turn.any():
+    if last @ turn >= 0.0:
         return 1.0
-    return float(np.clip(-weight * (last @ turn) / (turn @ turn), LEAST_WEIGHT, 1.0))
+    return float(np.clip(-weight * (last @ turn) / (turn @ turn), *WEIGHTS))
 
 
 def heat_step(
