@@ -101,7 +101,7 @@ def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
     (folder / "truncated.nc").write_bytes(whole[: len(whole) // 2])
     text = (folder / "model.json").read_text()
     (folder / "truncated.json").write_text(text[: len(text) // 2])
-    spoil("other-version.json", "model.json", '"schema_version": 2', '"schema_version": 99')
+    spoil("other-version.json", "model.json", '"schema_version": 3', '"schema_version": 99')
     spoil("nan.csv", "samples.csv", "\n20,0.1,", "\n20,nan,")
     spoil("word.csv", "samples.csv", "\n20,0.1,", "\n20,warm,")
     spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
