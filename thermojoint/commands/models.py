@@ -15,6 +15,7 @@ from artefacts.errors import InputError
 from artefacts.files import write_text
 from artefacts.response import read_response
 from calibrate import chain
+from calibrate.baselines import baselines_of
 from calibrate.provenance import provenance_of
 from estimator import estimate_table, judge, measured, noise
 from estimator.interface import follow
@@ -23,6 +24,7 @@ from estimator.starting import model_in, started
 from fesim.case.schema import read_case
 from models.assembly import assemble as assemble_model
 from models.assembly_file import write_assembly
+from models.baselines import read_baselines, write_baselines
 from models.model_file import read_model, read_provenance, write_model
 from thermojoint import arguments, console, plausibility
 from thermojoint.reproduce import reproduce as run_all
@@ -50,6 +52,10 @@ def calibrate(
             "them. Default: the sources lie at the contact elements nearest to T1 and T2.",
         ),
     ] = None,
+    baselines: Annotated[
+        Path | None,
+        typer.Option(help="Regressions on the same data to write (JSON), for 'validate'."),
+    ] = None,
 ) -> None:
     """Calibrate the generalised models: Tables 1-3.
 
@@ -59,7 +65,7 @@ def calibrate(
     Example: [bold]thermojoint calibrate --reference measured-1.nc --input 0.5=measured-05.nc
     --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
     """
-    arguments.check_writable(out)
+    arguments.check_writable(out, baselines)
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
     named = [
@@ -76,7 +82,10 @@ def calibrate(
         report("calibrating", 1, 1)
     case = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, case)
+    regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
     write_model(calibrated.model, out, provenance)
+    if baselines and regressions:
+        write_baselines(regressions, baselines)
     content = tables_json(calibrated.model, provenance)
     console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
     console.wrote(out)
@@ -209,6 +218,9 @@ def validate(
         typer.Option("--noise-pp", help="Peak-to-peak noise put on every temperature, K."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    baselines: Annotated[
+        Path | None, typer.Option(help="Baselines to judge beside it ('calibrate --baselines').")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
 ) -> None:
     """Judge the estimator: it sees the temperatures, the displacement is the judge.
@@ -219,6 +231,7 @@ def validate(
     """
     arguments.check_writable(out)
     table = read_model(model)
+    beside = read_baselines(baselines) if baselines else None
     base = read_response(reference) if reference else None
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
@@ -231,7 +244,7 @@ def validate(
             f"{name}, {noise_pp:g} K noise": noise.with_noise(response, table, noise_pp, seed)
             for name, response in given.items()
         }
-    found = judge.validate_model(table, base, given)
+    found = judge.validate_model(table, base, given, baselines=beside)
     if out:
         write_text(out, json.dumps(found.figures(), indent=2) + "\n")
     console.show_validation(console.out(), found.rows)
