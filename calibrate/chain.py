@@ -187,6 +187,7 @@ def _calibrate(
         span=span_of(linear.model, base, rest),
     )
     model = stabilised(model, base["time"].to_numpy())
+    model = replace(model, leak=1.0 / model.span.duration_s)
     model = replace(model, sources=_driven_models(model, base, rest, fictitious))
     data = fictitious.deviations
     averaging = fit_by_averaging(data.t, data.temperatures, data.inputs, make_geometry(distances))

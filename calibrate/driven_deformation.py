@@ -24,6 +24,9 @@ from calibrate.least_squares import fit
 from calibrate.source_deformation import eq18_models, eq18_problem
 from models.parameters import DeformationModel
 
+#: As `source_deformation.RIDGE`. Larger: strengths go on beyond what was calibrated, and must not
+#: undo terms that nearly cancel.
+RIDGE = 1e-2
 #: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
 UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
 
@@ -104,6 +107,7 @@ def fit_driven_deformation(
     *,
     starts: int = 4,
     seed: int = 0,
+    ridge: float = RIDGE,
 ) -> tuple[tuple[DeformationModel, ...], Fit]:
     """Return Eq. 18 of every source along one axis, driven by strengths that vary.
 
@@ -117,6 +121,8 @@ def fit_driven_deformation(
         Strengths during the interval that ends at each sample.
     starts, seed : int
         Of the search (`least_squares.fit`).
+    ridge : float
+        As in `least_squares.fit`.
 
     Raises
     ------
@@ -132,5 +138,5 @@ def fit_driven_deformation(
     after = steps.even_interval(t, "fictitious sources") * np.arange(1, t.size + 1)
     drivers = [driver(one) for one in strengths]
     problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
-    found = fit(problem, starts=starts, seed=seed)
+    found = fit(problem, starts=starts, seed=seed, ridge=ridge)
     return eq18_models(found, sources), found

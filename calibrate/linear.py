@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 
 #: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
 RING_RADIUS = 0.12
+#: The slowest rate of a fitted term, per length of the calibration run: it makes two fifths of its
+#: change within the run.
+SLOWEST = 0.5
+#: The slowest rate of a term t exp(-rate t): it peaks in the first half of the run.
+FADING = 2.0
 #: Rates of the relaxation spectrum.
 RELAXATION_RATES = 24
 
@@ -58,11 +63,24 @@ class LinearCalibration:
 
 
 def rate_bounds(t: np.ndarray) -> tuple[float, float]:
-    """Return the slowest and fastest rate, 1/s, that samples at `t` (s) can show.
+    """Return the slowest and fastest rate, 1/s, that samples at `t` (s) can bear.
 
-    A tenth of the run's inverse length, and one per two of its median intervals.
+    `SLOWEST` over the run's length, and one per two of its median intervals. A slower term is a
+    straight line over the run: its amplitude is decided by the last digits of the data, cancels
+    that of another, and shows when the run is longer.
     """
-    return 0.1 / float(t[-1]), 0.5 / float(np.median(np.diff(t)))
+    return SLOWEST / float(t[-1]), 0.5 / float(np.median(np.diff(t)))
+
+
+def deformation_bounds(t: np.ndarray, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the bounds of the `count` rates c, d, e [, f] of Eq. 8 or 18, 1/s.
+
+    As `rate_bounds`, but a term t exp(-e t) must also be seen to fade: e is at least `FADING` over
+    the run's length. Otherwise it stands for what has not settled by the end of the run, and takes
+    the displacement back to zero afterwards.
+    """
+    slowest, fastest = rate_bounds(t)
+    return (slowest, slowest, *(FADING / float(t[-1]),) * (count - 2)), (fastest,) * count
 
 
 def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
@@ -129,15 +147,15 @@ def _deformation_problem(
     data: np.ndarray,
     basis: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     linear_names: tuple[str, ...],
-    bounds: tuple[float, float],
+    bounds: tuple[tuple[float, ...], tuple[float, ...]],
 ) -> Separable:
     return Separable(
         basis=lambda theta: basis(t, theta),
         data=data[:, None],
         names=("c", "d", "e"),
         linear_names=linear_names,
-        lower=(bounds[0],) * 3,
-        upper=(bounds[1],) * 3,
+        lower=bounds[0],
+        upper=bounds[1],
         unit="m",
     )
 
@@ -156,7 +174,7 @@ def fit_deformation(
     starts, seed : int
         Of the search (`least_squares.fit`).
     """
-    thin, bounds = steps.thinned(t.size), rate_bounds(t)
+    thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
     names = ("C", "D", "E")
     found = fit(
         _deformation_problem(t, data, deformation.basis, names, bounds),
@@ -175,7 +193,7 @@ def fit_flat_deformation(
 
     E follows from the other parameters, so the fit lists C and D only.
     """
-    thin, bounds = steps.thinned(t.size), rate_bounds(t)
+    thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
     names = ("C", "D")
     found = fit(
         _deformation_problem(t, data, deformation.flat_basis, names, bounds),
@@ -189,7 +207,7 @@ def fit_flat_deformation(
 
 
 def fit_relaxation(
-    t: np.ndarray, data: np.ndarray, *, count: int = RELAXATION_RATES, ridge: float = 1e-6
+    t: np.ndarray, data: np.ndarray, *, count: int = RELAXATION_RATES, ridge: float = 2e-5
 ) -> Relaxation:
     """Return the relaxation spectrum of a step response: rates fixed, amplitudes least squares.
 
@@ -200,12 +218,12 @@ def fit_relaxation(
     data : ndarray, shape (n,)
         Temperature, K per unit heat input.
     count : int
-        Rates, evenly spaced in their logarithm from one per five runs to one per two intervals.
+        Rates, evenly spaced in their logarithm between the `rate_bounds`.
     ridge : float
         As in `least_squares`; it keeps neighbouring amplitudes from cancelling.
     """
     slow, fast = rate_bounds(t)
-    rates = np.geomspace(2.0 * slow, fast, count)
+    rates = np.geomspace(slow, fast, count)
     columns = -np.expm1(-np.multiply.outer(t, rates))
     amplitudes = solve_linear(columns, data[:, None], ridge)[:, 0]
     return Relaxation(tuple(map(float, amplitudes)), tuple(map(float, rates)))

@@ -15,9 +15,12 @@ from artefacts import steps
 from artefacts.errors import InputError
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit
-from calibrate.linear import rate_bounds
+from calibrate.linear import deformation_bounds
 from models import deformation
 from models.parameters import DeformationModel
+
+#: What a term of Eq. 18 as large as δ_NL costs, as an error relative to it (`least_squares`).
+RIDGE = 1e-4
 
 #: (source, what happens after its unit step (n, p)) to what happens at every input (inputs, n, p).
 Respond = Callable[[int, np.ndarray], np.ndarray]
@@ -38,7 +41,7 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
         How a source's step responses are driven at the inputs.
     """
     inputs = len(data)
-    bounds = rate_bounds(t)
+    lower, upper = deformation_bounds(t, 4)
 
     def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         columns = np.empty((inputs, t.size, sources, 4))
@@ -57,8 +60,8 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
         data=data.reshape(-1, 1),
         names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "cdef"),
         linear_names=tuple(f"{name}{i + 1}" for i in range(sources) for name in "CDEF"),
-        lower=(bounds[0],) * (4 * sources),
-        upper=(bounds[1],) * (4 * sources),
+        lower=lower * sources,
+        upper=upper * sources,
         unit="m",
     )
 
@@ -124,10 +127,10 @@ def fit_source_deformation(
     guess: list[float] = []
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
-        found = fit(single, starts=starts, seed=seed)
+        found = fit(single, starts=starts, seed=seed, ridge=RIDGE)
         guess += [found.values[name] for name in single.names]
     problem = _step_problem(t, deviations, strengths)
-    found = fit(problem, coarse=coarse, starts=0, guesses=[guess])
+    found = fit(problem, coarse=coarse, starts=0, guesses=[guess], ridge=RIDGE)
     return eq18_models(found, sources), found
 
 

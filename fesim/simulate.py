@@ -89,6 +89,11 @@ def simulate(
         A step did not converge.
     """
     ready = setup if setup is not None else set_up(case)
+    if ready.machine.thermal.step != case.march.step_s:
+        raise InputError(
+            f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
+            f"{ready.machine.thermal.step:g} s; set it up for this case"
+        )
     first = start if start is not None else initial_state(ready.machine)
     if first.model != ready.machine.thermal.model:
         raise InputError(

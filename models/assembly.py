@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.errors import InputError
-from models.filters.bank import Bank, simple_bank, stacked, summed
+from models.filters.bank import Bank, leaking, simple_bank, stacked, summed
 from models.filters.inverse import inverse_bank
 from models.filters.pole_residue import direct_bank
 from models.parameters import DeformationModel, Model, Relaxation, RingModel
@@ -142,6 +142,9 @@ def assemble(
     direct = [
         _direct_bank(table.direct[role], *band, f"direct model of {role}") for role in sensors
     ]
+    sources = inverse_bank(
+        rings, [s.regularisation for s in model.sources], *band, "inverse of the sources"
+    )
     return Assembly(
         model=model,
         dt_s=dt_s,
@@ -149,9 +152,7 @@ def assemble(
         heat=inverse_bank([[table.thermal]], [table.regularisation], *band, "inverse of ΔT"),
         linear=stacked([deformation_bank(table.deformation[axis]) for axis in axes]),
         temperature=stacked(direct),
-        sources=inverse_bank(
-            rings, [s.regularisation for s in model.sources], *band, "inverse of the sources"
-        ),
+        sources=leaking(sources, model.leak) if model.leak else sources,
         nonlinear=summed(
             [
                 stacked([deformation_bank(source.applied[axis]) for axis in axes])

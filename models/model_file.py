@@ -20,7 +20,7 @@ from models.parameters import STRICT, Model, Relaxation
 from models.sensors import JOINT_SENSORS, ROLES
 
 FILE = JsonKind(
-    "thermojoint-model", 2, "model", "written by 'thermojoint calibrate'", "calibrate again"
+    "thermojoint-model", 3, "model", "written by 'thermojoint calibrate'", "calibrate again"
 )
 #: What the model is for: the paper's estimator.
 KIND = "fchs"
@@ -34,7 +34,7 @@ UNITS = {
     "B": "K s-2",
     "gamma": "s-1",
     "amplitudes": "K",
-    "c, d, e, f, rates": "s-1",
+    "c, d, e, f, rates, leak": "s-1",
     "C, D": "m",
     "E, F": "m s-1",
     "reference_power_W": "W",

@@ -195,6 +195,10 @@ class Model:
         case's figure: of one source by its ``reading``, per source or total; of several the sum.
     span : Span
         What the calibration has seen.
+    leak : float
+        Rate at which a deviation ∂T that stands still fades from the strengths, 1/s: what lasts
+        longer than the calibration is not told from an error of block 3. 0 in the paper's own
+        scheme.
     """
 
     __pydantic_config__ = STRICT
@@ -205,6 +209,7 @@ class Model:
     sensors: dict[str, tuple[float, float, float]]
     reference_power_W: PositiveFloat
     span: Span
+    leak: NonNegativeFloat = 0.0
 
     @property
     def digest(self) -> str:

@@ -70,7 +70,31 @@ def readings(
     InputError
         A probe is missing, or noise is given for a role that does not exist.
     """
-    wanted = (*HEAT_SENSORS, *joint)
+    rise, above = _rises(response, (*HEAT_SENSORS, *joint), roles, noise)
+    joined = np.stack([rise[role] for role in joint], axis=1)
+    if above is not None:
+        joined = joined - above[:, None]
+    return Readings(response["time"].to_numpy(), rise["a"] - rise["b"], joined)
+
+
+def rises(
+    response: xr.Dataset,
+    roles: Mapping[str, str] | None = None,
+    noise: Mapping[str, Array] | None = None,
+) -> Array:
+    """Return a, b, T1 and T2 above the current ambient, K, shape (k, 4); as `readings`."""
+    rise, above = _rises(response, ROLES, roles, noise)
+    table = np.stack([rise[role] for role in ROLES], axis=1)
+    return table if above is None else table - above[:, None]
+
+
+def _rises(
+    response: xr.Dataset,
+    wanted: Sequence[str],
+    roles: Mapping[str, str] | None,
+    noise: Mapping[str, Array] | None,
+) -> tuple[dict[str, Array], Array | None]:
+    """Return role to its temperature above the initial ambient, and the ambient if it moves."""
     names = dict(roles or {})
     added = dict(noise or {})
     for role in (*names, *added):
@@ -84,10 +108,7 @@ def readings(
             raise unknown_name("probe", name, known, f"response, role {role}")
         temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
         signals[role] = temperature + added.get(role, 0.0)
-    rise = np.stack([signals[role] for role in joint], axis=1)
-    if "ambient" in response:
-        rise = rise - response["ambient"].to_numpy()[:, None]
-    return Readings(response["time"].to_numpy(), signals["a"] - signals["b"], rise)
+    return signals, response["ambient"].to_numpy() if "ambient" in response else None
 
 
 def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:

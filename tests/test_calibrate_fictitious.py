@@ -116,8 +116,8 @@ def test_rates_gains_and_strengths_of_table_2_are_recovered(tables):
         assert source.a == pytest.approx(a, rel=1e-6)
         assert source.alpha == pytest.approx(alpha, rel=1e-6)
         assert source.r0 == RADIUS
-        assert source.strengths["2.0"] == 1.0
-        assert source.strengths["0.5"] == pytest.approx(STRENGTHS[0.5][index], rel=1e-6)
+        assert source.strengths[2.0] == 1.0
+        assert source.strengths[0.5] == pytest.approx(STRENGTHS[0.5][index], rel=1e-6)
 
 
 def test_the_averaging_loop_and_the_joint_fit_agree_on_data_of_the_model(tables):

@@ -107,7 +107,8 @@ def test_well_separated_rates_of_equation_8_are_recovered():
 def test_a_rod_that_is_no_model_of_ours_is_fitted_with_amplitudes_of_its_own_size():
     data = 80e-6 * rod(0.2) / rod(0.2)[-1]
     model, found = fit_deformation(RUN, data)
-    assert found.max_abs_error < 0.1e-6
+    # Rates that the run can bear cost accuracy: 0.02 µm without bounds.
+    assert found.max_abs_error < 0.3e-6
     columns, _ = deformation.basis(RUN, [model.c, model.d, model.e])
     terms = columns * [model.C, model.D, model.E]
     assert np.abs(terms).max() < 10 * np.abs(data).max()

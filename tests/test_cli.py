@@ -91,7 +91,7 @@ def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
     (folder / "truncated.nc").write_bytes(whole[: len(whole) // 2])
     text = (folder / "model.json").read_text()
     (folder / "truncated.json").write_text(text[: len(text) // 2])
-    spoil("other-version.json", "model.json", '"schema_version": 2', '"schema_version": 99')
+    spoil("other-version.json", "model.json", '"schema_version": 3', '"schema_version": 99')
     spoil("nan.csv", "samples.csv", "\n20,0.1,", "\n20,nan,")
     spoil("word.csv", "samples.csv", "\n20,0.1,", "\n20,warm,")
     spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
@@ -117,6 +117,10 @@ MISTAKES = {
         "truncated.npz",
     ),
     "truncated response": (["validate", "model.json", "truncated.nc", "--out"], "truncated"),
+    "a model for baselines": (
+        ["validate", "model.json", "response.nc", "--baselines", "model.json", "--out"],
+        "thermojoint-baselines",
+    ),
     "truncated reference": (
         ["calibrate", "--reference", "truncated.nc", "--input", "2=response.nc", "--out"],
         "truncated",
@@ -556,7 +560,8 @@ def test_reproduce_leaves_every_file(results):
 def test_reproduce_validates_every_case_with_every_estimator(results):
     rows = json.loads((results / "validation.json").read_text())["rows"]
     given = {(row["case"], row["estimator"], row["axis"]) for row in rows}
-    assert {(c, e, a) for c in CASES for e in ("linear", "fchs") for a in "xy"} <= given
+    estimators = ("none", "linear", "mlr", "ridge", "arx", "fchs")
+    assert {(c, e, a) for c in CASES for e in estimators for a in "xy"} <= given
     for row in rows:
         assert 0.0 <= row["rms_error_um"] <= row["max_abs_error_um"]
         assert {"peak_total_um", "peak_nonlinear_um"} <= set(row)
@@ -583,7 +588,7 @@ def test_the_report_holds_everything_in_one_page(results):
     for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
         assert words in page
     shown = len(list((results / "figures").iterdir()))
-    assert page.count("data:image/png;base64,") == shown == 9
+    assert page.count("data:image/png;base64,") == shown == 13
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "<script" not in page
 

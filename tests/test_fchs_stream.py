@@ -427,13 +427,16 @@ def test_a_model_whose_parts_do_not_fit_is_refused():
 
 
 def test_validation_judges_both_estimators_on_every_axis(response, reference):
-    rows, estimate = validate("step-2.0", response, MODEL, reference=reference)
-    assert [(r["estimator"], r["axis"]) for r in rows] == [
+    judged = validate("step-2.0", response, MODEL, reference=reference)
+    assert [(r["estimator"], r["axis"]) for r in judged.rows] == [
+        ("none", "x"),
+        ("none", "y"),
         ("linear", "x"),
         ("linear", "y"),
         ("fchs", "x"),
         ("fchs", "y"),
     ]
+    rows, estimate = judged.rows[2:], judged.estimate
     actual = response["displacement"].to_numpy()
     nonlinear = actual - 2.0 * reference["displacement"].to_numpy()
     for k, row in enumerate(rows[2:]):
@@ -448,22 +451,22 @@ def test_validation_judges_both_estimators_on_every_axis(response, reference):
 
 
 def test_validation_uses_the_temperatures_and_no_other_knowledge(response):
-    _, seeing = validate("case", response, MODEL)
+    seeing = validate("case", response, MODEL).estimate
     blind = response.copy(deep=True)
     blind["displacement"] *= 0.0
     blind["heat_input"] *= 0.0
-    _, blinded = validate("case", blind, MODEL)
+    blinded = validate("case", blind, MODEL).estimate
     assert np.array_equal(seeing.total, blinded.total)
 
 
 def test_true_signals_in_place_of_estimates_remove_their_share_of_the_error(response, reference):
     rows = block_errors("step-2.0", response, MODEL, reference)
     worst = {(r["driven_by"], r["axis"]): r for r in rows}
-    estimate_rows, _ = validate("step-2.0", response, MODEL, reference=reference)
+    estimate_rows = validate("step-2.0", response, MODEL, reference=reference).rows
     for k, axis in enumerate(AXES):
         as_is, both = worst["temperatures", axis], worst["both", axis]
         assert as_is["total_error_um"] == pytest.approx(
-            estimate_rows[2 + k]["max_abs_error_um"], rel=1e-6
+            estimate_rows[4 + k]["max_abs_error_um"], rel=1e-6
         )
         # The plant obeys Eq. 8, so with the true heat nothing is left of the linear error.
         assert worst["true heat", axis]["linear_error_um"] < 1e-6
@@ -506,15 +509,16 @@ def test_noise_is_seeded_has_no_offset_and_the_stated_range():
 def test_noise_on_the_joint_sensors_is_attenuated_by_the_deformation(response, reference):
     noise = sensor_noise(TIMES, 0.12, seed=7, channels=2)
     noisy = {"T1": noise[:, 0], "T2": noise[:, 1]}
-    _, quiet = validate("step-2.0", response, MODEL)
-    rows, loud = validate("noise", response, MODEL, reference=reference, noise=noisy)
+    quiet = validate("step-2.0", response, MODEL).estimate
+    judged = validate("noise", response, MODEL, reference=reference, noise=noisy)
+    rows, loud = judged.rows, judged.estimate
     in_sources = np.abs(loud.sources - quiet.sources).max()
     in_displacement = np.abs(loud.nonlinear - quiet.nonlinear).max(axis=0)
     for k, axis in enumerate(AXES):
         gains = [deformation.step_response(1e7, s.deformation[axis]) for s in MODEL.sources]
         assert in_displacement[k] < 0.2 * in_sources * np.abs(gains).sum()
     assert np.array_equal(quiet.linear, loud.linear)
-    assert len(rows) == 4
+    assert len(rows) == 6
 
 
 def test_the_joint_is_read_above_the_ambient_of_the_moment(response, reference):

@@ -136,14 +136,14 @@ def test_where_it_came_from_comes_back(path):
 def test_the_file_says_its_units_and_version(path):
     content = json.loads(path.read_text())
     assert content["schema"] == "thermojoint-model"
-    assert content["schema_version"] == 2
+    assert content["schema_version"] == 3
     assert content["units"]["alpha"] == "m2 s-1"
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(schema_version=1), "version 1, expected 2"),
+        (lambda c: c.update(schema_version=1), "version 1, expected 3"),
         (lambda c: c.update(schema="other"), "not a 'thermojoint-model' file"),
         (lambda c: c.update(colour="red"), "colour: Unexpected keyword"),
         (lambda c: c["linear"]["thermal"].update(Kay=1.0), "linear.thermal.Kay"),

@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from thermojoint.paper import inputs
 from thermojoint.paper.reproduce import reproduce
 
 AXES = ("x", "y")
+ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "fchs")
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def model(results):
 
 def test_a_run_leaves_every_file(results):
     names = {f"responses/{name}.nc" for name in (*inputs.CALIBRATION, *inputs.VALIDATION)}
-    names |= {"model.json", "tables.json", "validation.json", "report.html"}
+    names |= {"model.json", "baselines.json", "tables.json", "validation.json", "report.html"}
     found = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
     assert names <= found
     pictures = {name.split("/")[1] for name in found if name.startswith("figures/")}
@@ -94,13 +96,13 @@ def test_eqs_8_and_18_follow_the_calibration_responses(results):
             assert tables["table3"]["max_abs_error_um"][level][axis] < 0.1
 
 
-def test_validation_json_judges_both_estimators_in_every_case(results):
+def test_validation_json_judges_every_estimator_in_every_case(results):
     rows = json.loads((results / "validation.json").read_text())["rows"]
     found = {(row["case"], row["estimator"], row["axis"]) for row in rows}
     cases = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
-    assert found == {(c, e, a) for c in cases for e in ("linear", "fchs") for a in AXES}
+    assert found == {(c, e, a) for c in cases for e in ESTIMATORS for a in AXES}
     for row in rows:
-        assert 0.0 < row["rms_error_um"] <= row["max_abs_error_um"] < row["peak_total_um"]
+        assert 0.0 < row["rms_error_um"] <= row["max_abs_error_um"] <= row["peak_total_um"]
 
 
 def test_the_report_is_one_page_that_loads_nothing(results):
@@ -117,6 +119,25 @@ def test_the_estimator_sees_temperatures_only(model, responses):
     seen = judge.validate_model(model, reference, {"triangle": triangle}).estimates["triangle"]
     unseen = judge.validate_model(model, reference, {"triangle": blind}).estimates["triangle"]
     assert np.array_equal(seen.total, unseen.total)
+
+
+def test_regressions_are_judged_where_they_are_given(results, model, responses):
+    from models.baselines import read_baselines
+
+    given = {"triangle": responses["triangle"]}
+    beside = read_baselines(results / "baselines.json")
+    found = {
+        with_them is not None: judge.validate_model(
+            model, responses["step-1.0"], given, baselines=with_them
+        )
+        for with_them in (None, beside)
+    }
+    names = {given: {row["estimator"] for row in one.rows} for given, one in found.items()}
+    assert names[True] == set(ESTIMATORS)
+    assert names[False] == set(ESTIMATORS) - {"mlr", "ridge", "arx"}
+    short = replace(beside, arx={"y": beside.arx["y"]})
+    with pytest.raises(InputError, match="no axis named 'x'"):
+        judge.validate_model(model, None, given, baselines=short)
 
 
 def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, responses):

@@ -10,11 +10,9 @@ import numpy as np
 
 from artefacts.arrays import Array
 from estimator.fchs import stream
-from estimator.interface import Channel, Estimate, Status
+from estimator.interface import Channel, Estimate
+from estimator.span import status_of
 from models.assembly import Assembly
-
-#: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
-SLACK = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,24 +80,9 @@ class Fchs:
             signals.nonlinear,
         )
         details = np.hstack(parts)
-        status = self._status(time - begun, float(signals.heat), values)
+        named = {one.name: value for one, value in zip(self.channels, values, strict=True)}
+        span = self.assembly.model.span
+        status = status_of(span, time - begun, named, float(signals.heat))
         return np.concatenate((inner[:1], [begun], inner[1:])), Estimate(
             time, signals.total, np.full(len(self.axes), np.nan), status, details
         )
-
-    def _status(self, elapsed: float, heat: float, values: Sequence[float]) -> Status:
-        span, status = self.assembly.model.span, Status.OK
-        if elapsed > (1.0 + SLACK) * span.duration_s:
-            status |= Status.BEYOND_TIME
-        if _beyond(heat, span.heat):
-            status |= Status.BEYOND_HEAT
-        for channel, value in zip(self.channels, values, strict=True):
-            if _beyond(value, span.temperatures[channel.name]):
-                status |= Status.BEYOND_TEMPERATURE
-        return status
-
-
-def _beyond(value: float, span: tuple[float, float]) -> bool:
-    low, high = span
-    slack = SLACK * (high - low)
-    return not low - slack <= value <= high + slack

@@ -207,6 +207,35 @@ def summed(banks: list[Bank]) -> Bank:
     )
 
 
+def leaking(bank: Bank, rate: float) -> Bank:
+    """Return `bank` times s/(s + rate): what stands still at its inputs fades from its outputs.
+
+    By partial fractions, so exactly; at s = 0 the result is zero.
+
+    Parameters
+    ----------
+    bank : Bank
+        Without double poles.
+    rate : float
+        1/s, positive, and no pole of the bank.
+    """
+    if bank._has_double().any():
+        raise InputError("a bank with double poles has no leaking form here")
+    shifted = bank.poles + rate
+    # s/(s + λ) = 1 - λ/(s + λ), and λ/(s + λ) leaves the bank's own value at s = -λ.
+    at_leak = (bank.gain / -shifted) @ bank.drive
+    residue = -rate * (at_leak.real + bank.constant - rate * bank.slope)
+    inputs = bank.constant.shape[1]
+    return Bank(
+        poles=np.concatenate((bank.poles, np.full(inputs, -rate, dtype=complex))),
+        drive=np.concatenate((bank.drive, np.eye(inputs))),
+        gain=np.concatenate((bank.gain * (bank.poles / shifted), residue), axis=1),
+        double=np.concatenate((bank.double, np.zeros_like(residue)), axis=1),
+        constant=bank.constant - rate * bank.slope,
+        slope=bank.slope,
+    )
+
+
 def respond_to_line(
     bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -95,6 +95,7 @@ def _is_picture(path: Path) -> bool:
 RESPONSE = Kind("a simulated response", _is_simulated)
 MARCH_STATE = Kind("the state of a simulation", _is_march_state)
 MODEL = Kind("a model file", _json(schema="thermojoint-model"))
+BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
 ESTIMATOR_STATE = Kind("the state of an estimator", _json(schema="thermojoint-estimator-state"))
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))

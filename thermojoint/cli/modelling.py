@@ -38,6 +38,10 @@ def calibrate(
             "them. Default: the sources lie at the contact elements nearest to T1 and T2.",
         ),
     ] = None,
+    baselines: Annotated[
+        Path | None,
+        typer.Option(help="Regressions on the same data to write (JSON), for 'validate'."),
+    ] = None,
 ) -> None:
     """Calibrate the generalised models: Tables 1-3.
 
@@ -49,14 +53,18 @@ def calibrate(
     """
     from artefacts.response import read_response
     from calibrate import chain
+    from calibrate.baselines import baselines_of
     from calibrate.provenance import provenance_of
+    from models.baselines import write_baselines
     from models.model_file import write_model
     from thermojoint.cli import console, plausibility
     from thermojoint.paper.tables import printed_tables, tables_json
 
     pairs = [arguments.level_and_file(text) for text in given]
     inputs = [reference, *(path for _, path in pairs)]
-    arguments.check_outputs({"--out": (out, file_kinds.MODEL)}, inputs)
+    arguments.check_outputs(
+        {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
+    )
     apart = arguments.distances(distances) if distances is not None else None
     base = read_response(reference)
     named = [(level, path, read_response(path)) for level, path in pairs]
@@ -71,7 +79,10 @@ def calibrate(
         report("calibrating", 1, 1)
     case = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, case)
+    regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
     write_model(calibrated.model, out, provenance)
+    if baselines and regressions:
+        write_baselines(regressions, baselines)
     content = tables_json(calibrated.model, provenance)
     console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
     console.wrote(out)
@@ -227,6 +238,9 @@ def validate(
         typer.Option("--noise-pp", help="Peak-to-peak noise put on every temperature, K."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    baselines: Annotated[
+        Path | None, typer.Option(help="Baselines to judge beside it ('calibrate --baselines').")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
 ) -> None:
     """Judge the estimator: it sees the temperatures, the displacement is the judge.
@@ -238,12 +252,15 @@ def validate(
     from artefacts.files import write_text
     from artefacts.response import read_response
     from estimator import judge, noise
+    from models.baselines import read_baselines
     from models.model_file import read_model
     from thermojoint.cli import console, plausibility
     from thermojoint.paper.summary import compare_schemes
 
-    arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, [model, reference, *responses])
+    inputs = [model, baselines, reference, *responses]
+    arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
     table = read_model(model)
+    beside = read_baselines(baselines) if baselines else None
     base = read_response(reference) if reference else None
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
@@ -256,7 +273,7 @@ def validate(
             f"{name}, {noise_pp:g} K noise": noise.with_noise(response, table, noise_pp, seed)
             for name, response in given.items()
         }
-    found = judge.validate_model(table, base, given)
+    found = judge.validate_model(table, base, given, baselines=beside)
     if out:
         write_text(out, json.dumps(found.figures(), indent=2) + "\n")
     console.show_validation(console.out(), found.rows)

@@ -14,6 +14,7 @@ from artefacts.files import write_text
 from artefacts.folders import whole_folder
 from artefacts.response import write_response
 from calibrate import chain
+from calibrate.baselines import baselines_of
 from calibrate.placement import with_roles
 from calibrate.provenance import provenance_of
 from estimator import judge
@@ -22,6 +23,7 @@ from estimator.judge import superposed
 from estimator.noise import joint_noise
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up
+from models.baselines import write_baselines
 from models.model_file import Provenance, write_model
 from models.parameters import Model
 from models.sensors import roles_in
@@ -33,6 +35,7 @@ from thermojoint.paper.summary import compare_schemes, convergence, pressure_sha
 from thermojoint.paper.tables import printed_tables, tables_json
 from thermojoint.pictures.figures import (
     displacements_figure,
+    errors_figure,
     heat_text,
     pressure_figure,
     temperatures_figure,
@@ -61,6 +64,9 @@ CAPTIONS = {
     "the sensor noise put on it",
     "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
     "the triangle, with sensor noise",
+    **{
+        f"error-{name}": f"Error of every estimator, {name}" for name in (*inputs.VALIDATION, NOISY)
+    },
     "temperature": "Temperature at the end of the step, heat input 2.0",
     "deformation": "Deformed shape at the end of the step, heat input 2.0",
     "pressure": "Contact pressure at the end of the step, heat input 2.0",
@@ -79,8 +85,8 @@ def reproduce(case: Case, out: Path) -> None:
         (`thermojoint.paper.inputs.check_drivable`), and it names its sensors or has candidates
         for them.
     out : Path
-        Folder for ``responses/*.nc``, ``model.json``, ``tables.json``, ``validation.json``,
-        ``figures/*.png`` and ``report.html``.
+        Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``tables.json``,
+        ``validation.json``, ``figures/*.png`` and ``report.html``.
 
     Raises
     ------
@@ -110,6 +116,8 @@ def reproduce(case: Case, out: Path) -> None:
             for name, response in responses.items():
                 write_response(response, folder / "responses" / f"{name}.nc")
         write_model(calibrated.model, folder / "model.json", provenance)
+        baselines = baselines_of(calibrated, [responses[name] for name in inputs.CALIBRATION])
+        write_baselines(baselines, folder / "baselines.json")
         tables = tables_json(calibrated.model, provenance)
         _write_json(folder / "tables.json", tables)
         report("calibrating", 1, 1)
@@ -117,13 +125,24 @@ def reproduce(case: Case, out: Path) -> None:
         report("validating", 0, 1)
         judged = {name: responses[name] for name in inputs.VALIDATION}
         validated = judge.validate_model(
-            calibrated.model, responses[REFERENCE], judged, noisy=[TRIANGLE]
+            calibrated.model,
+            responses[REFERENCE],
+            judged,
+            noisy=[TRIANGLE],
+            baselines=baselines,
         )
         _write_json(folder / "validation.json", validated.figures())
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
+        axes = list(calibrated.model.linear.deformation)
+        figures |= {
+            f"error-{name}": errors_figure(
+                np.asarray(validated.estimates[name].time), errors, axes, name
+            )
+            for name, errors in validated.errors.items()
+        }
         hot = case.model_copy(update={"heat_input": heats[PRESSURE]})
         pictures = _draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)

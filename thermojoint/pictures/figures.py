@@ -6,7 +6,7 @@ style as well as in shade, so that they can be told apart in grey.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,8 @@ _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
 _NOISY_WIDTH = 0.4
 #: What curves are written as.
 FORMATS = ("png", "svg", "pdf")
+#: Smaller errors are drawn as this, m: a logarithmic scale has no zero.
+_LEAST_ERROR = 1e-9
 #: Above this many contact elements their curves get no label of their own.
 _LABELLED = 12
 
@@ -152,6 +154,35 @@ def displacements_figure(
     return figure
 
 
+def errors_figure(
+    times: Array, errors: Mapping[str, Array], axes: Sequence[str], case: str
+) -> Figure:
+    """Errors of several estimators against time, one panel for each axis, on a logarithmic scale.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    errors : mapping
+        Estimator to estimated less actual displacement, m, shape (k, axes).
+    axes : sequence of str
+        Names of the axes.
+    case : str
+        What was judged.
+    """
+    figure, panels = _figure(len(axes))
+    figure.suptitle(case, fontsize=10)
+    for k, (panel, axis) in enumerate(zip(panels, axes, strict=True)):
+        series = {
+            name: np.maximum(np.abs(error[:, k]), _LEAST_ERROR) for name, error in errors.items()
+        }
+        _draw(panel, times, series, 1e6)
+        panel.set_yscale("log")
+        panel.set_ylabel(f"size of the error {axis} (µm)")
+    _finish(panels)
+    return figure
+
+
 def response_figure(response: xr.Dataset) -> Figure:
     """Overview of one response: heat input, temperatures and displacements.
 
@@ -252,7 +283,8 @@ def _finish(axes: list[Axes], legend: bool = True, outside: bool = False) -> Non
     for axis in axes:
         axis.set_xlabel("time (min)")
         axis.grid(visible=True, color="0.88", linewidth=0.6)
-        axis.axhline(0.0, color="0.5", linewidth=0.6)
+        if axis.get_yscale() == "linear":
+            axis.axhline(0.0, color="0.5", linewidth=0.6)
         axis.margins(x=0.04)
         if legend and outside:
             axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.04, 0.5))

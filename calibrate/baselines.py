@@ -1,0 +1,164 @@
+"""The baselines, from the responses that calibrate the generalised models.
+
+Multiple linear regression is plain least squares. Ridge and ARX take every temperature as uncertain
+by `DEVIATION_UNCERTAINTY`, as the fit of Eq. 18 does: errors of that size are what their penalty
+stands for. It is not chosen by how well the result validates.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+from sklearn.linear_model import LinearRegression, Ridge
+
+from artefacts import steps
+from artefacts.arrays import Array
+from artefacts.response import axes_of
+from calibrate.chain import Calibrated
+from calibrate.linear import SLOWEST
+from calibrate.placement import DEVIATION_UNCERTAINTY, with_roles
+from models.baselines import Autoregression, Baselines, Regression, low_passes
+from models.filters.bank import respond_to_line
+from models.parameters import Span
+from models.sensors import ROLES, displacement_along, rises
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Low-passes of the ridge regression, per length of the run.
+TIME_CONSTANTS = (0.03, 0.1, 0.3, 1.0)
+#: Past displacements of an autoregression; of the temperatures it takes the last two.
+PAST = 2
+_MICRO = 1e6
+
+
+def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
+    """Return the baselines of a structure.
+
+    Parameters
+    ----------
+    responses : sequence of xarray.Dataset
+        From rest, evenly sampled alike, with probes a, b, T1 and T2.
+
+    Raises
+    ------
+    InputError
+        A probe is missing or the samples are uneven.
+    """
+    axes = tuple(axes_of(responses[0]))
+    times = steps.times(responses[0])
+    interval, length = steps.even_interval(times, "baselines"), float(times[-1])
+    after = times > 0.0
+    inputs = [rises(response)[after] for response in responses]
+    outputs = [_MICRO * displacement_along(response, axes)[after] for response in responses]
+    constants = tuple(length * share for share in TIME_CONSTANTS)
+    low = low_passes(constants)
+    passed = [respond_to_line(low, times[after], one, interval)[1] for one in inputs]
+    plain = np.concatenate(inputs)
+    filtered = np.column_stack((plain, np.concatenate(passed)))
+    target = np.concatenate(outputs)
+    least = LinearRegression(fit_intercept=False).fit(plain, target).coef_
+    shrunk = _ridge(filtered, target, DEVIATION_UNCERTAINTY)
+    seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
+    levels = [0.0, *(float(response["heat_input"][-1]) for response in responses)]
+    return Baselines(
+        mlr=Regression((), _by_axis(axes, least)),
+        ridge=Regression(constants, _by_axis(axes, shrunk)),
+        arx={
+            axis: fit_autoregression(
+                inputs, [one[:, k] / _MICRO for one in outputs], interval, SLOWEST / length
+            )
+            for k, axis in enumerate(axes)
+        },
+        interval_s=interval,
+        span=Span(
+            length,
+            (min(levels), max(levels)),
+            {
+                role: (float(column.min()), float(column.max()))
+                for role, column in zip(ROLES, seen.T, strict=True)
+            },
+        ),
+    )
+
+
+def baselines_of(calibrated: Calibrated, responses: Sequence[xr.Dataset]) -> Baselines:
+    """Return the baselines of calibration responses, with the sensors and axes of the model."""
+    roles = {} if calibrated.placement is None else calibrated.placement.roles
+    axes = list(calibrated.model.linear.deformation)
+    return fit_baselines([with_roles(one, roles).sel(axis=axes) for one in responses])
+
+
+def fit_autoregression(
+    inputs: Sequence[Array], outputs: Sequence[Array], interval: float, slowest: float
+) -> Autoregression:
+    """Return ARX fitted to runs from rest, bounded when it runs on its own estimates.
+
+    The poles come from one-step predictions and are then kept at or within the circle of the
+    slowest rate. With them given, the free-running output is linear in the weights of the
+    temperatures, and those are fitted to it.
+
+    Parameters
+    ----------
+    inputs : sequence of ndarray, shape (k, channels)
+        Temperatures of each run, K, from the first sample after rest.
+    outputs : sequence of ndarray, shape (k,)
+        Displacement of each run, m.
+    interval : float
+        Between samples, s.
+    slowest : float
+        Slowest rate, 1/s.
+    """
+    target = _MICRO * np.concatenate(outputs)
+    lagged = [
+        np.column_stack([_delayed(_MICRO * one, lag)[:, None] for lag in range(1, PAST + 1)])
+        for one in outputs
+    ]
+    stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
+    table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
+    predicted = LinearRegression(fit_intercept=False).fit(table, target).coef_
+    past = bounded_past(predicted[:PAST], float(np.exp(-slowest * interval)))
+    denominator = np.concatenate(([1.0], -past))
+    # What the current temperature does, and what its change does: two features for b_0 and b_1.
+    level = _filtered(denominator, inputs)
+    change = _filtered(denominator, [one - _delayed(one, 1) for one in inputs])
+    # An error of the temperature that stands still reaches the level with the gain at rest; of the
+    # change, whose gain at rest is zero, every sample's error counts by itself.
+    impulse = lfilter([1.0, -1.0], denominator, np.eye(1, max(map(len, outputs)))[0])
+    scale = np.repeat([1.0 / denominator.sum(), np.linalg.norm(impulse)], level.shape[1])
+    features = np.hstack((level, change)) / scale
+    of_level, of_change = np.split(_ridge(features, target, DEVIATION_UNCERTAINTY) / scale, 2)
+    table = np.stack((of_level + of_change, -of_change)) / _MICRO
+    return Autoregression(tuple(map(float, past)), tuple(tuple(map(float, r)) for r in table))
+
+
+def bounded_past(past: Array, radius: float) -> Array:
+    """Return weights of the past whose poles lie within `radius`, each moved there radially."""
+    poles = np.roots(np.concatenate(([1.0], -np.asarray(past))))
+    size = np.abs(poles)
+    inside = poles * np.where(size > radius, radius / np.where(size > 0.0, size, 1.0), 1.0)
+    return np.asarray(-np.real(np.poly(inside))[1:])
+
+
+def _filtered(denominator: Array, runs: Sequence[Array]) -> Array:
+    return np.concatenate([lfilter([1.0], denominator, one, axis=0) for one in runs])
+
+
+def _delayed(values: Array, lag: int) -> Array:
+    """Return a run that starts at rest, `lag` samples later."""
+    return np.concatenate((np.zeros((lag, *values.shape[1:])), values))[: len(values)]
+
+
+def _ridge(features: Array, target: Array, uncertainty: float) -> Array:
+    """Return weights, shape (..., features), for features that err by `uncertainty` rms."""
+    penalty = len(features) * uncertainty**2
+    found = Ridge(alpha=penalty, fit_intercept=False, solver="svd").fit(features, target)
+    return np.asarray(found.coef_)
+
+
+def _by_axis(axes: Sequence[str], weights: Array) -> dict[str, tuple[float, ...]]:
+    return {axis: tuple(map(float, row / _MICRO)) for axis, row in zip(axes, weights, strict=True)}

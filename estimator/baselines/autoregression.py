@@ -1,0 +1,94 @@
+"""ARX, free-running: past estimates in place of past displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.baselines.regression import CHANNELS
+from estimator.baselines.samples import began
+from estimator.interface import Channel, Estimate
+from estimator.span import status_of
+from models.baselines import Autoregression
+from models.parameters import Span
+from models.sensors import ROLES
+
+#: A sample this near to a step of the autoregression is at it, relative to the interval.
+_AT_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class AutoregressionEstimator:
+    """Steps at a fixed interval from the start of the run; samples may come at any time.
+
+    Temperatures are joined by straight lines. Between two steps the estimate is on the straight
+    line to what the next step would be if the temperatures stayed. The state is (time of the last
+    sample, start of the run, steps done, last temperatures, past estimates, past temperatures).
+
+    Attributes
+    ----------
+    axis_models : mapping
+        Axis to its autoregression; all of the same orders.
+    interval_s : float
+        Between steps, s.
+    span : Span
+    """
+
+    axis_models: Mapping[str, Autoregression]
+    interval_s: float
+    span: Span
+    kind: Literal["arx"] = "arx"
+    channels: tuple[Channel, ...] = CHANNELS
+    details: tuple[Channel, ...] = ()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return tuple(self.axis_models)
+
+    @cached_property
+    def _past(self) -> Array:
+        """Weights of past estimates, shape (axes, order)."""
+        return np.array([one.past for one in self.axis_models.values()])
+
+    @cached_property
+    def _inputs(self) -> Array:
+        """Weights of temperatures, shape (axes, lags, channels)."""
+        return np.array([one.inputs for one in self.axis_models.values()])
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest at ambient temperature, before any sample."""
+        size = len(CHANNELS) + self._past.size + self._inputs[0].size
+        return np.concatenate(([np.nan] * 2, [0.0], np.zeros(size)))
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample; see `estimator.interface.Estimator`."""
+        begun, dt = began(state, time, values, CHANNELS, self.interval_s)
+        done = int(state[2])
+        width = len(CHANNELS)
+        last, past, seen = np.split(state[3:], [width, width + self._past.size])
+        past, seen = past.reshape(self._past.shape), seen.reshape(self._inputs.shape[1:])
+        new = np.asarray(values, dtype=float)
+        steps = (time - begun) / self.interval_s
+        while done + 1 <= steps + _AT_STEP:
+            done += 1
+            share = 1.0 - (steps - done) * self.interval_s / dt
+            past, seen = self._stepped(past, seen, last + min(share, 1.0) * (new - last))
+        part = max(steps - done, 0.0)
+        ahead = self._stepped(past, seen, new)[0][:, 0] if part > _AT_STEP else past[:, 0]
+        displacement = past[:, 0] + part * (ahead - past[:, 0])
+        status = status_of(self.span, time - begun, dict(zip(ROLES, values, strict=True)))
+        band = np.full(len(self.axes), np.nan)
+        inner = np.concatenate(([time, begun, done], new, past.ravel(), seen.ravel()))
+        return inner, Estimate(time, displacement, band, status, np.empty(0))
+
+    def _stepped(self, past: Array, seen: Array, now: Array) -> tuple[Array, Array]:
+        """Return past estimates and temperatures, newest first, one step later."""
+        seen = np.vstack((now[None], seen[:-1]))
+        estimate = (self._past * past).sum(axis=1) + (self._inputs * seen).sum(axis=(1, 2))
+        return np.column_stack((estimate, past[:, :-1])), seen

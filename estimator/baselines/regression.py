@@ -1,0 +1,72 @@
+"""Regressions on temperatures and their low-passes (multiple linear, ridge)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.baselines.samples import began
+from estimator.interface import Channel, Estimate
+from estimator.span import status_of
+from models.baselines import Regression, regression_bank
+from models.filters.bank import Bank, over_interval
+from models.parameters import Span
+from models.sensors import ROLES
+
+#: Rises of the four sensors above the current ambient.
+CHANNELS = tuple(Channel(role, "K") for role in ROLES)
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionEstimator:
+    """δ as a weighted sum of temperatures and of their low-passes.
+
+    Its state is (time of the last sample, start of the run, last temperatures, low-passes).
+
+    Attributes
+    ----------
+    kind : str
+        ``mlr`` or ``ridge``.
+    regression : Regression
+    span : Span
+    dt_s : float
+        The machine is at rest until this long before the first sample, s.
+    """
+
+    kind: str
+    regression: Regression
+    span: Span
+    dt_s: float
+    channels: tuple[Channel, ...] = CHANNELS
+    details: tuple[Channel, ...] = ()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return tuple(self.regression.weights)
+
+    @cached_property
+    def bank(self) -> Bank:
+        """The regression as a linear system."""
+        return regression_bank(self.regression)
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest at ambient temperature, before any sample."""
+        return np.concatenate(([np.nan] * 2, np.zeros(len(CHANNELS) + self.bank.n_state)))
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample; see `estimator.interface.Estimator`."""
+        begun, dt = began(state, time, values, CHANNELS, self.dt_s)
+        over = over_interval(self.bank, dt)
+        old, low = np.split(state[2:], [len(CHANNELS)])
+        new = np.asarray(values, dtype=float)
+        low = over.advance @ low + over.old @ old + over.new @ new
+        status = status_of(self.span, time - begun, dict(zip(ROLES, values, strict=True)))
+        band = np.full(len(self.axes), np.nan)
+        return np.concatenate(([time, begun], new, low)), Estimate(
+            time, over.end @ low + over.end_new @ new, band, status, np.empty(0)
+        )

@@ -1,0 +1,43 @@
+"""Whether a sample is where the calibration has been."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from estimator.interface import Status
+from models.parameters import Span
+
+#: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
+SLACK = 0.05
+
+
+def status_of(
+    span: Span, elapsed: float, values: Mapping[str, float], heat: float | None = None
+) -> Status:
+    """Return how far an estimate can be trusted.
+
+    Parameters
+    ----------
+    span : Span
+        What the calibration has seen.
+    elapsed : float
+        Time since the run began, s.
+    values : mapping
+        Channel to its value, K.
+    heat : float, optional
+        Heat input; an estimator that knows none leaves it out.
+    """
+    status = Status.OK
+    if elapsed > (1.0 + SLACK) * span.duration_s:
+        status |= Status.BEYOND_TIME
+    if heat is not None and _beyond(heat, span.heat):
+        status |= Status.BEYOND_HEAT
+    if any(_beyond(value, span.temperatures[name]) for name, value in values.items()):
+        status |= Status.BEYOND_TEMPERATURE
+    return status
+
+
+def _beyond(value: float, span: tuple[float, float]) -> bool:
+    low, high = span
+    slack = SLACK * (high - low)
+    return not low - slack <= value <= high + slack
