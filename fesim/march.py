@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +141,30 @@ class State:
     thermal_gap: Array
     change: Array
     model: str
+
+
+class JointState(Protocol):
+    """What the gap equations go on from; attributes as in `State`."""
+
+    @property
+    def gap(self) -> Array:
+        """Gaps."""
+        ...
+
+    @property
+    def slip(self) -> Array:
+        """History of friction."""
+        ...
+
+    @property
+    def thermal_gap(self) -> Array:
+        """g_T."""
+        ...
+
+    @property
+    def change(self) -> Array:
+        """By how much the last step changed the gaps."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -331,7 +356,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
-    found, iterations, cuts = _settle(machine.settle, state, thermal_gap)
+    found, iterations, cuts = settle_along(machine.settle, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
     return Step(
@@ -360,12 +385,33 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     )
 
 
-def _settle(settle: Settle, state: State, thermal_gap: Array) -> tuple[Equilibrium, int, int]:
+def settle_along(
+    settle: Settle, state: JointState, thermal_gap: Array
+) -> tuple[Equilibrium, int, int]:
     """Follow the thermal gap from the state's to `thermal_gap`, halving the way when it must be.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
     the gaps are. The mechanical problem has no clock of its own, so a part of the way is a shorter
     step.
+
+    Parameters
+    ----------
+    settle : callable
+        Solves the gap equations.
+    state : JointState
+        Of the joint at the start of the step: a march's `State` is one.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T at its end, m.
+
+    Returns
+    -------
+    tuple of (Equilibrium, int, int)
+        The joint at the end, Newton iterations taken, and how often the way was halved.
+
+    Raises
+    ------
+    ConvergenceError
+        `MAX_CUTS` cuts did not help.
     """
     with suppress(ConvergenceError):
         found = settle(thermal_gap, state.slip, state.gap + state.change)

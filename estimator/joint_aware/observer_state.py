@@ -1,0 +1,73 @@
+"""The observer's state as one flat array, and what its parts are called."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.physics import JointState
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverState:
+    """All that the next sample depends on.
+
+    Attributes
+    ----------
+    time : ndarray, shape ()
+        Of the last sample, s; NaN before the first.
+    begun : ndarray, shape ()
+        Of the first sample, s; NaN before it.
+    linear : ndarray, shape (n,)
+        Amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
+    gap, slip, pressure, thermal_gap, change : ndarray
+        Of the joint: `physics.JointState`.
+    excess : ndarray, shape (n, k)
+        What the covariance has more than the steady one: L of P + L L^T.
+    """
+
+    time: Array
+    begun: Array
+    linear: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    thermal_gap: Array
+    change: Array
+    excess: Array
+
+    @property
+    def joint(self) -> JointState:
+        """The joint alone."""
+        return JointState(self.gap, self.slip, self.pressure, self.thermal_gap, self.change)
+
+    def flat(self) -> Array:
+        """Return one array that holds it all."""
+        return np.concatenate([getattr(self, one.name).ravel() for one in fields(self)])
+
+
+def shapes(states: int, contacts: int, columns: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of every part, in order."""
+    return {
+        "time": (),
+        "begun": (),
+        "linear": (states,),
+        "gap": (3, contacts),
+        "slip": (2, contacts),
+        "pressure": (contacts,),
+        "thermal_gap": (3 * contacts,),
+        "change": (3, contacts),
+        "excess": (states, columns),
+    }
+
+
+def unpacked(state: Array, parts: dict[str, tuple[int, ...]]) -> ObserverState:
+    """Return views of the parts of a flat state."""
+    at, found = 0, {}
+    for name, shape in parts.items():
+        size = int(np.prod(shape))
+        found[name] = state[at : at + size].reshape(shape)
+        at += size
+    return ObserverState(**found)

@@ -1,0 +1,302 @@
+"""The joint-aware estimator: the machine's own physics, corrected by its temperatures."""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from artefacts.errors import InputError
+from estimator.interface import Status, follow
+from estimator.joint_aware.calibration import calibrate_machine, report
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.model_file import (
+    fingerprint,
+    is_observer,
+    read_observer,
+    write_observer,
+)
+from estimator.joint_aware.parameters import with_factors
+from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.readings import run_in, samples_in
+from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
+from fesim.case import case_from_data
+from fesim.setup import set_up
+from fesim.simulate import simulate
+
+MICRO = 1e-6
+SENSORS = ("s", "b", "T1", "T2")
+
+
+@pytest.fixture(scope="module")
+def data(coarse_data):
+    """The coarse machine on its reduced model, with a sensor on the source."""
+    found = copy.deepcopy(coarse_data)
+    found["march"] |= {"thermal": "reduced", "duration_min": 10.0}
+    found["probes"]["s"] = {"position_mm": [550.0, 700.0, 100.0], "body": "column"}
+    return found
+
+
+@pytest.fixture(scope="module")
+def setup(data):
+    return set_up(case_from_data(data, "case", Path()))
+
+
+@pytest.fixture(scope="module")
+def machine(data, setup):
+    return reduce_machine(case_from_data(data, "case", Path()), setup, SENSORS)
+
+
+def run(data, setup, heat, minutes=10.0):
+    given = copy.deepcopy(data)
+    given["heat_input"] = heat
+    given["march"]["duration_min"] = minutes
+    return simulate(case_from_data(given, "case", Path()), setup=setup).response
+
+
+def step(level):
+    return {"kind": "step", "level": level}
+
+
+@pytest.fixture(scope="module")
+def calibrated(data, setup, machine):
+    """Its own responses leave nothing for the remainder and no parameter to change."""
+    return calibrate_machine(machine, {"step 2": run(data, setup, step(2.0))}, fitted=[])
+
+
+@pytest.fixture(scope="module")
+def estimator(calibrated):
+    return JointAware(calibrated.model)
+
+
+@pytest.fixture(scope="module")
+def response(data, setup):
+    return run(data, setup, {"kind": "triangle", "peak": 2.0, "duration_min": 6.0})
+
+
+def estimates(estimator, samples, state=None):
+    """The state at the end and the estimates."""
+    found = list(follow(estimator, samples, estimator.initial_state() if state is None else state))
+    return found[-1][0], [estimate for _, estimate in found]
+
+
+def errors(estimator, response, found):
+    actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
+    return np.array([estimate.displacement for estimate in found]) - actual
+
+
+def test_the_machine_without_its_mesh_marches_as_the_simulator(data, setup, machine):
+    response = run(data, setup, step(3.0), 3.0)
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    seen = run_in(response, machine, "step 3")
+    temperature, displacement = simulate_known(physics, seen.inputs, machine.step)
+    steps = np.rint(seen.times / machine.step).astype(int) - 1
+    assert temperature[steps] == pytest.approx(seen.temperature, abs=1e-9)
+    assert displacement[steps] == pytest.approx(seen.displacement, abs=1e-12)
+
+
+def test_other_parameters_on_the_same_modes_are_as_good_as_new_ones(data, machine):
+    """Film, conduction and capacity are not those that the modes were made for."""
+    given = copy.deepcopy(data)
+    given["convection_W_m2K"] = {"exterior": 9.0}
+    for material in given["materials"].values():
+        material["conductivity_W_mK"] *= 1.08
+        material["heat_capacity_J_kgK"] *= 0.95
+        material["youngs_modulus_GPa"] *= 1.06
+        material["expansion_1_K"] *= 1.04
+    given["joints"]["knee"] |= {"friction_coefficient": 0.45, "roughness_um": 1.5}
+    case = case_from_data(given, "case", Path())
+    response = run(given, set_up(case), step(3.0))
+    other = with_factors(
+        machine,
+        {
+            "film": 1.5,
+            "conduction": 1.08,
+            "capacity": 0.95,
+            "modulus": 1.06,
+            "expansion": 1.04,
+            "friction": 0.75,
+            "roughness": 1.2,
+        },
+    )
+    held = other.at_preload
+    seen = run_in(response, machine, "step 3")
+    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    _, displacement = simulate_known(physics, seen.inputs, machine.step)
+    steps = np.rint(seen.times / machine.step).astype(int) - 1
+    assert displacement[steps] == pytest.approx(seen.displacement, abs=0.02 * MICRO)
+
+
+def test_a_plant_that_is_the_model_is_followed_without_error(estimator, response):
+    _, found = estimates(estimator, samples_in(response, SENSORS))
+    assert np.abs(errors(estimator, response, found)).max() < 0.05 * MICRO
+    peak = float(np.abs(response["displacement"].to_numpy()).max())
+    assert peak > 5.0 * MICRO
+    assert all(estimate.status == Status.OK for estimate in found)
+
+
+def test_the_heat_of_the_source_comes_out(estimator, response):
+    _, found = estimates(estimator, samples_in(response, SENSORS))
+    heat = np.array([estimate.details[0] for estimate in found])
+    given = response["source_power"].to_numpy()[:, 0]
+    assert np.abs(heat - given).max() < 0.05 * given.max()
+
+
+def test_a_day_stays_bounded_and_says_that_it_is_longer_than_the_calibration(data, setup, machine):
+    """Readings of eight hours that no machine has: one sensor is hot, the others stay cold."""
+    slow = replace(machine, step=20.0)
+    response = run(data, setup, step(2.0))
+    observer = JointAware(calibrate_machine(slow, {"step 2": response}, fitted=[]).model)
+    samples = [(20.0 * k, 20.0, 0.0, 0.0, 0.0, 0.0) for k in range(1441)]
+    _, found = estimates(observer, samples)
+    moved = np.array([estimate.displacement for estimate in found])
+    assert np.abs(moved).max() < 1e-3
+    assert np.abs(moved[-1] - moved[-180]).max() < 5.0 * MICRO
+    assert Status.BEYOND_TIME in found[-1].status
+
+
+def test_a_missing_sensor_costs_little_and_is_said(estimator, response):
+    samples = [list(row) for row in samples_in(response, SENSORS)]
+    for row in samples[60:120]:
+        row[3] = np.nan
+    _, found = estimates(estimator, samples)
+    assert np.abs(errors(estimator, response, found)).max() < 0.1 * MICRO
+    assert Status.READING_MISSING in found[80].status
+    assert Status.READING_MISSING not in found[150].status
+    assert np.all(found[119].band >= found[59].band)
+
+
+def test_without_any_reading_the_band_grows_and_then_comes_back(estimator, response):
+    samples = [list(row) for row in samples_in(response, SENSORS)]
+    for row in samples[60:120]:
+        row[1:] = [np.nan] * 5
+    _, found = estimates(estimator, samples)
+    assert np.all(found[119].band > 2.0 * found[59].band)
+    assert np.all(found[200].band < 2.0 * found[59].band)
+    wrong = np.abs(errors(estimator, response, found))
+    assert np.all(wrong[119] < found[119].band)
+
+
+def test_late_samples_are_marched_in_between(estimator, response):
+    """Every fifth sample alone: the joint's pressures keep up, the heat is known less often."""
+    samples = list(samples_in(response, SENSORS))[::5]
+    _, found = estimates(estimator, samples)
+    assert np.abs(errors(estimator, response.isel(time=slice(None, None, 5)), found)).max() < (
+        0.3 * MICRO
+    )
+
+
+def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
+    response = run(data, setup, step(1.0), 20.0)
+    samples = list(samples_in(response, SENSORS))[150:]
+    _, found = estimates(estimator, samples, estimator.warm_state())
+    wrong = np.abs(errors(estimator, response.isel(time=slice(150, None)), found))
+    band = np.array([estimate.band for estimate in found])
+    assert np.all(wrong <= band)
+    assert np.all(band[-1] < band[0] / 3.0)
+    assert wrong[-1].max() < 1.0 * MICRO
+    assert Status.UNSETTLED in found[0].status
+
+
+def test_the_excess_covariance_is_exact(estimator):
+    """Against the recursion of the whole matrix: a reading is missing, another start."""
+    system, steady = estimator.system, estimator.model.filter
+    rows, rng = system.rows, np.random.default_rng(0)
+    noise = np.diag(steady.noise)
+    # P from its own columns is not kept: take any P that has these.
+    basis = np.linalg.svd(rows, full_matrices=False)[2]
+    whole = steady.cross @ np.linalg.solve(steady.innovation, steady.cross.T)
+    assert rows @ whole == pytest.approx(steady.cross.T, rel=1e-6, abs=1e-9)
+    excess = rng.normal(size=(system.size, 2)) * steady.scale[:, None]
+    present = np.array([0, 2, 4])
+    seen = rows[present]
+    prior = whole + excess @ excess.T
+    innovation = seen @ prior @ seen.T + noise[np.ix_(present, present)]
+    wanted_gain = np.linalg.solve(innovation, seen @ prior).T
+    after = prior - wanted_gain @ seen @ prior
+    usual = whole - whole @ rows.T @ np.linalg.solve(rows @ whole @ rows.T + noise, rows @ whole)
+    gain, more = correct(steady, rows, present, excess, 1.0)
+    assert basis @ gain == pytest.approx(basis @ wanted_gain, rel=1e-6, abs=1e-9)
+    scale = np.abs(after - usual).max()
+    assert more @ more.T == pytest.approx(after - usual, abs=1e-6 * scale)
+
+
+def test_a_state_goes_on_bit_for_bit(estimator, response):
+    samples = list(samples_in(response, SENSORS))
+    samples[40] = (*samples[40][:2], np.nan, *samples[40][3:])
+    whole, _ = estimates(estimator, samples)
+    middle, _ = estimates(estimator, samples[:50])
+    kept = middle.copy()
+    resumed, _ = estimates(estimator, samples[50:], middle)
+    assert np.array_equal(resumed, whole)
+    assert np.array_equal(middle, kept)
+
+
+def test_a_model_file_gives_the_same_estimates(estimator, response, tmp_path):
+    path = tmp_path / "model.h5"
+    write_observer(estimator.model, path)
+    read = JointAware(read_observer(path))
+    assert fingerprint(read.model) == fingerprint(estimator.model)
+    samples = list(samples_in(response, SENSORS))[:30]
+    assert np.array_equal(estimates(read, samples)[0], estimates(estimator, samples)[0])
+
+
+def test_foreign_and_damaged_files_are_refused_in_one_line(estimator, tmp_path):
+    path = tmp_path / "model.h5"
+    write_observer(estimator.model, path)
+    assert is_observer(path)
+    whole = path.read_bytes()
+    for content in (b"", b"{}", whole[: len(whole) // 2], whole[:-2000] + bytes(2000)):
+        path.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read_observer(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no such file"):
+        read_observer(tmp_path / "none.h5")
+
+
+def test_bad_samples_are_refused_and_leave_the_state(estimator):
+    state, _ = estimator.sample(estimator.initial_state(), 0.0, [0.0] * 5)
+    with pytest.raises(InputError, match="does not come after"):
+        estimator.sample(state, 0.0, [0.0] * 5)
+    with pytest.raises(InputError, match="expected 5"):
+        estimator.sample(state, 2.0, [0.0] * 4)
+    with pytest.raises(InputError, match="no temperature"):
+        estimator.sample(state, 2.0, [1e9, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_a_response_without_a_sensor_is_refused(estimator, response):
+    with pytest.raises(InputError, match="no probe named 'T2'"):
+        list(samples_in(response.drop_sel(probe="T2"), SENSORS))
+
+
+def test_a_heat_beyond_the_calibration_is_said(data, setup, estimator):
+    _, found = estimates(estimator, samples_in(run(data, setup, step(3.0), 5.0), SENSORS))
+    assert Status.BEYOND_HEAT in found[-1].status
+
+
+def test_calibration_finds_what_the_data_determine(data, setup, machine):
+    """A plant with another friction and heat: the error falls, the report says what is known."""
+    true = {"friction": 0.75, "heat": 1.05}
+    other = with_factors(machine, true)
+    held = other.at_preload
+    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    responses = {}
+    for level in (1.0, 3.0):
+        response = run(data, setup, step(level))
+        seen = run_in(response, machine, "step")
+        temperature, displacement = simulate_known(physics, seen.inputs, machine.step)
+        changed = response.copy(deep=True)
+        for name, column in zip(SENSORS, temperature.T, strict=True):
+            changed["temperature"].loc[{"probe": name}] = np.append(0.0, column)
+        changed["displacement"][1:] = displacement
+        responses[f"step {level:g}"] = changed
+    found = calibrate_machine(machine, responses, fitted=["friction", "heat"])
+    for name, factor in true.items():
+        value, spread = found.model.factors[name]
+        assert abs(np.log(value / factor)) < max(3.0 * spread, 0.02)
+    told = report(found.fit)
+    assert told["directions"][0]["decided_by"] == "data"
