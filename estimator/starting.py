@@ -8,6 +8,9 @@ from pathlib import Path
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator.fchs.estimator import Fchs
+from estimator.joint_aware import saved_state as joint_aware_state
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.model_file import read_observer
 from estimator.saved_state import load_state
 from models import assembly_file
 from models.assembly import assemble
@@ -57,6 +60,20 @@ def started(
     else:
         estimator = Fchs(assemble(read_model(path), interval, run_length))
     return estimator, estimator.initial_state()
+
+
+def started_joint_aware(path: Path, resume: Path | None = None) -> tuple[JointAware, Array]:
+    """Return a joint-aware estimator and the state to go on from.
+
+    Raises
+    ------
+    InputError
+        A file is unusable, or the state belongs to another model.
+    """
+    estimator = JointAware(read_observer(path))
+    if resume is None:
+        return estimator, estimator.initial_state()
+    return estimator, joint_aware_state.load_state(estimator, resume)
 
 
 def _is_assembly(path: Path) -> bool:

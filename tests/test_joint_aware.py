@@ -1,30 +1,40 @@
 """The joint-aware estimator: the machine's own physics, corrected by its temperatures."""
 
 import copy
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from artefacts.errors import InputError
+from artefacts.response import write_response
 from estimator.interface import Status, follow
-from estimator.joint_aware.calibration import calibrate_machine, report
+from estimator.joint_aware import open_band as open_band_module
+from estimator.joint_aware.assembling import make_observer
+from estimator.joint_aware.calibration import calibrated_range, report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.log import read_log
 from estimator.joint_aware.model_file import (
     fingerprint,
     is_observer,
     read_observer,
     write_observer,
 )
+from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.parameters import with_factors
 from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.physics_fit import Run, fit_physics
 from estimator.joint_aware.readings import run_in, samples_in
-from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
+from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
+from estimator.joint_aware.saved_state import load_state, save_state
 from fesim.case import case_from_data
 from fesim.setup import set_up
 from fesim.simulate import simulate
+from thermojoint.cli import app
 
 MICRO = 1e-6
 SENSORS = ("s", "b", "T1", "T2")
@@ -60,15 +70,16 @@ def step(level):
     return {"kind": "step", "level": level}
 
 
-@pytest.fixture(scope="module")
-def calibrated(data, setup, machine):
-    """Its own responses leave nothing for the remainder and no parameter to change."""
-    return calibrate_machine(machine, {"step 2": run(data, setup, step(2.0))}, fitted=[])
+def observer(machine, responses):
+    """No parameter changed; its own responses leave nothing for the remainder."""
+    machine = along(machine, ["x", "y"])
+    fit = fit_physics(machine, [run_in(one, machine, "step") for one in responses.values()], [])
+    return JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
 
 
 @pytest.fixture(scope="module")
-def estimator(calibrated):
-    return JointAware(calibrated.model)
+def estimator(data, setup, machine):
+    return observer(machine, {"step 2": run(data, setup, step(2.0))})
 
 
 @pytest.fixture(scope="module")
@@ -149,9 +160,9 @@ def test_a_day_stays_bounded_and_says_that_it_is_longer_than_the_calibration(dat
     """Readings of eight hours that no machine has: one sensor is hot, the others stay cold."""
     slow = replace(machine, step=20.0)
     response = run(data, setup, step(2.0))
-    observer = JointAware(calibrate_machine(slow, {"step 2": response}, fitted=[]).model)
+    slow_observer = observer(slow, {"step 2": response})
     samples = [(20.0 * k, 20.0, 0.0, 0.0, 0.0, 0.0) for k in range(1441)]
-    _, found = estimates(observer, samples)
+    _, found = estimates(slow_observer, samples)
     moved = np.array([estimate.displacement for estimate in found])
     assert np.abs(moved).max() < 1e-3
     assert np.abs(moved[-1] - moved[-180]).max() < 5.0 * MICRO
@@ -278,25 +289,128 @@ def test_a_heat_beyond_the_calibration_is_said(data, setup, estimator):
     assert Status.BEYOND_HEAT in found[-1].status
 
 
-def test_calibration_finds_what_the_data_determine(data, setup, machine):
-    """A plant with another friction and heat: the error falls, the report says what is known."""
-    true = {"friction": 0.75, "heat": 1.05}
-    other = with_factors(machine, true)
+@pytest.fixture(scope="module")
+def plant(data, setup, machine):
+    """Calibration runs of a machine with another friction and heat than the case says."""
+    other = with_factors(machine, TRUE)
     held = other.at_preload
     physics = make_physics(diagonal_modes(other, held), other.joints, held)
-    responses = {}
+    runs = []
     for level in (1.0, 3.0):
-        response = run(data, setup, step(level))
-        seen = run_in(response, machine, "step")
-        temperature, displacement = simulate_known(physics, seen.inputs, machine.step)
-        changed = response.copy(deep=True)
-        for name, column in zip(SENSORS, temperature.T, strict=True):
-            changed["temperature"].loc[{"probe": name}] = np.append(0.0, column)
-        changed["displacement"][1:] = displacement
-        responses[f"step {level:g}"] = changed
-    found = calibrate_machine(machine, responses, fitted=["friction", "heat"])
-    for name, factor in true.items():
-        value, spread = found.model.factors[name]
-        assert abs(np.log(value / factor)) < max(3.0 * spread, 0.02)
-    told = report(found.fit)
-    assert told["directions"][0]["decided_by"] == "data"
+        seen = run_in(run(data, setup, step(level)), machine, "step")
+        inputs = seen.inputs[:150]
+        times = machine.step * np.arange(10, 151, 10)
+        temperature, displacement = simulate_known(physics, inputs, machine.step)
+        runs.append(Run(inputs, times, temperature[9::10], displacement[9::10, :2]))
+    return runs
+
+
+TRUE = {"friction": 0.75, "heat": 1.05}
+
+
+@pytest.fixture(scope="module")
+def fit(machine, plant):
+    return fit_physics(along(machine, ["x", "y"]), plant, list(TRUE))
+
+
+def test_the_fit_leaves_less_than_the_case_does_and_knows_what_it_knows(machine, plant, fit):
+    before = fit_physics(along(machine, ["x", "y"]), plant, [])
+    assert fit.residual_displacement.max() < 0.7 * before.residual_displacement.max()
+    for one, value, spread in zip(
+        fit.parameters, fit.logarithms, np.sqrt(np.diag(fit.covariance)), strict=True
+    ):
+        assert abs(value - np.log(TRUE[one.name])) < 3.0 * spread
+        assert spread < one.spread
+    told = report(fit)
+    assert {one["parameter"] for one in told["parameters"]} == set(TRUE)
+    assert {one["decided_by"] for one in told["directions"]} <= {"data", "prior"}
+
+
+def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine, fit, monkeypatch):
+    monkeypatch.setattr(open_band_module, "DRAWS", 2)
+    monkeypatch.setattr(open_band_module, "DURATION", 2400.0)
+    small = along(machine, ["x", "y"])
+    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+    model = make_observer(small, fit, known)
+    band = open_band_module.open_band(small, fit, model)
+    assert np.all(band.square >= 0.0)
+    assert np.all(band.fourth >= 0.0)
+    assert np.all(band.square.sum(axis=1) + band.fourth.sum(axis=1) > 0.0)
+
+
+def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, response, tmp_path):
+    path = tmp_path / "state.json"
+    samples = list(samples_in(response, SENSORS))[:40]
+    state, _ = estimates(estimator, samples)
+    save_state(estimator, state, path)
+    assert np.array_equal(load_state(estimator, path), state)
+    save_state(estimator, estimator.warm_state(), path)
+    again = load_state(estimator, path)
+    assert np.array_equal(again, estimator.warm_state(), equal_nan=True)
+    other = JointAware(replace(estimator.model, step=1.0))
+    with pytest.raises(InputError, match="another model"):
+        load_state(other, path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match="not a joint-aware"):
+        load_state(estimator, path)
+
+
+def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
+    above = ["time_s,b_K,s_K", "0,0,0", "2,,1.5"]
+    read = ["time_s,s_degC,b_degC,ambient_degC", "0,20,20,20", "2,21.5,nan,20"]
+    first = list(read_log(above, ("s", "b"), "log"))
+    second = list(read_log(read, ("s", "b"), "log"))
+    assert first[0] == second[0] == (0.0, 0.0, 0.0, 0.0)
+    assert first[1][:2] == second[1][:2] == (2.0, 1.5)
+    assert np.isnan(first[1][2])
+    assert np.isnan(second[1][2])
+
+
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        (["time_s,s_K", "0,1"], "the model needs time_s, s_K, b_K"),
+        (["time_s,s_degC,b_degC", "0,1,1"], "ambient_degC"),
+        (["time_s,s_K,b_K", "0,1"], "2 values, expected 3"),
+        (["time_s,s_K,b_K", "0,1,warm"], "no number"),
+        (["time_s,s_K,b_K", ",1,2"], "the time is missing"),
+        ([], "columns none"),
+    ],
+)
+def test_a_bad_log_is_refused_in_one_line(lines, what):
+    with pytest.raises(InputError, match=what) as caught:
+        list(read_log(lines, ("s", "b"), "log"))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_estimates_and_validates_with_a_model_file(estimator, response, tmp_path):
+    model, run_file = tmp_path / "model.h5", tmp_path / "run.nc"
+    write_observer(estimator.model, model)
+    write_response(response.isel(time=slice(0, 60)), run_file)
+    out, state = tmp_path / "estimate.csv", tmp_path / "state.json"
+    command("estimate", model, run_file, "--out", out, "--save-state", state)
+    rows = out.read_text().splitlines()
+    assert rows[0].startswith("time_s,heat_bearings_W")
+    assert len(rows) == 61
+    assert load_state(estimator, state)[0] == pytest.approx(118.0)
+    judged = tmp_path / "validation.json"
+    command("validate", model, run_file, "--out", judged)
+    found = json.loads(judged.read_text())["rows"]
+    assert {row["estimator"] for row in found} == {"joint-aware"}
+    assert max(row["max_abs_error_um"] for row in found) < 0.05
+
+
+def test_calibrating_without_a_machine_is_refused(tmp_path, response):
+    run_file = tmp_path / "run.nc"
+    write_response(response, run_file)
+    given = ("--reference", run_file, "--input", f"2={run_file}", "--out", tmp_path / "m.h5")
+    result = CliRunner().invoke(
+        app, [str(one) for one in ("calibrate", "--kind", "joint-aware", *given)]
+    )
+    assert "--case" in str(result.exception)
+    assert isinstance(result.exception, InputError)
+
+
+def command(*words):
+    result = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert result.exit_code == 0

@@ -29,7 +29,9 @@ AMBIENT_CHANGE = 3.0
 def make_observer(
     machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
 ) -> ObserverModel:
-    """Return the observer of a fitted machine; its band lacks what the calibration leaves open.
+    """Return the observer of a fitted machine.
+
+    Its band lacks what the calibration leaves open: `open_band`.
 
     Parameters
     ----------

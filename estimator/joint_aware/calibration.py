@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -15,6 +15,7 @@ from artefacts.response import probes_of
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
+from estimator.joint_aware.open_band import open_band
 from estimator.joint_aware.physics_fit import Fit, fit_physics
 from estimator.joint_aware.readings import displacement_in, run_in, temperatures_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
@@ -106,7 +107,8 @@ def calibrate_machine(
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
     fit = fit_physics(machine, runs, fitted)
-    model = make_observer(machine, fit, _calibrated(machine, responses), noise)
+    model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
+    model = replace(model, band=open_band(machine, fit, model, noise))
     return JointAwareCalibration(model, fit)
 
 
@@ -124,7 +126,8 @@ def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> lis
     return [axis for axis, peak in moved if peak > STILL * peaks.max()]
 
 
-def _calibrated(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Return where calibration responses have been."""
     every = np.vstack(
         [temperatures_in(response, machine.sensor_names) for response in responses.values()]
     )

@@ -30,10 +30,14 @@ from estimator.joint_aware.remainder import (
     relaxed,
 )
 
-#: What the model is not trusted to beyond: temperature, K, and displacement, m.
-TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.03, 1e-7
-#: Samples of a run that count, at most: neighbours in time err alike.
+#: Samples of a run that count, at most.
 MOST_SAMPLES = 120
+#: What the model is not trusted to, for every sample: temperature, K, and displacement, m. A model
+#: errs alike from sample to sample, so that a whole run tells little more than one of them would:
+#: these are errors of 0.03 K and 0.14 um that last for a run.
+TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
+#: ... and of the remainder, which is there to follow what is left sample by sample.
+REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
 #: Relative step of the difference quotients, and of the parameters at the end.
 DIFFERENCE, CLOSE = 1e-3, 1e-4
 MOST_EVALUATIONS = 20
@@ -79,6 +83,8 @@ class Fit:
         Rows: the direction in units of the priors that belongs to each singular value.
     remainder : Remainder
         Fitted at these parameters.
+    ridge : Ridge
+        What it was fitted with.
     residual_temperature : ndarray, shape (p,)
         RMS of what is left, K.
     residual_displacement : ndarray, shape (axes,)
@@ -93,6 +99,7 @@ class Fit:
     singular: Array
     directions: Array
     remainder: Remainder
+    ridge: Ridge
     residual_temperature: Array
     residual_displacement: Array
     evaluations: int
@@ -244,8 +251,8 @@ def _fit(
             ]
         )
         for errors, sigma, taus in (
-            (temperature, TEMPERATURE_SIGMA, problem.temperature_tau),
-            (displacement, DISPLACEMENT_SIGMA, problem.displacement_tau),
+            (temperature, REMAINDER_TEMPERATURE, problem.temperature_tau),
+            (displacement, REMAINDER_DISPLACEMENT, problem.displacement_tau),
         )
     ]
     left = [
@@ -261,6 +268,7 @@ def _fit(
         singular=singular,
         directions=directions,
         remainder=Remainder(problem.rates, *gains),
+        ridge=problem.ridge,
         residual_temperature=np.sqrt(np.mean(left[0] ** 2, axis=0)),
         residual_displacement=np.sqrt(np.mean(left[1] ** 2, axis=0)),
         evaluations=evaluations,

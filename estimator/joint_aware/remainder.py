@@ -94,6 +94,12 @@ class Ridge:
         found: Array = self.right.T @ (part * (self.left.T @ signal))
         return found
 
+    def uncertainty(self, sigma: float, tau: float) -> Array:
+        """Return a root of the covariance of fitted gains, shape (s q, k)."""
+        left = sigma * tau / np.sqrt(sigma**2 + (tau * self.values) ** 2)
+        found: Array = self.right.T * left
+        return found
+
 
 def make_ridge(states: Array) -> Ridge:
     """Return the ridge regression on relaxations Z, shape (n, s q)."""
