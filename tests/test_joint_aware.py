@@ -301,7 +301,7 @@ def plant(data, setup, machine):
         inputs = seen.inputs[:150]
         times = machine.step * np.arange(10, 151, 10)
         temperature, displacement = simulate_known(physics, inputs, machine.step)
-        runs.append(Run(inputs, times, temperature[9::10], displacement[9::10, :2]))
+        runs.append(Run(inputs, times, temperature[9::10], displacement[9::10, :2], 2.0))
     return runs
 
 

@@ -58,7 +58,7 @@ class JointAware:
         """Axes of the displacement."""
         return self.model.axes
 
-    @property
+    @cached_property
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, all above the ambient at which the machine was cold, K."""
         return tuple(Channel(name, "K") for name in (*self.model.sensors, "ambient"))
@@ -96,6 +96,14 @@ class JointAware:
         none = np.zeros(self.model.warm.shape)
         everything = np.arange(len(self.system.rows))
         return correct(self.model.filter, self.system.rows, everything, none, 1.0)
+
+    @cached_property
+    def _calibrated_readings(self) -> tuple[Array, Array]:
+        """Lowest and highest reading of every sensor that is not beyond the calibration, K."""
+        known = self.model.calibrated.temperatures
+        low, high = np.array([known[name] for name in self.model.sensors]).T
+        slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(self.model.filter.noise[:-1]))
+        return low - slack, high + slack
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
@@ -229,12 +237,9 @@ class JointAware:
         heat = inputs[: self.model.power.size] / self.model.power
         if heat.max() > (1.0 + SLACK) * known.heat or heat.min() < -SLACK * known.heat:
             status |= Status.BEYOND_HEAT
-        noise = 3.0 * np.sqrt(self.model.filter.noise)
-        for name, value, least in zip(self.model.sensors, readings, noise, strict=False):
-            low, high = known.temperatures[name]
-            slack = max(SLACK * (high - low), least)
-            if value < low - slack or value > high + slack:
-                status |= Status.BEYOND_TEMPERATURE
+        low, high = self._calibrated_readings
+        if (readings[:-1] < low).any() or (readings[:-1] > high).any():
+            status |= Status.BEYOND_TEMPERATURE
         if np.isnan(readings).any():
             status |= Status.READING_MISSING
         if excess.any():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,7 +46,18 @@ class ObserverState:
 
     def flat(self) -> Array:
         """Return one array that holds it all."""
-        return np.concatenate([getattr(self, one.name).ravel() for one in fields(self)])
+        return np.concatenate(
+            [
+                [self.time, self.begun],
+                self.linear,
+                self.gap.ravel(),
+                self.slip.ravel(),
+                self.pressure,
+                self.thermal_gap,
+                self.change.ravel(),
+                self.excess.ravel(),
+            ]
+        )
 
 
 def shapes(states: int, contacts: int, columns: int) -> dict[str, tuple[int, ...]]:
@@ -67,7 +79,7 @@ def unpacked(state: Array, parts: dict[str, tuple[int, ...]]) -> ObserverState:
     """Return views of the parts of a flat state."""
     at, found = 0, {}
     for name, shape in parts.items():
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         found[name] = state[at : at + size].reshape(shape)
         at += size
     return ObserverState(**found)

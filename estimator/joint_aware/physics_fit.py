@@ -10,8 +10,9 @@ are parameters. Temperatures and displacements of all runs count together.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -41,6 +42,8 @@ REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
 #: Relative step of the difference quotients, and of the parameters at the end.
 DIFFERENCE, CLOSE = 1e-3, 1e-4
 MOST_EVALUATIONS = 20
+#: Steps of a run while the parameters are searched; the remainder is fitted with the march's own.
+SEARCH_STEPS = 700
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,24 @@ class Run:
         K.
     displacement : ndarray, shape (k, axes)
         m.
+    length : float
+        Of a step, s.
     """
 
     inputs: Array
     times: Array
     temperature: Array
     displacement: Array
+    length: float
+
+
+def coarser(run: Run) -> Run:
+    """Return a run in `SEARCH_STEPS` steps at most, each with the mean of its inputs."""
+    factor = math.ceil(len(run.inputs) / SEARCH_STEPS)
+    count = math.ceil(len(run.inputs) / factor)
+    padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
+    means = padded.reshape(count, factor, -1).mean(axis=1)
+    return replace(run, inputs=means, length=factor * run.length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +142,11 @@ def fit_physics(
     """
     parameters = tuple(one for one in active(machine) if fitted is None or one.name in fitted)
     spread = np.array([one.spread for one in parameters])
-    problem = _problem(machine, runs)
+    whole = _problem(machine, runs)
+    problem = _problem(machine, [coarser(run) for run in runs])
     start = _residuals(problem, parameters, np.zeros(spread.size))
     if not parameters:
-        return _fit(problem, parameters, np.zeros(0), np.zeros((start.size, 0)), 1)
+        return _fit(whole, parameters, np.zeros(0), np.zeros((start.size, 0)), 1)
 
     def residuals(scaled: Array) -> Array:
         try:
@@ -153,7 +169,7 @@ def fit_physics(
     )
     jacobian = result.jac[: start.size]
     evaluations = int(result.nfev + (result.njev or 0) * spread.size)
-    return _fit(problem, parameters, result.x, jacobian, evaluations)
+    return _fit(whole, parameters, result.x, jacobian, evaluations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +186,7 @@ def _problem(machine: ReducedMachine, runs: Sequence[Run]) -> _Problem:
     rates = relaxation_rates()
     sources = machine.power.size
     states = [
-        _sampled(
-            relaxed(run.inputs[:, :sources] / machine.power, rates, machine.step), run, machine
-        )
+        _sampled(relaxed(run.inputs[:, :sources] / machine.power, rates, run.length), run)
         for run in runs
     ]
     level = max(float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
@@ -195,9 +209,9 @@ def _problem(machine: ReducedMachine, runs: Sequence[Run]) -> _Problem:
     )
 
 
-def _sampled(values: Array, run: Run, machine: ReducedMachine) -> Array:
+def _sampled(values: Array, run: Run) -> Array:
     """Values (n, c) after each step from rest, at the times that count, (k, c)."""
-    grid = machine.step * np.arange(len(values) + 1)
+    grid = run.length * np.arange(len(values) + 1)
     whole = np.vstack([np.zeros(values.shape[1]), values])
     return np.column_stack([np.interp(run.times, grid, column) for column in whole.T])
 
@@ -211,9 +225,9 @@ def _errors(
     physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
     temperature, displacement = [], []
     for run in problem.runs:
-        sensed, moved = simulate_known(physics, run.inputs, machine.step)
-        temperature.append(run.temperature - _sampled(sensed, run, machine))
-        displacement.append(run.displacement - _sampled(moved, run, machine))
+        sensed, moved = simulate_known(physics, run.inputs, run.length)
+        temperature.append(run.temperature - _sampled(sensed, run))
+        displacement.append(run.displacement - _sampled(moved, run))
     return np.vstack(temperature), np.vstack(displacement)
 
 

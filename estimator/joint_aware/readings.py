@@ -103,4 +103,5 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         times=times[kept],
         temperature=temperatures_in(response, machine.sensor_names)[kept],
         displacement=displacement_in(response, machine.axes)[kept],
+        length=machine.step,
     )
