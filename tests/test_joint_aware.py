@@ -214,7 +214,8 @@ def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
 
 def test_the_excess_covariance_is_exact(estimator):
     """Against the recursion of the whole matrix: a reading is missing, another start."""
-    system, steady = estimator.system, estimator.model.filter
+    system = estimator.system
+    steady = replace(estimator.model.filter, lasting=np.zeros(5))
     rows, rng = system.rows, np.random.default_rng(0)
     noise = np.diag(steady.noise)
     # P from its own columns is not kept: take any P that has these.
@@ -326,13 +327,15 @@ def test_the_fit_leaves_less_than_the_case_does_and_knows_what_it_knows(machine,
     assert {one["decided_by"] for one in told["directions"]} <= {"data", "prior"}
 
 
-def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine, fit, monkeypatch):
+def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(
+    machine, plant, fit, monkeypatch
+):
     monkeypatch.setattr(open_band_module, "DRAWS", 2)
     monkeypatch.setattr(open_band_module, "DURATION", 2400.0)
     small = along(machine, ["x", "y"])
     known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
     model = make_observer(small, fit, known)
-    band = open_band_module.open_band(small, fit, model)
+    band = open_band_module.open_band(small, plant, fit, model)
     assert np.all(band.square >= 0.0)
     assert np.all(band.fourth >= 0.0)
     assert np.all(band.square.sum(axis=1) + band.fourth.sum(axis=1) > 0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from artefacts.arrays import Array
@@ -54,7 +56,14 @@ def make_observer(
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)
     system = linear_system(modes, fit.remainder, machine.power, machine.step)
-    steady, after = design_filter(system, modes, machine.power, machine.step, noise)
+    found, after = design_filter(system, modes, machine.power, machine.step, noise)
+    # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
+    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * _answer(modes.rates, 3600.0, 0.0))
+    relaxations = system.decay.size - modes.rates.size
+    scale = np.concatenate(
+        [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
+    )
+    steady = replace(found, scale=scale)
     physics = make_physics(modes, fitted.joints, held)
     moved = np.hstack(
         [
@@ -75,6 +84,7 @@ def make_observer(
             tangent=moved,
             steady=np.maximum(np.einsum("an,nm,am->a", moved, after, moved), 0.0),
             constant=fit.residual_displacement**2,
+            history=np.zeros(len(machine.axes)),
             square=nothing,
             fourth=nothing,
         ),

@@ -108,7 +108,7 @@ def calibrate_machine(
     runs = [run_in(response, machine, name) for name, response in responses.items()]
     fit = fit_physics(machine, runs, fitted)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
-    model = replace(model, band=open_band(machine, fit, model, noise))
+    model = replace(model, band=open_band(machine, runs, fit, model, noise))
     return JointAwareCalibration(model, fit)
 
 

@@ -16,7 +16,14 @@ from artefacts.errors import InputError
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
 from estimator.joint_aware.observer_model import ObserverModel
-from estimator.joint_aware.observer_state import ObserverState, shapes, unpacked
+from estimator.joint_aware.observer_state import (
+    FOLLOWED,
+    KNOWN,
+    UNKNOWN,
+    ObserverState,
+    shapes,
+    unpacked,
+)
 from estimator.joint_aware.physics import (
     JointState,
     Physics,
@@ -31,6 +38,8 @@ SLACK = 0.05
 MOST_STEPS = 2000
 #: Excess columns that tell the readings less than this part of their noise are nothing any more.
 FORGOTTEN = 1e-3
+#: The joint is followed from when the displacement is known to this, m.
+FOLLOWABLE = 1e-6
 #: No machine is hotter or colder than this, K from the ambient: it is no temperature.
 LARGEST = 1e4
 #: Half a band of 95 % in standard deviations.
@@ -107,16 +116,16 @@ class JointAware:
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
-        return self._state(np.zeros(self.model.warm.shape))
+        return self._state(np.zeros(self.model.warm.shape), KNOWN)
 
     def warm_state(self) -> Array:
         """Return the state of a machine of which nothing is known, before any sample."""
-        return self._state(self.model.warm)
+        return self._state(self.model.warm, UNKNOWN)
 
-    def _state(self, excess: Array) -> Array:
+    def _state(self, excess: Array, memory: float) -> Array:
         unknown, joint = np.array(np.nan), self.physics.at_rest()
         linear = np.zeros(self.system.size)
-        return ObserverState(unknown, unknown, linear, *joint, excess=excess).flat()
+        return ObserverState(unknown, unknown, np.array(memory), linear, *joint, excess).flat()
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
@@ -132,28 +141,34 @@ class JointAware:
         readings = _checked(values, self.channels)
         length, steps = self._steps(float(before.time), time)
         linear, joint, excess = before.linear, before.joint, before.excess
+        memory = float(before.memory)
         for k in range(steps):
             linear = self._predicted(linear, joint, length)
             if k + 1 < steps:
-                joint, _ = settle_joint(self.physics, joint, self._amplitudes(linear))
+                joint, _ = self._settled(joint, linear, memory)
                 excess = self._forgetting(excess, length)
         present = np.flatnonzero(np.isfinite(readings))
         gain, excess = self._gain(present, excess, length if steps else self.model.step)
         linear = linear + gain @ (readings - self.system.rows @ linear)[present]
         amplitudes = self._amplitudes(linear)
-        joint, moved = settle_joint(self.physics, joint, amplitudes)
+        joint, moved = self._settled(joint, linear, memory)
         relaxed = linear[amplitudes.size : self.system.decay.size]
         displacement = moved + self.model.remainder.displacement @ relaxed
         begun = before.begun if steps else np.array(time)
         after = ObserverState(
-            np.array(time), begun, linear, *joint, excess=self._onward(excess)
+            np.array(time),
+            begun,
+            np.array(self._remembered(memory, excess)),
+            linear,
+            *joint,
+            self._onward(excess),
         ).flat()
         inputs = linear[self.system.decay.size :]
         status = self._status(time - float(begun), inputs, readings, excess)
         pressure = joint.pressure if joint.pressure.size else np.array([np.nan])
         details = np.concatenate([inputs, [pressure.min(), pressure.max()]])
         return after, Estimate(
-            time, displacement, self._half_band(relaxed, excess), status, details
+            time, displacement, self._half_band(relaxed, excess, memory), status, details
         )
 
     def _steps(self, last: float, time: float) -> tuple[float, int]:
@@ -221,11 +236,28 @@ class JointAware:
         known = np.all(moved <= FORGOTTEN * self.model.band.steady)
         return np.zeros_like(after) if told.max() <= FORGOTTEN and known else after
 
-    def _half_band(self, relaxed: Array, excess: Array) -> Array:
+    def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
+        """The joint and the displacement at the present temperatures.
+
+        As long as these are guesses the joint is taken there from rest each time: a way through
+        temperatures that never were would leave slips that never were.
+        """
+        if memory == UNKNOWN:
+            joint = joint._replace(slip=np.zeros_like(joint.slip))
+        return settle_joint(self.physics, joint, self._amplitudes(linear))
+
+    def _remembered(self, memory: float, excess: Array) -> float:
+        """What is known of the slips after a sample."""
+        uncertain = np.square(self.model.band.tangent @ excess).sum(axis=1)
+        return FOLLOWED if memory == UNKNOWN and uncertain.max() <= FOLLOWABLE**2 else memory
+
+    def _half_band(self, relaxed: Array, excess: Array, memory: float) -> Array:
         """Half the width of 95 %, m, shape (axes,)."""
         band, rates = self.model.band, self.model.remainder.rates.size
         square = np.square(relaxed.reshape(-1, rates)).mean(axis=0)
         variance = band.steady + band.constant + band.square @ square + band.fourth @ square**2
+        if memory != KNOWN:
+            variance = variance + band.history
         if excess.any():
             variance = variance + np.square(band.tangent @ excess).sum(axis=1)
         return np.asarray(WIDTH * np.sqrt(variance))

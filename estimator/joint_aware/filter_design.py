@@ -35,6 +35,10 @@ class Noise:
         K per step.
     joint_flow : float
         Of the heat across each contact element, W: what the frozen conductance leaves out.
+    lasting : float
+        Of what the model's readings err by for minutes, K, as if it were new in every sample. Only
+        departures from the steady covariance reckon with it: a start of which nothing is known is
+        learnt from many samples, whose errors are not independent.
     """
 
     sensor: float = 0.03
@@ -42,6 +46,7 @@ class Noise:
     heat_walk: float = 0.05
     ambient_walk: float = 0.01
     joint_flow: float = 0.5
+    lasting: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +97,10 @@ class SteadyFilter:
         H P H^T, without the readings' own noise.
     noise : ndarray, shape (p + 1,)
         Variance of a reading, K2.
+    lasting : ndarray, shape (p + 1,)
+        Variance of what lasts in it, K2 (`Noise`).
     scale : ndarray, shape (n,)
-        Standard deviation of every state before a reading: columns are compared in it.
+        Size of every state in which columns of a covariance are compared.
     walk : ndarray, shape (s + 1,)
         Standard deviation of a step of the inputs: W and K.
     """
@@ -101,6 +108,7 @@ class SteadyFilter:
     cross: Array
     innovation: Array
     noise: Array
+    lasting: Array
     scale: Array
     walk: Array
 
@@ -163,10 +171,9 @@ def design_filter(
     cross = before @ system.rows.T
     innovation = system.rows @ cross
     factor = cho_factor(innovation + np.diag(readings))
+    lasting = np.append(np.full(len(readings) - 1, noise.lasting**2), 0.0)
     after = before - cross @ cho_solve(factor, cross.T)
-    found = SteadyFilter(
-        cross, innovation, readings, np.sqrt(np.maximum(np.diag(before), 0.0)), walk
-    )
+    found = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
     return found, 0.5 * (after + after.T)
 
 
@@ -179,10 +186,10 @@ def correct(
 ) -> tuple[Array, Array]:
     """Return the gain of some readings, and what the covariance then has more than the steady one.
 
-    Exact for the linear system: with S_s = H P H^T + R of the readings that came,
-    K_s = P H^T S_s^-1 and X = (1 - K_s H) L, Y = H L, the covariance after them is
-    P_s+ + X (1 + Y^T S_s^-1 Y)^-1 X^T, and P_s+ is more than the steady one by what the readings
-    that did not come would have told.
+    With S_s = H P H^T + R of the readings that came, K_s = P H^T S_s^-1, X = (1 - K_s H) L and
+    Y = H L, the covariance after them is P_s+ + X (1 + Y^T S_s^-1 Y)^-1 X^T, and P_s+ is more than
+    the steady one by what the readings that did not come would have told. That is exact; where L is
+    corrected, what lasts in the readings is added to S_s, which makes it slower.
 
     Parameters
     ----------
@@ -225,7 +232,8 @@ def correct(
         return gain, np.hstack([excess, lost])
     seen_excess = rows[present] @ excess
     shifted = excess - gain @ seen_excess
-    told = cho_solve(factor, seen_excess)
+    doubted = covariance + np.diag(filter_.lasting)
+    told = np.linalg.solve(doubted[np.ix_(present, present)], seen_excess)
     root = cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told, lower=True)
     left = solve_triangular(root, shifted.T, lower=True).T
     more = left @ solve_triangular(root, told.T, lower=True)

@@ -43,8 +43,8 @@ _ELASTIC = (
     "area",
 )
 _REMAINDER = ("rates", "temperature", "displacement")
-_FILTER = ("cross", "innovation", "noise", "scale", "walk")
-_BAND = ("tangent", "steady", "constant", "square", "fourth")
+_FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
+_BAND = ("tangent", "steady", "constant", "history", "square", "fourth")
 
 
 def is_observer(path: Path) -> bool:

@@ -22,6 +22,8 @@ class Band:
         Of the state after a reading, m2.
     constant : ndarray, shape (axes,)
         What the calibration left, m2.
+    history : ndarray, shape (axes,)
+        Of slips of which nothing is known, after a warm start, m2.
     square, fourth : ndarray, shape (axes, q)
         Per square and per fourth power of the heat relaxed at each rate: what the calibration does
         not determine, m2.
@@ -30,6 +32,7 @@ class Band:
     tangent: Array
     steady: Array
     constant: Array
+    history: Array
     square: Array
     fourth: Array
 

@@ -10,6 +10,10 @@ import numpy as np
 from artefacts.arrays import Array
 from estimator.joint_aware.physics import JointState
 
+#: The joint's slips are those of a run from rest; or they are not known at all, because the
+#: temperatures are not yet; or they are followed since the temperatures are known.
+KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class ObserverState:
@@ -21,6 +25,8 @@ class ObserverState:
         Of the last sample, s; NaN before the first.
     begun : ndarray, shape ()
         Of the first sample, s; NaN before it.
+    memory : ndarray, shape ()
+        What is known of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
     linear : ndarray, shape (n,)
         Amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
     gap, slip, pressure, thermal_gap, change : ndarray
@@ -31,6 +37,7 @@ class ObserverState:
 
     time: Array
     begun: Array
+    memory: Array
     linear: Array
     gap: Array
     slip: Array
@@ -48,7 +55,7 @@ class ObserverState:
         """Return one array that holds it all."""
         return np.concatenate(
             [
-                [self.time, self.begun],
+                [self.time, self.begun, self.memory],
                 self.linear,
                 self.gap.ravel(),
                 self.slip.ravel(),
@@ -65,6 +72,7 @@ def shapes(states: int, contacts: int, columns: int) -> dict[str, tuple[int, ...
     return {
         "time": (),
         "begun": (),
+        "memory": (),
         "linear": (states,),
         "gap": (3, contacts),
         "slip": (2, contacts),

@@ -1,6 +1,7 @@
 """The part of the band that the calibration leaves open, learnt from machines it cannot tell apart.
 
-Parameters and gains are drawn from what the calibration says of them. Each drawn machine runs
+Parameters are drawn from what the calibration says of them, and the remainder is fitted to the
+calibration runs beside each draw, so that every drawn machine answers them alike. It then runs
 through one history of random heat, and the observer follows it by its temperatures. The mean square
 of the errors is written as a sum, with coefficients that are not negative, of squares and fourth
 powers of the relaxed heat, which every sample knows: an error that grows with the past heat, and
@@ -9,6 +10,7 @@ faster where the joint is far from its preload.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +24,14 @@ from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
 from estimator.joint_aware.parameters import factors_of, with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.physics_fit import REMAINDER_DISPLACEMENT, REMAINDER_TEMPERATURE, Fit
+from estimator.joint_aware.physics import conduct, make_physics, settle_joint, simulate_known
+from estimator.joint_aware.physics_fit import (
+    REMAINDER_DISPLACEMENT,
+    REMAINDER_TEMPERATURE,
+    Fit,
+    Run,
+    remainder_at,
+)
 from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
 from estimator.joint_aware.remainder import relaxed
 
@@ -39,7 +47,11 @@ LEAST_SHARE = 0.1
 
 
 def open_band(
-    machine: ReducedMachine, fit: Fit, model: ObserverModel, noise: Noise | None = None
+    machine: ReducedMachine,
+    runs: Sequence[Run],
+    fit: Fit,
+    model: ObserverModel,
+    noise: Noise | None = None,
 ) -> Band:
     """Return the band of an observer with what its calibration leaves open.
 
@@ -47,6 +59,8 @@ def open_band(
     ----------
     machine : ReducedMachine
         As its case says.
+    runs : sequence of Run
+        That it was calibrated with.
     fit : Fit
         Parameters, remainder, and what is known of them.
     model : ObserverModel
@@ -64,13 +78,33 @@ def open_band(
     errors: list[Array] = []
     while len(errors) < DRAWS:
         try:
-            errors.append(_error(rng, slow, fit, observer, heat, states))
+            errors.append(_error(rng, slow, runs, fit, observer, heat, states))
         except ConvergenceError:
             continue
     every = np.array(errors)
     found = np.array([_variances(features, every[:, :, axis]) for axis in range(every.shape[2])])
     count = squares.shape[1]
-    return replace(model.band, square=found[:, :count], fourth=found[:, count:])
+    return replace(
+        model.band,
+        history=_history(observer, slow, heat),
+        square=found[:, :count],
+        fourth=found[:, count:],
+    )
+
+
+def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
+    """Mean square of what slips of the past change in the displacement, m2, shape (axes,)."""
+    physics = observer.physics
+    amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
+    differences = []
+    for given in heat:
+        inputs = np.append(given * machine.power, 0.0)
+        amplitudes = conduct(physics, amplitudes, inputs, joint.pressure, machine.step)
+        fresh = joint._replace(slip=np.zeros_like(joint.slip))
+        _, without = settle_joint(physics, fresh, amplitudes)
+        joint, moved = settle_joint(physics, joint, amplitudes)
+        differences.append(moved - without)
+    return np.asarray(np.mean(np.square(differences), axis=0))
 
 
 def _levels(rng: np.random.Generator, step: float, highest: float, sources: int) -> Array:
@@ -88,6 +122,7 @@ def _levels(rng: np.random.Generator, step: float, highest: float, sources: int)
 def _error(
     rng: np.random.Generator,
     machine: ReducedMachine,
+    runs: Sequence[Run],
     fit: Fit,
     observer: JointAware,
     heat: Array,
@@ -102,12 +137,12 @@ def _error(
     physics = make_physics(diagonal_modes(drawn, held), drawn.joints, held)
     inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
     temperature, displacement = simulate_known(physics, inputs, machine.step)
-    remainder = fit.remainder
-    temperature = (
-        temperature + states @ _gains(rng, fit, remainder.temperature, REMAINDER_TEMPERATURE).T
+    remainder = remainder_at(machine, runs, fit, logarithms)
+    temperature = temperature + states @ _drawn(
+        rng, fit, remainder.temperature, REMAINDER_TEMPERATURE
     )
-    displacement = displacement + states @ (
-        _gains(rng, fit, remainder.displacement, REMAINDER_DISPLACEMENT).T
+    displacement = displacement + states @ _drawn(
+        rng, fit, remainder.displacement, REMAINDER_DISPLACEMENT
     )
     times = machine.step * np.arange(len(heat) + 1)
     readings = np.vstack([np.zeros(temperature.shape[1]), temperature])
@@ -116,14 +151,14 @@ def _error(
     return np.array(estimates[1:]) - displacement
 
 
-def _gains(rng: np.random.Generator, fit: Fit, gains: Array, sigma: float) -> Array:
-    """Gains like fitted ones (channels, s q)."""
+def _drawn(rng: np.random.Generator, fit: Fit, gains: Array, sigma: float) -> Array:
+    """Gains like fitted ones, shape (s q, channels)."""
     drawn = np.empty_like(gains)
     for row, fitted in zip(drawn, gains, strict=True):
         tau = max(float(np.sqrt(np.mean(fitted**2))), LEAST_SHARE * sigma)
         root = fit.ridge.uncertainty(sigma, tau)
         row[:] = fitted + root @ rng.normal(size=root.shape[1])
-    return drawn
+    return drawn.T
 
 
 def _variances(features: Array, errors: Array) -> Array:

@@ -172,6 +172,19 @@ def fit_physics(
     return _fit(whole, parameters, result.x, jacobian, evaluations)
 
 
+def remainder_at(
+    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, logarithms: Array
+) -> Remainder:
+    """Return the remainder that fits the runs beside other parameters, (k,) logarithms of factors.
+
+    What the parameters change in proportion to the heat, the remainder takes back: the runs know
+    the machine as a whole.
+    """
+    problem = _problem(machine, runs)
+    gains, _ = _gains(problem, *_errors(problem, fit.parameters, logarithms))
+    return Remainder(problem.rates, *gains)
+
+
 @dataclass(frozen=True, eq=False)
 class _Problem:
     machine: ReducedMachine
@@ -256,6 +269,27 @@ def _fit(
     spread = np.array([one.spread for one in parameters])
     logarithms = spread * scaled
     temperature, displacement = _errors(problem, parameters, logarithms)
+    gains, left = _gains(problem, temperature, displacement)
+    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+    inverse = directions.T @ (directions / (1.0 + singular**2)[:, None])
+    return Fit(
+        parameters=parameters,
+        logarithms=logarithms,
+        covariance=spread[:, None] * inverse * spread,
+        singular=singular,
+        directions=directions,
+        remainder=Remainder(problem.rates, *gains),
+        ridge=problem.ridge,
+        residual_temperature=np.sqrt(np.mean(left[0] ** 2, axis=0)),
+        residual_displacement=np.sqrt(np.mean(left[1] ** 2, axis=0)),
+        evaluations=evaluations,
+    )
+
+
+def _gains(
+    problem: _Problem, temperature: Array, displacement: Array
+) -> tuple[list[Array], list[Array]]:
+    """The remainder's gains for errors of temperatures and displacements, and what is left."""
     states = problem.ridge.left * problem.ridge.values @ problem.ridge.right
     gains = [
         np.array(
@@ -273,17 +307,4 @@ def _fit(
         errors - states @ gain.T
         for errors, gain in zip((temperature, displacement), gains, strict=True)
     ]
-    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    inverse = directions.T @ (directions / (1.0 + singular**2)[:, None])
-    return Fit(
-        parameters=parameters,
-        logarithms=logarithms,
-        covariance=spread[:, None] * inverse * spread,
-        singular=singular,
-        directions=directions,
-        remainder=Remainder(problem.rates, *gains),
-        ridge=problem.ridge,
-        residual_temperature=np.sqrt(np.mean(left[0] ** 2, axis=0)),
-        residual_displacement=np.sqrt(np.mean(left[1] ** 2, axis=0)),
-        evaluations=evaluations,
-    )
+    return gains, left
