@@ -186,7 +186,7 @@ def test_without_any_reading_the_band_grows_and_then_comes_back(estimator, respo
         row[1:] = [np.nan] * 5
     _, found = estimates(estimator, samples)
     assert np.all(found[119].band > 2.0 * found[59].band)
-    assert np.all(found[200].band < 2.0 * found[59].band)
+    assert np.all(found[200].band < 0.5 * found[119].band)
     wrong = np.abs(errors(estimator, response, found))
     assert np.all(wrong[119] < found[119].band)
 
@@ -261,7 +261,9 @@ def test_foreign_and_damaged_files_are_refused_in_one_line(estimator, tmp_path):
     write_observer(estimator.model, path)
     assert is_observer(path)
     whole = path.read_bytes()
-    for content in (b"", b"{}", whole[: len(whole) // 2], whole[:-2000] + bytes(2000)):
+    middle = len(whole) // 2
+    damaged = whole[:middle] + bytes(2000) + whole[middle + 2000 :]
+    for content in (b"", b"{}", whole[:middle], damaged):
         path.write_bytes(content)
         with pytest.raises(InputError) as caught:
             read_observer(path)
