@@ -7,13 +7,11 @@ stands for. It is not chosen by how well the result validates.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import lfilter
-from sklearn.linear_model import LinearRegression, Ridge
 
 from artefacts import steps
 from artefacts.arrays import Array
@@ -61,6 +59,8 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     plain = np.concatenate(inputs)
     filtered = np.column_stack((plain, np.concatenate(passed)))
     target = np.concatenate(outputs)
+    from sklearn.linear_model import LinearRegression
+
     least = LinearRegression(fit_intercept=False).fit(plain, target).coef_
     shrunk = _ridge(filtered, target, DEVIATION_UNCERTAINTY)
     seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
@@ -120,6 +120,8 @@ def fit_autoregression(
     ]
     stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
     table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
+    from sklearn.linear_model import LinearRegression
+
     predicted = LinearRegression(fit_intercept=False).fit(table, target).coef_
     past = bounded_past(predicted[:PAST], float(np.exp(-slowest * interval)))
     denominator = np.concatenate(([1.0], -past))
@@ -156,6 +158,8 @@ def _delayed(values: Array, lag: int) -> Array:
 def _ridge(features: Array, target: Array, uncertainty: float) -> Array:
     """Return weights, shape (..., features), for features that err by `uncertainty` rms."""
     penalty = len(features) * uncertainty**2
+    from sklearn.linear_model import Ridge
+
     found = Ridge(alpha=penalty, fit_intercept=False, solver="svd").fit(features, target)
     return np.asarray(found.coef_)
 

@@ -16,12 +16,18 @@ from artefacts.errors import InputError
 
 
 class Status(IntFlag):
-    """What is to be known of an estimate: nothing, or where the calibration has not been."""
+    """What is to be known of an estimate: nothing, or why it is less certain than usual.
+
+    Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
+    readings that were missing, still count.
+    """
 
     OK = 0
     BEYOND_TIME = auto()
     BEYOND_HEAT = auto()
     BEYOND_TEMPERATURE = auto()
+    READING_MISSING = auto()
+    UNSETTLED = auto()
 
     @property
     def words(self) -> str:

@@ -16,7 +16,7 @@ ARROWS = {
     "fesim": {"artefacts", "meshes"},
     "verification": {"artefacts", "meshes", "fesim"},
     "calibrate": {"artefacts", "models"},
-    "estimator": {"artefacts", "models"},
+    "estimator": {"artefacts", "models", "fesim"},
     "thermojoint": {
         "artefacts",
         "meshes",

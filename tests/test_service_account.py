@@ -62,7 +62,8 @@ def read_only(tmp_path):
         shutil.copytree(
             ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__")
         )
-        (copy / package / "__pycache__").touch()
+        for folder in (copy / package, *(copy / package).rglob("*/")):
+            (folder / "__pycache__").touch()
     return copy
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -162,6 +162,25 @@ class State:
     pressure: Array
     change: Array
     model: str
+
+
+class JointState(Protocol):
+    """What the gap equations go on from; attributes as in `State`."""
+
+    @property
+    def gap(self) -> Array:
+        """Gaps."""
+        ...
+
+    @property
+    def slip(self) -> Array:
+        """History of friction."""
+        ...
+
+    @property
+    def change(self) -> Array:
+        """By how much the last step changed the gaps."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -375,7 +394,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
     )
     thermal_gap = elastic.thermal_gap @ temperature
-    found, cuts = _settle(machine, state, thermal_gap)
+    found, cuts = settle_along(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
         machine.watch.check(pressure, found.traction.tangent)
@@ -405,11 +424,27 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     )
 
 
-def _settle(machine: CondensedMachine, state: State, thermal_gap: Array) -> tuple[Equilibrium, int]:
+def settle_along(
+    machine: CondensedMachine, state: JointState, thermal_gap: Array
+) -> tuple[Equilibrium, int]:
     """Find the equilibrium that the state comes to, and how many viscous steps it took.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
     the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        Whose joints they are.
+    state : JointState
+        Of the joint at the start of the step: a march's `State` is one.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T at its end, m.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium, or a body has come loose.
     """
     for guess in (state.gap + state.change, state.gap):
         with suppress(ConvergenceError):

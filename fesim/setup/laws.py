@@ -46,10 +46,14 @@ def joint_law(
     joint: PairedJoint,
 ) -> JointLaw:
     """Law of one joint; its harmonic conductivity comes from the bodies on the two sides."""
-    hardness, roughness = 1e9 * section.hardness_GPa, 1e-6 * section.roughness_um
-    preload = 1e6 * section.preload_MPa
-    slope = section.asperity_slope
-    conductivity = harmonic_conductivity(
+    return law_of(section, joint_conductivity(structure, materials, joint))
+
+
+def joint_conductivity(
+    structure: Structure, materials: dict[str, Material], joint: PairedJoint
+) -> NDArray[np.float64]:
+    """k_h of Eq. 11 at the contact elements of a joint, W/(m K), shape (m,)."""
+    return harmonic_conductivity(
         *(
             element_means(joint, conducted[cells])
             for conducted in [
@@ -58,6 +62,13 @@ def joint_law(
             for cells in (joint.cells_a, joint.cells_b)
         )
     )
+
+
+def law_of(section: JointSection, conductivity: NDArray[np.float64]) -> JointLaw:
+    """Law of a joint whose contact elements have the harmonic conductivity (m,), W/(m K)."""
+    hardness, roughness = 1e9 * section.hardness_GPa, 1e-6 * section.roughness_um
+    preload = 1e6 * section.preload_MPa
+    slope = section.asperity_slope
     normal: SurfaceNormalLaw | BackBurdekinLaw
     given = section.back_burdekin
     if section.normal_law == "surface" or given is None:

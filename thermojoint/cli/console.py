@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -144,6 +144,47 @@ def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]])
             number(claim),
         )
     _titled(console, title, table)
+
+
+def show_bands(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+    """Print the errors of an estimator that knows a band, and how often it holds."""
+    table = Table()
+    for name in ("case", "estimator", "axis"):
+        table.add_column(name, no_wrap=True)
+    for name in ("max error", "rms error", "peak", "band", "inside the band"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(
+            *(str(row[name]) for name in ("case", "estimator", "axis")),
+            *(
+                number(float(row[name]), 3)
+                for name in ("max_abs_error_um", "rms_error_um", "peak_total_um", "mean_band_um")
+            ),
+            f"{100.0 * float(row['band_cover']):.0f} %",
+        )
+    _titled(console, "Validation from temperatures alone (µm)", table)
+
+
+def show_physics(console: Console, report: Mapping[str, Any]) -> None:
+    """Print the machine's fitted parameters and what of them the data determine."""
+    table = Table()
+    for name in ("parameter", "factor on the case", "uncertainty", "before"):
+        table.add_column(name, justify="left" if name == "parameter" else "right")
+    for one in report["parameters"]:
+        table.add_row(
+            one["parameter"],
+            number(one["factor"], 3),
+            f"{100.0 * one['std']:.1f} %",
+            f"{100.0 * one['prior_std']:.1f} %",
+        )
+    _titled(console, "The machine's physics", table)
+    known = Table()
+    for name in ("singular value", "decided by", "direction"):
+        known.add_column(name, justify="right" if name == "singular value" else "left")
+    for one in report["directions"]:
+        parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in one["of"].items())
+        known.add_row(number(one["singular_value"], 3), one["decided_by"], parts)
+    _titled(console, "What the responses determine (in units of the priors)", known)
 
 
 def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:

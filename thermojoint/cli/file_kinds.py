@@ -62,6 +62,17 @@ def _is_simulated(path: Path) -> bool:
     return False
 
 
+def _is_estimator_state(path: Path) -> bool:
+    kinds = ("thermojoint-estimator-state", "thermojoint-joint-aware-state")
+    return any(_json(schema=kind)(path) for kind in kinds)
+
+
+def _is_observer(path: Path) -> bool:
+    from estimator.joint_aware.recognition import is_observer
+
+    return is_observer(path)
+
+
 def _is_march_state(path: Path) -> bool:
     import numpy as np
 
@@ -95,8 +106,9 @@ def _is_picture(path: Path) -> bool:
 RESPONSE = Kind("a simulated response", _is_simulated)
 MARCH_STATE = Kind("the state of a simulation", _is_march_state)
 MODEL = Kind("a model file", _json(schema="thermojoint-model"))
+OBSERVER = Kind("a joint-aware model", _is_observer)
 BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
-ESTIMATOR_STATE = Kind("the state of an estimator", _json(schema="thermojoint-estimator-state"))
+ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
 VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import StrEnum
+from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,10 +14,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from artefacts.errors import InputError
-from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
+    from artefacts.arrays import Array
+    from estimator.interface import Estimator
     from estimator.measured import Sample
+
+
+class Kind(StrEnum):
+    """Kinds of estimators that can be calibrated."""
+
+    FCHS = "fchs"
+    JOINT_AWARE = "joint-aware"
+
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
 EstimatorFile = Annotated[
@@ -42,14 +54,23 @@ def calibrate(
         Path | None,
         typer.Option(help="Regressions on the same data to write (JSON), for 'validate'."),
     ] = None,
+    kind: Annotated[
+        Kind, typer.Option(help="fchs: the paper's models; joint-aware: the machine's own physics.")
+    ] = Kind.FCHS,
+    case: Annotated[
+        Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
+    ] = None,
 ) -> None:
-    """Calibrate the generalised models: Tables 1-3.
+    """Calibrate an estimator: the generalised models of Tables 1-3, or the machine's physics.
 
     Example: [bold]thermojoint calibrate --reference r1.nc --input 0.5=r05.nc --input 2=r2.nc --out
     model.json[/bold]
 
     Example: [bold]thermojoint calibrate --reference measured-1.nc --input 0.5=measured-05.nc
     --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
+
+    Example: [bold]thermojoint calibrate --kind joint-aware --case machine.toml --reference r1.nc
+    --input 0.5=r05.nc --input 2=r2.nc --out model.h5[/bold]
     """
     from artefacts.response import read_response
     from calibrate import chain
@@ -62,6 +83,14 @@ def calibrate(
 
     pairs = [arguments.level_and_file(text) for text in given]
     inputs = [reference, *(path for _, path in pairs)]
+    if kind is Kind.JOINT_AWARE:
+        for option, given_too in (("--distances-mm", distances), ("--baselines", baselines)):
+            if given_too is not None:
+                raise InputError(f"{option}: goes with --kind fchs; leave it out")
+        joint_aware.calibrate(case, inputs, out)
+        return
+    if case is not None:
+        raise InputError("--case: goes with --kind joint-aware; leave it out")
     arguments.check_outputs(
         {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
     )
@@ -77,8 +106,8 @@ def calibrate(
         report("calibrating", 0, 1)
         calibrated = chain.calibrate_responses(base, others, apart)
         report("calibrating", 1, 1)
-    case = str(base.attrs.get("case", reference.name))
-    provenance = provenance_of(calibrated, case)
+    origin = str(base.attrs.get("case", reference.name))
+    provenance = provenance_of(calibrated, origin)
     regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
     write_model(calibrated.model, out, provenance)
     if baselines and regressions:
@@ -140,7 +169,9 @@ def estimate(
     """Estimate heat and displacement from temperatures alone, row by row.
 
     The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above the current ambient), or time_s,
-    a_degC, b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing.
+    a_degC, b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing. For a
+    joint-aware model: time_s and NAME_K, ambient_K, or NAME_degC, ambient_degC, of its sensors;
+    empty cells are missing readings.
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
@@ -149,8 +180,8 @@ def estimate(
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
     from artefacts.response import read_response
-    from estimator import estimate_table, measured
-    from estimator.interface import follow
+    from estimator import measured
+    from estimator.joint_aware.recognition import is_observer
     from estimator.saved_state import save_state
     from estimator.starting import model_in, started
     from thermojoint.cli import console, plausibility
@@ -164,38 +195,60 @@ def estimate(
         [model, temperatures],
     )
     length = arguments.positive("--run-length-min", run_length)
-    table, where = model_in(model), arguments.shown(temperatures)
-    live = str(out) == "-"
+    where = arguments.shown(temperatures)
     with arguments.opened(temperatures) as source:
-        samples: Iterator[Sample]
-        if source is None:
-            response = read_response(temperatures)
-            console.warn(plausibility.of_response(response, where))
-            samples = measured.response_samples(response, table)
+        if is_observer(model):
+            response = read_response(temperatures) if source is None else None
+            observer, state, readings = joint_aware.opened(model, source, response, where, resume)
+            keep = partial(joint_aware.save, observer, save) if save else None
+            _write_estimates(observer, state, readings, out, keep)
         else:
-            samples = measured.read_samples(
-                source,
-                list(table.linear.direct),
-                where,
-                lambda first: console.warn(plausibility.of_sample(first, where)),
-            )
-        nominal, samples = measured.nominal_interval(samples, interval, where)
-        estimator, state = started(model, nominal, 60.0 * length, resume)
-        with arguments.output(out) as target:
-            writer = csv.writer(target, lineterminator="\n")
-            writer.writerow(estimate_table.header(estimator))
-            try:
-                for reached, result in follow(estimator, samples, state):
-                    state = reached
-                    writer.writerow(estimate_table.row(estimator, result))
-                    target.flush()
-            finally:
-                # What stands on standard output is out, however a logger's pipe comes to its end.
-                if save and live:
-                    save_state(estimator, state, save)
+            table = model_in(model)
+            samples: Iterator[Sample]
+            if source is None:
+                response = read_response(temperatures)
+                console.warn(plausibility.of_response(response, where))
+                samples = measured.response_samples(response, table)
+            else:
+                samples = measured.read_samples(
+                    source,
+                    list(table.linear.direct),
+                    where,
+                    lambda first: console.warn(plausibility.of_sample(first, where)),
+                )
+            nominal, samples = measured.nominal_interval(samples, interval, where)
+            estimator, state = started(model, nominal, 60.0 * length, resume)
+            keep = partial(save_state, estimator, path=save) if save else None
+            _write_estimates(estimator, state, samples, out, keep)
+    console.wrote(None if str(out) == "-" else out, save)
+
+
+def _write_estimates(
+    estimator: Estimator,
+    state: Array,
+    samples: Iterable[Sequence[float]],
+    out: Path,
+    save: Callable[[Array], None] | None,
+) -> None:
+    """Write one row for each sample, and save the state at the end."""
+    from estimator import estimate_table
+    from estimator.interface import follow
+
+    live = str(out) == "-"
+    with arguments.output(out) as target:
+        writer = csv.writer(target, lineterminator="\n")
+        writer.writerow(estimate_table.header(estimator))
+        try:
+            for reached, result in follow(estimator, samples, state):
+                state = reached
+                writer.writerow(estimate_table.row(estimator, result))
+                target.flush()
+        finally:
+            # What stands on standard output is out, however a logger's pipe comes to its end.
+            if save and live:
+                save(state)
     if save and not live:
-        save_state(estimator, state, save)
-    console.wrote(None if live else out, save)
+        save(state)
 
 
 def assemble(
@@ -252,6 +305,7 @@ def validate(
     from artefacts.files import write_text
     from artefacts.response import read_response
     from estimator import judge, noise
+    from estimator.joint_aware.recognition import is_observer
     from models.baselines import read_baselines
     from models.model_file import read_model
     from thermojoint.cli import console, plausibility
@@ -259,14 +313,17 @@ def validate(
 
     inputs = [model, baselines, reference, *responses]
     arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
-    table = read_model(model)
-    beside = read_baselines(baselines) if baselines else None
-    base = read_response(reference) if reference else None
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")
     for name, response in given.items():
         console.warn(plausibility.of_response(response, name))
+    if is_observer(model):
+        joint_aware.validate(model, given, noise_pp, seed, out)
+        return
+    table = read_model(model)
+    beside = read_baselines(baselines) if baselines else None
+    base = read_response(reference) if reference else None
     if noise_pp is not None:
         # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
         given = {

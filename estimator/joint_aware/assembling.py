@@ -1,0 +1,158 @@
+"""A fitted machine as an observer: modes with the joint at its preload, filter, start, band."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.filter_design import (
+    LinearSystem,
+    Noise,
+    compressed,
+    design_filter,
+    linear_system,
+)
+from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
+from estimator.joint_aware.parameters import factors_of, with_factors
+from estimator.joint_aware.physics import Physics, make_physics
+from estimator.joint_aware.physics_fit import Fit
+from estimator.joint_aware.reduced_machine import Modes, ReducedMachine, diagonal_modes
+
+#: Columns of the covariance that a run may carry beside the steady one.
+COLUMNS = 12
+#: Heating and cooling times of the past that a warm start reckons with, s.
+PASTS = np.geomspace(60.0, 6e4, 8)
+#: ... and change of the ambient, K.
+AMBIENT_CHANGE = 3.0
+
+
+def make_observer(
+    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
+) -> ObserverModel:
+    """Return the observer of a fitted machine.
+
+    Its band lacks what the calibration leaves open: `open_band`.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        As its case says.
+    fit : Fit
+        Its parameters and remainder.
+    calibrated : Calibrated
+        Where the calibration has been.
+    noise : Noise, optional
+        What the filter reckons with.
+
+    Raises
+    ------
+    ConvergenceError
+        The sensors do not determine the heat.
+    """
+    noise = noise or Noise()
+    fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
+    held = fitted.at_preload
+    modes = diagonal_modes(fitted, held)
+    system = linear_system(modes, fit.remainder, machine.power, machine.step)
+    found, after = design_filter(system, modes, machine.power, machine.step, noise)
+    # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
+    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * _answer(modes.rates, 3600.0, 0.0))
+    relaxations = system.decay.size - modes.rates.size
+    scale = np.concatenate(
+        [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
+    )
+    steady = replace(found, scale=scale)
+    physics = make_physics(modes, fitted.joints, held)
+    moved = np.hstack(
+        [
+            _sticking_tangent(physics),
+            fit.remainder.displacement,
+            np.zeros((len(machine.axes), machine.power.size + 1)),
+        ]
+    )
+    nothing = np.zeros((len(machine.axes), fit.remainder.rates.size))
+    spread = np.sqrt(np.diag(fit.covariance))
+    return ObserverModel(
+        modes=modes,
+        held=held,
+        joints=fitted.joints,
+        remainder=fit.remainder,
+        filter=steady,
+        band=Band(
+            tangent=moved,
+            steady=np.maximum(np.einsum("an,nm,am->a", moved, after, moved), 0.0),
+            constant=fit.residual_displacement**2,
+            history=np.zeros(len(machine.axes)),
+            square=nothing,
+            fourth=nothing,
+        ),
+        warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady.scale),
+        power=machine.power,
+        step=machine.step,
+        sensors=machine.sensor_names,
+        axes=machine.axes,
+        sources=machine.source_names,
+        calibrated=calibrated,
+        factors={
+            one.name: (float(np.exp(value)), float(deviation))
+            for one, value, deviation in zip(fit.parameters, fit.logarithms, spread, strict=True)
+        },
+    )
+
+
+def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, scale: Array) -> Array:
+    """Return L of a machine of which nothing is known, shape (n, COLUMNS).
+
+    Any past is a sum of heatings that lasted for some time and ended some time ago: the columns
+    span those of `PASTS`, of every source at `power` (W) and of a change of the ambient.
+    """
+    rates = fit.remainder.rates
+    count, sources = modes.rates.size, power.size
+    columns = []
+    for given in range(sources + 1):
+        strength = power[given] if given < sources else AMBIENT_CHANGE
+        for lasted in PASTS:
+            for ago in (0.0, *PASTS):
+                column = np.zeros(system.size)
+                column[:count] = (
+                    strength * modes.drive[:, given] * _answer(modes.rates, lasted, ago)
+                )
+                if given < sources:
+                    at = slice(count + given * rates.size, count + (given + 1) * rates.size)
+                    level = strength / power[given] * fit.remainder.rates
+                    column[at] = level * _answer(rates, lasted, ago)
+                if ago == 0.0:
+                    column[system.decay.size + given] = strength
+                columns.append(column)
+    every = np.column_stack(columns) / np.sqrt(PASTS.size)
+    return compressed(every, scale, COLUMNS)
+
+
+def _answer(rates: Array, lasted: float, ago: float) -> Array:
+    """(1 - exp(-rate lasted)) exp(-rate ago) / rate, s."""
+    slow = rates * lasted < 1e-9
+    safe = np.where(slow, 1.0, rates)
+    grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)
+    return np.asarray(grown * np.exp(-rates * ago))
+
+
+def _sticking_tangent(physics: Physics) -> Array:
+    """Displacement per amplitude with every joint sticking at its preload, m, (axes, r)."""
+    elastic = physics.modes.elastic
+    if not physics.contacts:
+        return elastic.probe_thermal
+    stiffness = []
+    for part in range(3):
+        for law, count in physics.laws:
+            normal = float(law.normal.slope(np.zeros(1))[0])
+            sliding = 0.0 if law.friction.coefficient == 0.0 else -law.friction.stiffness
+            stiffness.append(np.full(count, normal if part == 0 else sliding))
+    slope = np.concatenate(stiffness) + elastic.reference
+    force = elastic.compliance * elastic.area
+    gaps = np.linalg.solve(np.eye(slope.size) - force * slope, elastic.thermal_gap)
+    tangent: Array = elastic.probe_thermal + elastic.probe_compliance @ (
+        (elastic.area * slope)[:, None] * gaps
+    )
+    return tangent

@@ -1,0 +1,184 @@
+"""From a case and calibration responses to the observer of the machine, and a report of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.response import probes_of
+from estimator.joint_aware.assembling import make_observer
+from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.observer_model import Calibrated, ObserverModel
+from estimator.joint_aware.open_band import open_band
+from estimator.joint_aware.physics_fit import Fit, fit_physics
+from estimator.joint_aware.readings import displacement_in, run_in, temperatures_in
+from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
+from fesim.case.schema import Case
+from fesim.setup.machine import set_up
+
+#: A singular value above this is decided by the data: the prior has less than a tenth of the say.
+DECIDED = 3.0
+#: An axis along which less than this part of the largest displacement is seen does not move.
+STILL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class JointAwareCalibration:
+    """A model and how it came about.
+
+    Attributes
+    ----------
+    model : ObserverModel
+    fit : Fit
+    """
+
+    model: ObserverModel
+    fit: Fit
+
+
+def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:
+    """Return the probes that the case names and that every response has, in the case's order.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    shared = set.intersection(*(set(probes_of(one)) for one in responses.values()))
+    found = tuple(name for name in case.probes if name in shared)
+    if not found:
+        raise InputError(
+            "joint-aware: the case names no probe that every response has; add [probes.NAME] where "
+            "the sensors are"
+        )
+    return found
+
+
+@threadpool_limits.wrap(limits=1)
+def calibrate_joint_aware(
+    case: Case,
+    responses: Mapping[str, xr.Dataset],
+    sensors: Sequence[str] | None = None,
+    noise: Noise | None = None,
+    fitted: Sequence[str] | None = None,
+) -> JointAwareCalibration:
+    """Return the observer of a machine from its case and its calibration responses.
+
+    Parameters
+    ----------
+    case : Case
+        The machine as far as it is known; its heat input is not used.
+    responses : mapping of str to xarray.Dataset
+        Name (for error messages) to a run from rest with known heat input.
+    sensors : sequence of str, optional
+        Probes that will be read; default those that the case names.
+    noise : Noise, optional
+        What the filter reckons with.
+    fitted : sequence of str, optional
+        Parameters to fit; default all that the machine has.
+
+    Raises
+    ------
+    InputError
+        Case and responses do not fit each other.
+    ConvergenceError
+        The machine cannot be marched, or its sensors do not determine the heat.
+    """
+    if not responses:
+        raise InputError("joint-aware: no response to calibrate with; give one or more")
+    names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
+    machine = reduce_machine(case, set_up(case), names)
+    return calibrate_machine(machine, responses, noise, fitted)
+
+
+def calibrate_machine(
+    machine: ReducedMachine,
+    responses: Mapping[str, xr.Dataset],
+    noise: Noise | None = None,
+    fitted: Sequence[str] | None = None,
+) -> JointAwareCalibration:
+    """Return the observer of a machine that is reduced already; as `calibrate_joint_aware`."""
+    machine = along(machine, _moving(machine, responses))
+    runs = [run_in(response, machine, name) for name, response in responses.items()]
+    fit = fit_physics(machine, runs, fitted)
+    model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
+    model = replace(model, band=open_band(machine, runs, fit, model, noise))
+    return JointAwareCalibration(model, fit)
+
+
+def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
+    """Axes along which something moves."""
+    peaks = np.max(
+        [np.abs(displacement_in(one, machine.axes)).max(axis=0) for one in responses.values()],
+        axis=0,
+    )
+    if not peaks.any():
+        raise InputError(
+            "joint-aware: the displacement is zero along every axis; record points that move"
+        )
+    moved = zip(machine.axes, peaks, strict=True)
+    return [axis for axis, peak in moved if peak > STILL * peaks.max()]
+
+
+def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Return where calibration responses have been."""
+    every = np.vstack(
+        [temperatures_in(response, machine.sensor_names) for response in responses.values()]
+    )
+    return Calibrated(
+        duration_s=max(float(one["time"].to_numpy()[-1]) for one in responses.values()),
+        heat=max(float(np.abs(one["heat_input"].to_numpy()).max()) for one in responses.values()),
+        temperatures={
+            name: (min(0.0, float(column.min())), float(column.max()))
+            for name, column in zip(machine.sensor_names, every.T, strict=True)
+        },
+    )
+
+
+def report(fit: Fit) -> dict[str, object]:
+    """Return what the data say of the parameters, ready for a JSON file.
+
+    Returns
+    -------
+    dict
+        parameters: factor on the case's value, standard deviation of its logarithm before and
+        after; directions: singular value and the parameters that it is of (|weight| > 0.3), which
+        of them the data decide (`DECIDED`); residuals.
+    """
+    after = np.sqrt(np.diag(fit.covariance))
+    return {
+        "parameters": [
+            {
+                "parameter": one.name,
+                "factor": float(np.exp(value)),
+                "prior_std": one.spread,
+                "std": float(deviation),
+            }
+            for one, value, deviation in zip(fit.parameters, fit.logarithms, after, strict=True)
+        ],
+        "directions": [
+            {
+                "singular_value": float(value),
+                "decided_by": "data" if value > DECIDED else "prior",
+                "of": _named(fit, direction),
+            }
+            for value, direction in zip(fit.singular, fit.directions, strict=True)
+        ],
+        "residual_temperature_K": fit.residual_temperature.tolist(),
+        "residual_displacement_um": (1e6 * fit.residual_displacement).tolist(),
+        "evaluations": fit.evaluations,
+    }
+
+
+def _named(fit: Fit, direction: Array) -> dict[str, float]:
+    return {
+        one.name: round(float(weight), 3)
+        for one, weight in zip(fit.parameters, direction, strict=True)
+        if abs(weight) > 0.3
+    }

@@ -1,0 +1,254 @@
+"""The steady filter of the linear part, and what departs from it as a few columns.
+
+State: amplitudes of the modes, relaxations of the remainder, heat of the sources and ambient. With
+the joint at its preload one step is x' = F x + w, where F is diagonal but for the columns of the
+inputs, which are random walks; readings are y = H x + v. The steady covariance P before a reading
+solves the discrete Riccati equation. Any other covariance is P + L L^T with few columns L: a start
+of which little is known, readings that are missing, samples that come late (`forget`, `correct`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_discrete_are, solve_triangular
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from estimator.joint_aware.reduced_machine import Modes
+from estimator.joint_aware.remainder import Remainder
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations that the filter reckons with; of one step where they are walks.
+
+    Attributes
+    ----------
+    sensor, ambient_sensor : float
+        Of one reading, K.
+    heat_walk : float
+        Of the heat of each source relative to its reference, per step.
+    ambient_walk : float
+        K per step.
+    joint_flow : float
+        Of the heat across each contact element, W: what the frozen conductance leaves out.
+    lasting : float
+        Of what the model's readings err by for minutes, K, as if it were new in every sample. Only
+        departures from the steady covariance reckon with it: a start of which nothing is known is
+        learnt from many samples, whose errors are not independent.
+    """
+
+    sensor: float = 0.03
+    ambient_sensor: float = 0.05
+    heat_walk: float = 0.05
+    ambient_walk: float = 0.01
+    joint_flow: float = 0.5
+    lasting: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of what is read.
+
+    Attributes
+    ----------
+    decay : ndarray, shape (d,)
+        Of the amplitudes and the relaxations over one step.
+    drive : ndarray, shape (d, s + 1)
+        Per W of each source and K of the ambient.
+    rows : ndarray, shape (p + 1, d + s + 1)
+        Sensors, then the ambient's own.
+    """
+
+    decay: Array
+    drive: Array
+    rows: Array
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return self.rows.shape[1]
+
+    def advance(self, columns: Array) -> Array:
+        """F times columns, shape (n, k)."""
+        dynamic = self.decay.size
+        found = columns.copy()
+        found[:dynamic] = self.decay[:, None] * columns[:dynamic] + self.drive @ columns[dynamic:]
+        return found
+
+    @property
+    def matrix(self) -> Array:
+        """F, shape (n, n)."""
+        return self.advance(np.eye(self.size))
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyFilter:
+    """All that a run needs of the steady covariance P.
+
+    Attributes
+    ----------
+    cross : ndarray, shape (n, p + 1)
+        P H^T.
+    innovation : ndarray, shape (p + 1, p + 1)
+        H P H^T, without the readings' own noise.
+    noise : ndarray, shape (p + 1,)
+        Variance of a reading, K2.
+    lasting : ndarray, shape (p + 1,)
+        Variance of what lasts in it, K2 (`Noise`).
+    scale : ndarray, shape (n,)
+        Size of every state in which columns of a covariance are compared.
+    walk : ndarray, shape (s + 1,)
+        Standard deviation of a step of the inputs: W and K.
+    """
+
+    cross: Array
+    innovation: Array
+    noise: Array
+    lasting: Array
+    scale: Array
+    walk: Array
+
+
+def linear_system(modes: Modes, remainder: Remainder, power: Array, step: float) -> LinearSystem:
+    """Return the linear part of a machine whose modes hold the joint at its preload."""
+    inputs = modes.drive.shape[1]
+    rates, sources = remainder.rates, power.size
+    decay = 1.0 / (1.0 + step * np.concatenate([modes.rates, np.tile(rates, sources)]))
+    drive = np.zeros((decay.size, inputs))
+    count = modes.rates.size
+    drive[:count] = step * decay[:count, None] * modes.drive
+    for source in range(sources):
+        at = slice(count + source * rates.size, count + (source + 1) * rates.size)
+        drive[at, source] = (1.0 - decay[at]) / power[source]
+    sensors = np.hstack(
+        [modes.sensors, remainder.temperature, np.zeros((len(modes.sensors), inputs))]
+    )
+    ambient = np.zeros((1, sensors.shape[1]))
+    ambient[0, -1] = 1.0
+    return LinearSystem(decay, drive, np.vstack([sensors, ambient]))
+
+
+def design_filter(
+    system: LinearSystem, modes: Modes, power: Array, step: float, noise: Noise
+) -> tuple[SteadyFilter, Array]:
+    """Solve the Riccati equation of the linear part.
+
+    Returns
+    -------
+    tuple of (SteadyFilter, ndarray of shape (n, n))
+        The filter, and the covariance after a reading.
+
+    Raises
+    ------
+    ConvergenceError
+        It has no solution: what the sensors read does not determine the inputs.
+    """
+    size, dynamic = system.size, system.decay.size
+    walk = np.append(noise.heat_walk * power, noise.ambient_walk)
+    source = np.zeros((size, walk.size + len(modes.jump)))
+    source[dynamic:, : walk.size] = np.diag(walk)
+    source[:dynamic, : walk.size] = system.drive * walk
+    count = modes.rates.size
+    source[:count, walk.size :] = (
+        noise.joint_flow * step * system.decay[:count, None] * modes.jump.T
+    )
+    readings = np.append(np.full(len(system.rows) - 1, noise.sensor**2), noise.ambient_sensor**2)
+    # Units of one step's walk for the inputs: amplitudes, W and K are of one size then.
+    unit = np.concatenate([np.ones(dynamic), walk])
+    matrix, rows = system.matrix * unit / unit[:, None], system.rows * unit
+    source = source / unit[:, None]
+    try:
+        before = solve_discrete_are(matrix.T, rows.T, source @ source.T, np.diag(readings))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ConvergenceError(
+            "filter: the Riccati equation has no solution; place a sensor near every source"
+        ) from error
+    before = unit[:, None] * (0.5 * (before + before.T)) * unit
+    cross = before @ system.rows.T
+    innovation = system.rows @ cross
+    factor = cho_factor(innovation + np.diag(readings))
+    lasting = np.append(np.full(len(readings) - 1, noise.lasting**2), 0.0)
+    after = before - cross @ cho_solve(factor, cross.T)
+    found = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
+    return found, 0.5 * (after + after.T)
+
+
+def correct(
+    filter_: SteadyFilter,
+    rows: Array,
+    present: NDArray[np.int64],
+    excess: Array,
+    weight: float,
+) -> tuple[Array, Array]:
+    """Return the gain of some readings, and what the covariance then has more than the steady one.
+
+    With S_s = H P H^T + R of the readings that came, K_s = P H^T S_s^-1, X = (1 - K_s H) L and
+    Y = H L, the covariance after them is P_s+ + X (1 + Y^T S_s^-1 Y)^-1 X^T, and P_s+ is more than
+    the steady one by what the readings that did not come would have told. That is exact; where L is
+    corrected, what lasts in the readings is added to S_s, which makes it slower.
+
+    Parameters
+    ----------
+    filter_ : SteadyFilter
+        The steady filter.
+    rows : ndarray, shape (p + 1, n)
+        H.
+    present : ndarray of int, shape (q,)
+        The readings that came.
+    excess : ndarray, shape (n, k)
+        L before them.
+    weight : float
+        Factor on the variance of the readings: above 1 where they come more often than in steps.
+
+    Returns
+    -------
+    gain : ndarray, shape (n, q)
+    excess : ndarray, shape (n, k + p + 1 - q)
+        L after them.
+    """
+    absent = np.setdiff1d(np.arange(len(rows)), present)
+    covariance = filter_.innovation + np.diag(weight * filter_.noise)
+    seen = filter_.cross[:, present]
+    if present.size:
+        factor = cho_factor(covariance[np.ix_(present, present)])
+        gain = cho_solve(factor, seen.T).T
+    else:
+        gain = np.zeros((len(seen), 0))
+    lost = np.empty((len(seen), 0))
+    if absent.size:
+        across = covariance[np.ix_(present, absent)]
+        rest = covariance[np.ix_(absent, absent)] - (
+            across.T @ cho_solve(factor, across) if present.size else 0.0
+        )
+        unseen = filter_.cross[:, absent] - gain @ across
+        lost = solve_triangular(cholesky(rest, lower=True), unseen.T, lower=True).T
+    if not excess.any():
+        return gain, np.hstack([excess, lost])
+    if not present.size:
+        return gain, np.hstack([excess, lost])
+    seen_excess = rows[present] @ excess
+    shifted = excess - gain @ seen_excess
+    doubted = covariance + np.diag(filter_.lasting)
+    told = np.linalg.solve(doubted[np.ix_(present, present)], seen_excess)
+    root = cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told, lower=True)
+    left = solve_triangular(root, shifted.T, lower=True).T
+    more = left @ solve_triangular(root, told.T, lower=True)
+    return gain + more, np.hstack([left, lost])
+
+
+def compressed(excess: Array, scale: Array, count: int) -> Array:
+    """Return the `count` columns that come nearest to L L^T, in units of `scale`; shape (n, count).
+
+    Columns that say nothing any more are zero.
+    """
+    if excess.shape[1] > count:
+        unit = np.where(scale > 0.0, scale, 1.0)[:, None]
+        relative = excess / unit
+        values, turn = np.linalg.eigh(relative.T @ relative)
+        largest = np.argsort(values)[::-1][:count]
+        return excess @ turn[:, largest]
+    return excess

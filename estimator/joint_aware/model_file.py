@@ -1,0 +1,180 @@
+"""The observer of one machine as one HDF5 file: written whole, read back to the last bit.
+
+Arrays are datasets, everything else is JSON in the attribute ``header``; the fingerprint is a
+digest of both, so that a damaged file is never taken for a model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pydantic
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from estimator.joint_aware.filter_design import SteadyFilter
+from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
+from estimator.joint_aware.recognition import SCHEMA
+from estimator.joint_aware.reduced_machine import Joint, Modes
+from estimator.joint_aware.remainder import Remainder
+from fesim.case.schema import JointSection
+from fesim.solid.condensation import ElasticCondensation
+
+SCHEMA_VERSION = 1
+
+#: Parts of the model that are arrays alone: attribute to class, with the arrays of each.
+_MODES = ("rates", "drive", "jump", "sensors")
+_ELASTIC = (
+    "compliance",
+    "thermal_gap",
+    "probe_compliance",
+    "probe_thermal",
+    "reference",
+    "area",
+)
+_REMAINDER = ("rates", "temperature", "displacement")
+_FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
+_BAND = ("tangent", "steady", "constant", "history", "square", "fourth")
+
+
+def write_observer(model: ObserverModel, path: Path) -> None:
+    """Write a model to `path` (HDF5), whole or not at all."""
+    header, arrays = _header(model), _arrays(model)
+    with whole_file(Path(path)) as part, h5py.File(part, "w") as file:
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array)
+        file.attrs["header"] = header
+        file.attrs["fingerprint"] = _digest(header, arrays)
+
+
+def read_observer(path: Path) -> ObserverModel:
+    """Read a model that `write_observer` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no joint-aware model, of another version, or was changed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; calibrate a model with --kind joint-aware")
+    try:
+        with h5py.File(path, "r") as file:
+            text, stated = str(file.attrs["header"]), str(file.attrs["fingerprint"])
+            arrays = {name: np.asarray(file[name][()]) for name in _names(file)}
+        header = json.loads(text)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{path}: not a readable joint-aware model, perhaps truncated; calibrate it again"
+        ) from error
+    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
+        raise InputError(f"{path}: no joint-aware model; calibrate one with --kind joint-aware")
+    if header.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: model of version {header.get('schema_version')}, expected {SCHEMA_VERSION}; "
+            "calibrate it again"
+        )
+    if _digest(text, arrays) != stated:
+        raise InputError(f"{path}: the model's values are damaged; calibrate it again")
+    try:
+        return _model(header, arrays)
+    except (KeyError, ValueError, TypeError, pydantic.ValidationError) as error:
+        raise InputError(f"{path}: not a whole joint-aware model; calibrate it again") from error
+
+
+def fingerprint(model: ObserverModel) -> str:
+    """Return the digest of a model: a state belongs to the model with the same one."""
+    return _digest(_header(model), _arrays(model))
+
+
+def _names(file: h5py.File) -> list[str]:
+    found: list[str] = []
+    file.visititems(
+        lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+    )
+    return found
+
+
+def _digest(header: str, arrays: Mapping[str, Array]) -> str:
+    found = hashlib.sha256(header.encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.shape} {array.dtype.str}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
+def _arrays(model: ObserverModel) -> dict[str, Array]:
+    parts: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
+        ("modes", model.modes, _MODES),
+        ("elastic", model.modes.elastic, _ELASTIC),
+        ("remainder", model.remainder, _REMAINDER),
+        ("filter", model.filter, _FILTER),
+        ("band", model.band, _BAND),
+    )
+    found = {f"{part}/{name}": getattr(of, name) for part, of, names in parts for name in names}
+    found |= {"held": model.held, "warm": model.warm, "power": model.power}
+    for k, joint in enumerate(model.joints):
+        found[f"joints/{k}"] = joint.conductivity
+    return {name: np.asarray(array, dtype=np.float64) for name, array in found.items()}
+
+
+def _header(model: ObserverModel) -> str:
+    known = model.calibrated
+    return json.dumps(
+        {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "step_s": model.step,
+            "sensors": model.sensors,
+            "axes": model.axes,
+            "sources": model.sources,
+            "joints": [joint.section.model_dump(mode="json") for joint in model.joints],
+            "calibrated": {
+                "duration_s": known.duration_s,
+                "heat": known.heat,
+                "temperatures": known.temperatures,
+            },
+            "factors": model.factors,
+        },
+        allow_nan=False,
+    )
+
+
+def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel:
+    def part(name: str, names: tuple[str, ...]) -> dict[str, Array]:
+        return {one: arrays[f"{name}/{one}"] for one in names}
+
+    known = header["calibrated"]
+    return ObserverModel(
+        modes=Modes(
+            **part("modes", _MODES), elastic=ElasticCondensation(**part("elastic", _ELASTIC))
+        ),
+        held=arrays["held"],
+        joints=tuple(
+            Joint(JointSection.model_validate(section), arrays[f"joints/{k}"])
+            for k, section in enumerate(header["joints"])
+        ),
+        remainder=Remainder(**part("remainder", _REMAINDER)),
+        filter=SteadyFilter(**part("filter", _FILTER)),
+        band=Band(**part("band", _BAND)),
+        warm=arrays["warm"],
+        power=arrays["power"],
+        step=float(header["step_s"]),
+        sensors=tuple(header["sensors"]),
+        axes=tuple(header["axes"]),
+        sources=tuple(header["sources"]),
+        calibrated=Calibrated(
+            known["duration_s"],
+            known["heat"],
+            {name: (low, high) for name, (low, high) in known["temperatures"].items()},
+        ),
+        factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
+    )

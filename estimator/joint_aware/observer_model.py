@@ -1,0 +1,105 @@
+"""All that a joint-aware estimator runs on: no mesh, no calibration data, nothing to be fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from artefacts.arrays import Array
+from estimator.joint_aware.filter_design import SteadyFilter
+from estimator.joint_aware.reduced_machine import Joint, Modes
+from estimator.joint_aware.remainder import Remainder
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What is not known of the displacement, as variances; axes in rows.
+
+    Attributes
+    ----------
+    tangent : ndarray, shape (axes, n)
+        Displacement per state, the joint sticking at its preload, m.
+    steady : ndarray, shape (axes,)
+        Of the state after a reading, m2.
+    constant : ndarray, shape (axes,)
+        What the calibration left, m2.
+    history : ndarray, shape (axes,)
+        Of slips of which nothing is known, after a warm start, m2.
+    square, fourth : ndarray, shape (axes, q)
+        Per square and per fourth power of the heat relaxed at each rate: what the calibration does
+        not determine, m2.
+    """
+
+    tangent: Array
+    steady: Array
+    constant: Array
+    history: Array
+    square: Array
+    fourth: Array
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Where the calibration has been.
+
+    Attributes
+    ----------
+    duration_s : float
+        Of its longest run, s.
+    heat : float
+        Largest heat relative to the reference; the least is 0.
+    temperatures : dict of str to (float, float)
+        Sensor to its least and largest value, K.
+    """
+
+    duration_s: float
+    heat: float
+    temperatures: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverModel:
+    """The observer of one machine.
+
+    Attributes
+    ----------
+    modes : Modes
+        With the joint held at its preload.
+    held : ndarray, shape (m,)
+        The conductance times area that this is, W/K.
+    joints : tuple of Joint
+        As calibrated.
+    remainder : Remainder
+        Beside the physics.
+    filter : SteadyFilter
+        Of the linear part.
+    band : Band
+        Of the displacement.
+    warm : ndarray, shape (n, k)
+        Columns of the covariance of a start of which nothing is known.
+    power : ndarray, shape (s,)
+        Heat of each source at heat input 1 by the case, W.
+    step : float
+        Longest step, s; the filter's.
+    sensors, axes, sources : tuple of str
+        Names.
+    calibrated : Calibrated
+        Where the calibration has been.
+    factors : dict of str to (float, float)
+        Calibrated parameter to the factor on the case's value and the standard deviation of its
+        logarithm.
+    """
+
+    modes: Modes
+    held: Array
+    joints: tuple[Joint, ...]
+    remainder: Remainder
+    filter: SteadyFilter
+    band: Band
+    warm: Array
+    power: Array
+    step: float
+    sensors: tuple[str, ...]
+    axes: tuple[str, ...]
+    sources: tuple[str, ...]
+    calibrated: Calibrated
+    factors: dict[str, tuple[float, float]] = field(default_factory=dict)

@@ -1,0 +1,125 @@
+"""What is uncertain about a machine, and the machine with other values of it, free of the mesh.
+
+Every parameter is a factor on what the case says; its logarithm has a normal prior. All of them
+reuse one condensation:
+
+- conduction, capacity, film: K, M and H are scaled on the same modes, which are turned again. The
+  modes are those of the nominal machine; docs/joint-aware.md shows what that costs.
+- heat: the columns of the sources.
+- expansion: thermal gap and probe rows.
+- modulus: compliance falls, the reference springs rise (they follow the modulus); the thermal gap
+  stays.
+- the joint's: the law alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.reduced_machine import Joint, ReducedMachine
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A factor on the case's value.
+
+    Attributes
+    ----------
+    name : str
+        What is scaled.
+    spread : float
+        Standard deviation of the logarithm of the factor before any calibration.
+    """
+
+    name: str
+    spread: float
+
+
+#: In this order everywhere.
+PARAMETERS = (
+    Parameter("friction", 0.4),
+    Parameter("preload", 0.2),
+    Parameter("roughness", 0.3),
+    Parameter("normal compliance", 0.3),
+    Parameter("tangential ratio", 0.4),
+    Parameter("heat", 0.1),
+    Parameter("film", 0.4),
+    Parameter("conduction", 0.08),
+    Parameter("capacity", 0.05),
+    Parameter("expansion", 0.04),
+    Parameter("modulus", 0.06),
+)
+
+
+def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
+    """Return the parameters that a machine has.
+
+    The normal compliance is a measured coefficient's (`BackBurdekinLaw`); with the surface law it
+    follows from roughness and preload.
+    """
+    absent = set()
+    sections = [joint.section for joint in machine.joints]
+    if not any(section.normal_law == "back-burdekin" for section in sections):
+        absent.add("normal compliance")
+    if not sections:
+        absent |= {"friction", "preload", "roughness", "tangential ratio"}
+    if not any(section.friction_coefficient > 0.0 for section in sections):
+        absent |= {"friction", "tangential ratio"}
+    if not machine.convection.any():
+        absent.add("film")
+    return tuple(one for one in PARAMETERS if one.name not in absent)
+
+
+def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedMachine:
+    """Return the machine with parameters multiplied by `factors` (name to factor, positive)."""
+    by = {one.name: 1.0 for one in PARAMETERS} | factors
+    elastic = machine.elastic
+    return replace(
+        machine,
+        capacity=by["capacity"] * machine.capacity,
+        conduction=by["conduction"] * machine.conduction,
+        convection=by["film"] * machine.convection,
+        ambient=by["film"] * machine.ambient,
+        sources=by["heat"] * machine.sources,
+        elastic=replace(
+            elastic,
+            compliance=elastic.compliance / by["modulus"],
+            thermal_gap=by["expansion"] * elastic.thermal_gap,
+            probe_compliance=elastic.probe_compliance / by["modulus"],
+            probe_thermal=by["expansion"] * elastic.probe_thermal,
+            reference=by["modulus"] * elastic.reference,
+        ),
+        joints=tuple(_joint(joint, by) for joint in machine.joints),
+    )
+
+
+def factors_of(parameters: tuple[Parameter, ...], logarithms: Array) -> dict[str, float]:
+    """Return the factors (by name) of the logarithms, shape (parameters,)."""
+    return {
+        one.name: float(value) for one, value in zip(parameters, np.exp(logarithms), strict=True)
+    }
+
+
+def _joint(joint: Joint, by: dict[str, float]) -> Joint:
+    section = joint.section
+    power_law = section.back_burdekin
+    return Joint(
+        section.model_copy(
+            update={
+                "friction_coefficient": by["friction"] * section.friction_coefficient,
+                "preload_MPa": by["preload"] * section.preload_MPa,
+                "roughness_um": by["roughness"] * section.roughness_um,
+                "tangential_stiffness_ratio": by["tangential ratio"]
+                * section.tangential_stiffness_ratio,
+                "back_burdekin": None
+                if power_law is None
+                else power_law.model_copy(
+                    update={"coefficient_um": by["normal compliance"] * power_law.coefficient_um}
+                ),
+            }
+        ),
+        by["conduction"] * joint.conductivity,
+    )

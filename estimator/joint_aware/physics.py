@@ -1,0 +1,213 @@
+"""One step of the machine's physics on its modes: heat with the joint of the last step, then gaps.
+
+The same equations as `fesim.march.stepping.staggered`, in two halves: between them the observer
+corrects the temperatures. The conductance that the joint has at its preload belongs to the modes'
+rates, so that the linear part of the machine is diagonal; only what goes beyond it is solved for
+here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.reduced_machine import Joint, Modes
+from fesim.joint.law import JointLaw
+from fesim.march.stepping import CondensedMachine, settle_along
+
+
+class JointState(NamedTuple):
+    """The joint after a step; attributes as in `fesim.march.stepping.State`.
+
+    Attributes
+    ----------
+    gap : ndarray, shape (3, m)
+        m.
+    slip : ndarray, shape (2, m)
+        m.
+    pressure : ndarray, shape (m,)
+        Pa.
+    change : ndarray, shape (3, m)
+        m.
+    """
+
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """A machine on the modes that diagonalise it with its joint at the preload.
+
+    Attributes
+    ----------
+    modes : Modes
+        With the joint held at its preload.
+    laws : sequence of (JointLaw, int)
+        The law of each joint and its number of contact elements.
+    held : ndarray, shape (m,)
+        Conductance times area that belongs to the modes, W/K.
+    machine : CondensedMachine
+        Its gap equations: they do not see the heat.
+    """
+
+    modes: Modes
+    laws: Sequence[tuple[JointLaw, int]]
+    held: Array
+    machine: CondensedMachine
+
+    @property
+    def preload(self) -> Array:
+        """Of every contact element, Pa."""
+        return self.machine.preload
+
+    @property
+    def contacts(self) -> int:
+        """Number of contact elements."""
+        return self.held.size
+
+    def at_rest(self) -> JointState:
+        """Every joint at its preload."""
+        count = self.contacts
+        return JointState(
+            np.zeros((3, count)),
+            np.zeros((2, count)),
+            self.preload.copy(),
+            np.zeros((3, count)),
+        )
+
+    def beyond_preload(self, pressure: Array) -> Array:
+        """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
+        area, start, parts = self.modes.elastic.area, 0, []
+        for law, count in self.laws:
+            at = slice(start, start + count)
+            parts.append(law.conductance(pressure[at]) * area[at])
+            start += count
+        return np.concatenate([*parts]) - self.held if parts else np.empty(0)
+
+
+def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
+    """Return the physics of a machine whose modes were made with `held`."""
+    laws = [(joint.law, joint.conductivity.size) for joint in joints]
+    machine = CondensedMachine(None, modes.elastic, laws)  # type: ignore[arg-type]
+    return Physics(modes, laws, held, machine)
+
+
+class HeatStep(NamedTuple):
+    """Implicit Euler of one length; shapes as in `Modes`.
+
+    Attributes
+    ----------
+    decay : ndarray, shape (r,)
+        Of the amplitudes.
+    drive : ndarray, shape (r, s + 1)
+        Amplitudes per W of each source and K of the ambient.
+    influence : ndarray, shape (r, m)
+        Amplitudes per W across each contact element.
+    joint_influence : ndarray, shape (m, m)
+        Temperature jumps per W across each contact element, K/W.
+    """
+
+    decay: Array
+    drive: Array
+    influence: Array
+    joint_influence: Array
+
+
+@lru_cache(maxsize=64)
+def heat_step(modes: Modes, length: float) -> HeatStep:
+    """Return the step of some length (s); kept, as samples usually come evenly."""
+    decay = 1.0 / (1.0 + length * modes.rates)
+    influence = np.ascontiguousarray(length * decay[:, None] * modes.jump.T)
+    return HeatStep(decay, length * decay[:, None] * modes.drive, influence, modes.jump @ influence)
+
+
+def conduct(
+    physics: Physics, amplitudes: Array, inputs: Array, pressure: Array, length: float
+) -> Array:
+    """Return the amplitudes (r,) after `length` (s) at the joint's conductance of before.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    amplitudes : ndarray, shape (r,)
+        Before.
+    inputs : ndarray, shape (s + 1,)
+        Heat of each source, W, and the ambient, K.
+    pressure : ndarray, shape (m,)
+        Of the last step, Pa.
+    length : float
+        s.
+    """
+    step = heat_step(physics.modes, length)
+    alone = step.decay * amplitudes + step.drive @ inputs
+    if not physics.contacts:
+        return alone
+    joint = physics.beyond_preload(pressure)
+    system = joint[:, None] * step.joint_influence
+    system.flat[:: len(joint) + 1] += 1.0
+    flow = np.linalg.solve(system, joint * (physics.modes.jump @ alone))
+    after: Array = alone - step.influence @ flow
+    return after
+
+
+def settle_joint(
+    physics: Physics, joint: JointState, amplitudes: Array
+) -> tuple[JointState, Array]:
+    """Return the joint in equilibrium with the temperatures, and the displacement (axes,), m.
+
+    Raises
+    ------
+    ConvergenceError
+        The gap equations have no solution that Newton's method finds.
+    """
+    elastic = physics.modes.elastic
+    free = elastic.probe_thermal @ amplitudes
+    if not physics.contacts:
+        return joint, free
+    thermal_gap = elastic.thermal_gap @ amplitudes
+    found, _ = settle_along(physics.machine, joint, thermal_gap)
+    value = found.traction.value
+    remainder = value.ravel() + elastic.reference * found.gap.ravel()
+    after = JointState(
+        found.gap,
+        found.traction.slip,
+        physics.preload + value[0],
+        found.gap - joint.gap,
+    )
+    return after, free + elastic.probe_compliance @ (elastic.area * remainder)
+
+
+def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
+    """March from rest under known inputs.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    inputs : ndarray, shape (n, s + 1)
+        Heat of each source, W, and the ambient, K, at the end of each step.
+    length : float
+        Of a step, s.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n, p) and (n, axes)
+        Sensors, K, and displacement, m.
+    """
+    amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
+    history = np.empty((len(inputs), amplitudes.size))
+    displacement = np.empty((len(inputs), len(physics.modes.elastic.probe_thermal)))
+    for k, given in enumerate(inputs):
+        amplitudes = conduct(physics, amplitudes, given, joint.pressure, length)
+        joint, displacement[k] = settle_joint(physics, joint, amplitudes)
+        history[k] = amplitudes
+    return history @ physics.modes.sensors.T, displacement

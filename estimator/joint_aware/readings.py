@@ -1,0 +1,107 @@
+"""What a joint-aware estimator reads in a response, and the runs that calibrate it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import xarray as xr
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError, unknown_name
+from artefacts.response import axes_of, probes_of
+from estimator.joint_aware.physics_fit import MOST_SAMPLES, Run
+from estimator.joint_aware.reduced_machine import ReducedMachine
+
+
+def temperatures_in(response: xr.Dataset, sensors: Sequence[str]) -> Array:
+    """Return the temperatures of some probes, K above the initial ambient, shape (n, p).
+
+    Raises
+    ------
+    InputError
+        A probe is missing.
+    """
+    known = probes_of(response)
+    for name in sensors:
+        if name not in known:
+            raise unknown_name("probe", name, known, "response")
+    columns = [known.index(name) for name in sensors]
+    return np.asarray(response["temperature"].to_numpy()[:, columns], dtype=float)
+
+
+def displacement_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
+    """Return the displacement along some axes, m, shape (n, axes).
+
+    Raises
+    ------
+    InputError
+        An axis is missing.
+    """
+    known = axes_of(response)
+    for axis in axes:
+        if axis not in known:
+            raise unknown_name("axis", axis, known, "response")
+    columns = [known.index(axis) for axis in axes]
+    return np.asarray(response["displacement"].to_numpy()[:, columns], dtype=float)
+
+
+def ambient_in(response: xr.Dataset) -> Array:
+    """Return the ambient above its initial value, K, shape (n,); zero where none is recorded."""
+    if "ambient" in response:
+        return np.asarray(response["ambient"].to_numpy(), dtype=float)
+    return np.zeros(response.sizes["time"])
+
+
+def samples_in(response: xr.Dataset, sensors: Sequence[str]) -> Iterator[tuple[float, ...]]:
+    """Yield (time, temperature of every sensor, ambient) of every sample of a response.
+
+    Raises
+    ------
+    InputError
+        A probe is missing.
+    """
+    values = np.column_stack([temperatures_in(response, sensors), ambient_in(response)])
+    for time, row in zip(response["time"].to_numpy(), values, strict=True):
+        yield (float(time), *map(float, row))
+
+
+def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
+    """Return a calibration run on the steps of the march.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        From rest at time 0, with known heat input.
+    machine : ReducedMachine
+        Says sensors, axes, powers and the step.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        Time starts before 0, the run is too short, or a probe or an axis is missing.
+    """
+    times = response["time"].to_numpy().astype(float)
+    if times[0] < 0.0:
+        raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
+    count = round(times[-1] / machine.step)
+    if count < 2:
+        raise InputError(
+            f"{where}: shorter than two steps of {machine.step:g} s; record for longer"
+        )
+    grid = machine.step * np.arange(1, count + 1)
+    # A value of the heat holds over the interval that ends at its sample.
+    at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
+    heat = response["heat_input"].to_numpy().astype(float)[at]
+    ambient = np.interp(grid, times, ambient_in(response))
+    kept = np.flatnonzero(times > 0.0)
+    kept = kept[:: max(1, int(np.ceil(kept.size / MOST_SAMPLES)))]
+    return Run(
+        inputs=np.column_stack([heat[:, None] * machine.power, ambient]),
+        times=times[kept],
+        temperature=temperatures_in(response, machine.sensor_names)[kept],
+        displacement=displacement_in(response, machine.axes)[kept],
+        length=machine.step,
+    )

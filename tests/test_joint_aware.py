@@ -1,0 +1,421 @@
+"""The joint-aware estimator: the machine's own physics, corrected by its temperatures."""
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from artefacts.errors import InputError
+from artefacts.response import write_response
+from estimator.interface import Status, follow
+from estimator.joint_aware import open_band as open_band_module
+from estimator.joint_aware.assembling import make_observer
+from estimator.joint_aware.calibration import calibrated_range, report
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.log import read_log
+from estimator.joint_aware.model_file import (
+    fingerprint,
+    read_observer,
+    write_observer,
+)
+from estimator.joint_aware.observer_model import Calibrated
+from estimator.joint_aware.parameters import with_factors
+from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.physics_fit import Run, fit_physics
+from estimator.joint_aware.readings import run_in, samples_in
+from estimator.joint_aware.recognition import is_observer
+from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
+from estimator.joint_aware.saved_state import load_state, save_state
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+from thermojoint.cli.app import app
+
+MICRO = 1e-6
+SENSORS = ("s", "b", "T1", "T2")
+
+
+@pytest.fixture(scope="module")
+def data(coarse_data):
+    """The coarse machine on its reduced model, with a sensor on the source."""
+    found = copy.deepcopy(coarse_data)
+    found["march"] |= {"thermal": "reduced", "duration_min": 10.0}
+    found["probes"]["s"] = {"position_mm": [550.0, 700.0, 100.0], "body": "column"}
+    return found
+
+
+@pytest.fixture(scope="module")
+def setup(data):
+    return set_up(case_from_data(data, "case", Path()))
+
+
+@pytest.fixture(scope="module")
+def machine(data, setup):
+    return reduce_machine(case_from_data(data, "case", Path()), setup, SENSORS)
+
+
+def run(data, setup, heat, minutes=10.0):
+    given = copy.deepcopy(data)
+    given["heat_input"] = heat
+    given["march"]["duration_min"] = minutes
+    return simulate(case_from_data(given, "case", Path()), setup=setup).response
+
+
+def step(level):
+    return {"kind": "step", "level": level}
+
+
+def observer(machine, responses):
+    """No parameter changed; its own responses leave nothing for the remainder."""
+    machine = along(machine, ["x", "y"])
+    fit = fit_physics(machine, [run_in(one, machine, "step") for one in responses.values()], [])
+    return JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
+
+
+@pytest.fixture(scope="module")
+def estimator(data, setup, machine):
+    return observer(machine, {"step 2": run(data, setup, step(2.0))})
+
+
+@pytest.fixture(scope="module")
+def response(data, setup):
+    return run(data, setup, {"kind": "triangle", "peak": 2.0, "duration_min": 6.0})
+
+
+def estimates(estimator, samples, state=None):
+    """The state at the end and the estimates."""
+    found = list(follow(estimator, samples, estimator.initial_state() if state is None else state))
+    return found[-1][0], [estimate for _, estimate in found]
+
+
+def errors(estimator, response, found):
+    actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
+    return np.array([estimate.displacement for estimate in found]) - actual
+
+
+def test_the_machine_without_its_mesh_marches_as_the_simulator(data, setup, machine):
+    response = run(data, setup, step(3.0), 3.0)
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    seen = run_in(response, machine, "step 3")
+    temperature, displacement = simulate_known(physics, seen.inputs, machine.step)
+    steps = np.rint(seen.times / machine.step).astype(int) - 1
+    assert temperature[steps] == pytest.approx(seen.temperature, abs=1e-9)
+    assert displacement[steps] == pytest.approx(seen.displacement, abs=1e-12)
+
+
+def test_other_parameters_on_the_same_modes_are_as_good_as_new_ones(data, machine):
+    """Film, conduction and capacity are not those that the modes were made for."""
+    given = copy.deepcopy(data)
+    given["convection_W_m2K"] = {"exterior": 9.0}
+    for material in given["materials"].values():
+        material["conductivity_W_mK"] *= 1.08
+        material["heat_capacity_J_kgK"] *= 0.95
+        material["youngs_modulus_GPa"] *= 1.06
+        material["expansion_1_K"] *= 1.04
+    given["joints"]["knee"] |= {"friction_coefficient": 0.45, "roughness_um": 1.5}
+    case = case_from_data(given, "case", Path())
+    response = run(given, set_up(case), step(3.0))
+    other = with_factors(
+        machine,
+        {
+            "film": 1.5,
+            "conduction": 1.08,
+            "capacity": 0.95,
+            "modulus": 1.06,
+            "expansion": 1.04,
+            "friction": 0.75,
+            "roughness": 1.2,
+        },
+    )
+    held = other.at_preload
+    seen = run_in(response, machine, "step 3")
+    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    _, displacement = simulate_known(physics, seen.inputs, machine.step)
+    steps = np.rint(seen.times / machine.step).astype(int) - 1
+    assert displacement[steps] == pytest.approx(seen.displacement, abs=0.02 * MICRO)
+
+
+def test_a_plant_that_is_the_model_is_followed_without_error(estimator, response):
+    _, found = estimates(estimator, samples_in(response, SENSORS))
+    assert np.abs(errors(estimator, response, found)).max() < 0.05 * MICRO
+    peak = float(np.abs(response["displacement"].to_numpy()).max())
+    assert peak > 5.0 * MICRO
+    assert all(estimate.status == Status.OK for estimate in found)
+
+
+def test_the_heat_of_the_source_comes_out(estimator, response):
+    _, found = estimates(estimator, samples_in(response, SENSORS))
+    heat = np.array([estimate.details[0] for estimate in found])
+    given = response["source_power"].to_numpy()[:, 0]
+    assert np.abs(heat - given).max() < 0.05 * given.max()
+
+
+def test_a_day_stays_bounded_and_says_that_it_is_longer_than_the_calibration(data, setup, machine):
+    """Readings of eight hours that no machine has: one sensor is hot, the others stay cold."""
+    slow = replace(machine, step=20.0)
+    response = run(data, setup, step(2.0))
+    slow_observer = observer(slow, {"step 2": response})
+    samples = [(20.0 * k, 20.0, 0.0, 0.0, 0.0, 0.0) for k in range(1441)]
+    _, found = estimates(slow_observer, samples)
+    moved = np.array([estimate.displacement for estimate in found])
+    assert np.abs(moved).max() < 1e-3
+    assert np.abs(moved[-1] - moved[-180]).max() < 5.0 * MICRO
+    assert Status.BEYOND_TIME in found[-1].status
+
+
+def test_a_missing_sensor_costs_little_and_is_said(estimator, response):
+    samples = [list(row) for row in samples_in(response, SENSORS)]
+    for row in samples[60:120]:
+        row[3] = np.nan
+    _, found = estimates(estimator, samples)
+    assert np.abs(errors(estimator, response, found)).max() < 0.1 * MICRO
+    assert Status.READING_MISSING in found[80].status
+    assert Status.READING_MISSING not in found[150].status
+    assert np.all(found[119].band >= found[59].band)
+
+
+def test_without_any_reading_the_band_grows_and_then_comes_back(estimator, response):
+    samples = [list(row) for row in samples_in(response, SENSORS)]
+    for row in samples[60:120]:
+        row[1:] = [np.nan] * 5
+    _, found = estimates(estimator, samples)
+    assert np.all(found[119].band > 2.0 * found[59].band)
+    assert np.all(found[200].band < 0.5 * found[119].band)
+    wrong = np.abs(errors(estimator, response, found))
+    assert np.all(wrong[119] < found[119].band)
+
+
+def test_late_samples_are_marched_in_between(estimator, response):
+    """Every fifth sample alone: the joint's pressures keep up, the heat is known less often."""
+    samples = list(samples_in(response, SENSORS))[::5]
+    _, found = estimates(estimator, samples)
+    assert np.abs(errors(estimator, response.isel(time=slice(None, None, 5)), found)).max() < (
+        0.3 * MICRO
+    )
+
+
+def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
+    response = run(data, setup, step(1.0), 20.0)
+    samples = list(samples_in(response, SENSORS))[150:]
+    _, found = estimates(estimator, samples, estimator.warm_state())
+    wrong = np.abs(errors(estimator, response.isel(time=slice(150, None)), found))
+    band = np.array([estimate.band for estimate in found])
+    assert np.all(wrong <= band)
+    assert np.all(band[-1] < band[0] / 3.0)
+    assert wrong[-1].max() < 1.0 * MICRO
+    assert Status.UNSETTLED in found[0].status
+
+
+def test_the_excess_covariance_is_exact(estimator):
+    """Against the recursion of the whole matrix: a reading is missing, another start."""
+    system = estimator.system
+    steady = replace(estimator.model.filter, lasting=np.zeros(5))
+    rows, rng = system.rows, np.random.default_rng(0)
+    noise = np.diag(steady.noise)
+    # P from its own columns is not kept: take any P that has these.
+    basis = np.linalg.svd(rows, full_matrices=False)[2]
+    whole = steady.cross @ np.linalg.solve(steady.innovation, steady.cross.T)
+    assert rows @ whole == pytest.approx(steady.cross.T, rel=1e-6, abs=1e-9)
+    excess = rng.normal(size=(system.size, 2)) * steady.scale[:, None]
+    present = np.array([0, 2, 4])
+    seen = rows[present]
+    prior = whole + excess @ excess.T
+    innovation = seen @ prior @ seen.T + noise[np.ix_(present, present)]
+    wanted_gain = np.linalg.solve(innovation, seen @ prior).T
+    after = prior - wanted_gain @ seen @ prior
+    usual = whole - whole @ rows.T @ np.linalg.solve(rows @ whole @ rows.T + noise, rows @ whole)
+    gain, more = correct(steady, rows, present, excess, 1.0)
+    assert basis @ gain == pytest.approx(basis @ wanted_gain, rel=1e-6, abs=1e-9)
+    scale = np.abs(after - usual).max()
+    assert more @ more.T == pytest.approx(after - usual, abs=1e-6 * scale)
+
+
+def test_a_state_goes_on_bit_for_bit(estimator, response):
+    samples = list(samples_in(response, SENSORS))
+    samples[40] = (*samples[40][:2], np.nan, *samples[40][3:])
+    whole, _ = estimates(estimator, samples)
+    middle, _ = estimates(estimator, samples[:50])
+    kept = middle.copy()
+    resumed, _ = estimates(estimator, samples[50:], middle)
+    assert np.array_equal(resumed, whole)
+    assert np.array_equal(middle, kept)
+
+
+def test_a_model_file_gives_the_same_estimates(estimator, response, tmp_path):
+    path = tmp_path / "model.h5"
+    write_observer(estimator.model, path)
+    read = JointAware(read_observer(path))
+    assert fingerprint(read.model) == fingerprint(estimator.model)
+    samples = list(samples_in(response, SENSORS))[:30]
+    assert np.array_equal(estimates(read, samples)[0], estimates(estimator, samples)[0])
+
+
+def test_foreign_and_damaged_files_are_refused_in_one_line(estimator, tmp_path):
+    path = tmp_path / "model.h5"
+    write_observer(estimator.model, path)
+    assert is_observer(path)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    damaged = whole[:middle] + bytes(2000) + whole[middle + 2000 :]
+    for content in (b"", b"{}", whole[:middle], damaged):
+        path.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read_observer(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no such file"):
+        read_observer(tmp_path / "none.h5")
+
+
+def test_bad_samples_are_refused_and_leave_the_state(estimator):
+    state, _ = estimator.sample(estimator.initial_state(), 0.0, [0.0] * 5)
+    with pytest.raises(InputError, match="does not come after"):
+        estimator.sample(state, 0.0, [0.0] * 5)
+    with pytest.raises(InputError, match="expected 5"):
+        estimator.sample(state, 2.0, [0.0] * 4)
+    with pytest.raises(InputError, match="no temperature"):
+        estimator.sample(state, 2.0, [1e9, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_a_response_without_a_sensor_is_refused(estimator, response):
+    with pytest.raises(InputError, match="no probe named 'T2'"):
+        list(samples_in(response.drop_sel(probe="T2"), SENSORS))
+
+
+def test_a_heat_beyond_the_calibration_is_said(data, setup, estimator):
+    _, found = estimates(estimator, samples_in(run(data, setup, step(3.0), 5.0), SENSORS))
+    assert Status.BEYOND_HEAT in found[-1].status
+
+
+@pytest.fixture(scope="module")
+def plant(data, setup, machine):
+    """Calibration runs of a machine with another friction and heat than the case says."""
+    other = with_factors(machine, TRUE)
+    held = other.at_preload
+    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    runs = []
+    for level in (1.0, 3.0):
+        seen = run_in(run(data, setup, step(level)), machine, "step")
+        inputs = seen.inputs[:150]
+        times = machine.step * np.arange(10, 151, 10)
+        temperature, displacement = simulate_known(physics, inputs, machine.step)
+        runs.append(Run(inputs, times, temperature[9::10], displacement[9::10, :2], 2.0))
+    return runs
+
+
+TRUE = {"friction": 0.75, "heat": 1.05}
+
+
+@pytest.fixture(scope="module")
+def fit(machine, plant):
+    return fit_physics(along(machine, ["x", "y"]), plant, list(TRUE))
+
+
+def test_the_fit_leaves_less_than_the_case_does_and_knows_what_it_knows(machine, plant, fit):
+    before = fit_physics(along(machine, ["x", "y"]), plant, [])
+    assert fit.residual_displacement.max() < 0.7 * before.residual_displacement.max()
+    for one, value, spread in zip(
+        fit.parameters, fit.logarithms, np.sqrt(np.diag(fit.covariance)), strict=True
+    ):
+        assert abs(value - np.log(TRUE[one.name])) < 3.0 * spread
+        assert spread < one.spread
+    told = report(fit)
+    assert {one["parameter"] for one in told["parameters"]} == set(TRUE)
+    assert {one["decided_by"] for one in told["directions"]} <= {"data", "prior"}
+
+
+def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(
+    machine, plant, fit, monkeypatch
+):
+    monkeypatch.setattr(open_band_module, "DRAWS", 2)
+    monkeypatch.setattr(open_band_module, "DURATION", 2400.0)
+    small = along(machine, ["x", "y"])
+    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+    model = make_observer(small, fit, known)
+    band = open_band_module.open_band(small, plant, fit, model)
+    assert np.all(band.square >= 0.0)
+    assert np.all(band.fourth >= 0.0)
+    assert np.all(band.square.sum(axis=1) + band.fourth.sum(axis=1) > 0.0)
+
+
+def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, response, tmp_path):
+    path = tmp_path / "state.json"
+    samples = list(samples_in(response, SENSORS))[:40]
+    state, _ = estimates(estimator, samples)
+    save_state(estimator, state, path)
+    assert np.array_equal(load_state(estimator, path), state)
+    save_state(estimator, estimator.warm_state(), path)
+    again = load_state(estimator, path)
+    assert np.array_equal(again, estimator.warm_state(), equal_nan=True)
+    other = JointAware(replace(estimator.model, step=1.0))
+    with pytest.raises(InputError, match="another model"):
+        load_state(other, path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match="not a joint-aware"):
+        load_state(estimator, path)
+
+
+def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
+    above = ["time_s,b_K,s_K", "0,0,0", "2,,1.5"]
+    read = ["time_s,s_degC,b_degC,ambient_degC", "0,20,20,20", "2,21.5,nan,20"]
+    first = list(read_log(above, ("s", "b"), "log"))
+    second = list(read_log(read, ("s", "b"), "log"))
+    assert first[0] == second[0] == (0.0, 0.0, 0.0, 0.0)
+    assert first[1][:2] == second[1][:2] == (2.0, 1.5)
+    assert np.isnan(first[1][2])
+    assert np.isnan(second[1][2])
+
+
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        (["time_s,s_K", "0,1"], "the model needs time_s, s_K, b_K"),
+        (["time_s,s_degC,b_degC", "0,1,1"], "ambient_degC"),
+        (["time_s,s_K,b_K", "0,1"], "2 values, expected 3"),
+        (["time_s,s_K,b_K", "0,1,warm"], "no number"),
+        (["time_s,s_K,b_K", ",1,2"], "the time is missing"),
+        ([], "columns none"),
+    ],
+)
+def test_a_bad_log_is_refused_in_one_line(lines, what):
+    with pytest.raises(InputError, match=what) as caught:
+        list(read_log(lines, ("s", "b"), "log"))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_estimates_and_validates_with_a_model_file(estimator, response, tmp_path):
+    model, run_file = tmp_path / "model.h5", tmp_path / "run.nc"
+    write_observer(estimator.model, model)
+    write_response(response.isel(time=slice(0, 60)), run_file)
+    out, state = tmp_path / "estimate.csv", tmp_path / "state.json"
+    command("estimate", model, run_file, "--out", out, "--save-state", state)
+    rows = out.read_text().splitlines()
+    assert rows[0].startswith("time_s,heat_bearings_W")
+    assert len(rows) == 61
+    assert load_state(estimator, state)[0] == pytest.approx(118.0)
+    judged = tmp_path / "validation.json"
+    command("validate", model, run_file, "--out", judged)
+    found = json.loads(judged.read_text())["rows"]
+    assert {row["estimator"] for row in found} == {"joint-aware"}
+    assert max(row["max_abs_error_um"] for row in found) < 0.05
+
+
+def test_calibrating_without_a_machine_is_refused(tmp_path, response):
+    run_file = tmp_path / "run.nc"
+    write_response(response, run_file)
+    given = ("--reference", run_file, "--input", f"2={run_file}", "--out", tmp_path / "m.h5")
+    result = CliRunner().invoke(
+        app, [str(one) for one in ("calibrate", "--kind", "joint-aware", *given)]
+    )
+    assert "--case" in str(result.exception)
+    assert isinstance(result.exception, InputError)
+
+
+def command(*words):
+    result = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert result.exit_code == 0
