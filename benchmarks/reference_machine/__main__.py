@@ -3,7 +3,7 @@
     python -m benchmarks.reference_machine                     # about half an hour on two cores
 
 Each study is a batch (docs/batch.md) with a folder of its own; stopped in any way, the same command
-goes on from there. Writes scored.json and scored.md beside them.
+goes on from there. Beside each folder stand STUDY.json and STUDY.md, the scored machines.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("build/reference-machine"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args(arguments)
-    tables = {}
     for name in options.study or STUDIES:
         path, folder = HERE / f"{name}.toml", options.out / name
         run_study(path, folder, options.workers, None)
-        tables[name] = list(scored(read_study(path), folder))
-    write_text(options.out / "scored.json", json.dumps(as_json(tables), indent=1) + "\n")
-    page = "\n".join(f"## {name}\n\n{as_markdown(found)}" for name, found in tables.items())
-    write_text(options.out / "scored.md", page)
-    print(page)
+        machines = list(scored(read_study(path), folder))
+        table = as_markdown(machines)
+        write_text(options.out / f"{name}.json", json.dumps(as_json(machines), indent=1) + "\n")
+        write_text(options.out / f"{name}.md", table)
+        print(f"{name}\n\n{table}")
 
 
 if __name__ == "__main__":

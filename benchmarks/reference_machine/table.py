@@ -11,7 +11,7 @@ import numpy as np
 
 from artefacts.response import read_response
 from benchmarks.reference_machine.observables import observables_of
-from benchmarks.reference_machine.score import OUT, STATEMENTS, misses, score
+from benchmarks.reference_machine.score import OUT, STATEMENTS, TOLD, WORST, misses, score
 from fesim.batch.folder import response_path
 from fesim.batch.study import Study, StudyCase
 
@@ -71,8 +71,8 @@ def scored(study: Study, folder: Path) -> Iterator[Machine]:
         )
 
 
-def as_json(tables: dict[str, Sequence[Machine]]) -> dict[str, Any]:
-    """Return what is written: the statements, and every study's machines."""
+def as_json(machines: Sequence[Machine]) -> dict[str, Any]:
+    """Return what is written: the statements that are scored, and the machines."""
     statements = [
         {
             "name": one.name,
@@ -83,8 +83,7 @@ def as_json(tables: dict[str, Sequence[Machine]]) -> dict[str, Any]:
         }
         for one in STATEMENTS
     ]
-    machines = {study: [asdict(one) for one in found] for study, found in tables.items()}
-    return {"statements": statements, "machines": machines}
+    return {"statements": statements, "machines": [asdict(one) for one in machines]}
 
 
 def as_markdown(machines: Sequence[Machine]) -> str:
@@ -96,8 +95,19 @@ def as_markdown(machines: Sequence[Machine]) -> str:
         return "No machine of this study is finished.\n"
     varied = [path for path in machines[0].values if len({m.values[path] for m in machines}) > 1]
     heads = [_short(path) for path in varied]
-    heads += ["score", "δ x / y, µm", "δ_NL x / y, µm", *(one.heading for one in STATEMENTS)]
-    printed = [*[""] * len(varied), "printed", "", "", *(f"{one.printed:g}" for one in STATEMENTS)]
+    heads += [
+        "score",
+        "δ x / y, µm",
+        "δ_NL x / y, µm",
+        *(one.heading for one in (*STATEMENTS, *TOLD)),
+    ]
+    printed = [
+        *[""] * len(varied),
+        "printed",
+        "",
+        "",
+        *(f"{one.printed:g}" for one in (*STATEMENTS, *TOLD)),
+    ]
     rows = [heads, ["---"] * len(heads), printed]
     rows += [_row(one, varied) for one in sorted(machines, key=lambda one: one.score)]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
@@ -114,10 +124,10 @@ def _row(machine: Machine, varied: Sequence[str]) -> list[str]:
         f"{seen[f'{kind}_x_um']:.1f} / {seen[f'{kind}_y_um']:.1f}"
         for kind in ("total", "nonlinear")
     ]
-    for one in STATEMENTS:
+    for one in (*STATEMENTS, *TOLD):
         value = seen[one.name]
         text = "–" if value is None else f"{value:.3g}"
-        cells.append(f"**{text}**" if machine.misses[one.name] <= OUT else text)
+        cells.append(f"**{text}**" if machine.misses.get(one.name, WORST) <= OUT else text)
     return cells
 
 
