@@ -31,7 +31,7 @@ def quadratic_machine(level, heat=None):
             "displacement": np.stack((0.0 * total, total, 0.0 * total), axis=1),
             "pressure": 1e6 * (4.0 + np.outer(settled, [2.0, -1.0]) * level),
         },
-        {"time": TIMES, "probe": LADDER, "axis": ["x", "y", "z"]},
+        {"time": TIMES, "probe": LADDER, "axis": ["x", "y", "z"], "contact": [1, 2]},
     )
 
 

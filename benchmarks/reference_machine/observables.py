@@ -16,6 +16,7 @@ from artefacts.response import probes_of
 from estimator.judge import superposed
 from models.deformation import basis
 from thermojoint import paper_values
+from thermojoint.summary import pressure_share
 
 Vector = NDArray[np.float64]
 
@@ -23,10 +24,8 @@ Vector = NDArray[np.float64]
 AXES = ("x", "y")
 #: The probe at the contact element that carries the paper's T2.
 TOP = "e9"
-#: The pressure is read one minute after the step; steadiness by the last five minutes.
-EARLY, LATE = 60.0, 300.0
-#: A contact pressure whose final change is below this part of the largest one has no share of it.
-STILL = 0.1
+#: Steadiness is read off the end of the run, s.
+LATE = 300.0
 
 
 def observables_of(responses: Mapping[str, xr.Dataset]) -> dict[str, float]:
@@ -94,19 +93,15 @@ def strength(vector: Vector, unit: Vector) -> float:
 def pressure_shares(response: xr.Dataset) -> Vector:
     """Return which share of its final rise each contact pressure has made after one minute.
 
-    Only of the elements whose pressure rises (the paper's "under compressive stresses"), and by
-    more than `STILL` of the largest change.
+    Only of the elements whose pressure rises (the paper's "under compressive stresses").
 
     Returns
     -------
     ndarray, shape (elements,)
         Negative where the pressure falls first. Empty if no pressure rises.
     """
-    change = (response["pressure"] - response["pressure"].isel(time=0)).to_numpy()
-    early = change[int(np.searchsorted(response["time"].to_numpy(), EARLY))]
-    last = change[-1]
-    rising = (last > 0.0) & (last > STILL * np.abs(last).max())
-    return early[rising] / last[rising]
+    rows = pressure_share(response).rows
+    return np.array([row.share for row in rows if row.share is not None and row.final_MPa > 0.0])
 
 
 def late_change(times: Vector, displacement: Vector) -> float:
