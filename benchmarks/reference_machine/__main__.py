@@ -1,6 +1,6 @@
 """Run the studies of the reference machine and score every machine in them.
 
-    python -m benchmarks.reference_machine                     # about half an hour on two cores
+    python -m benchmarks.reference_machine    # 505 marches, 31 condensations
 
 Each study is a batch (docs/batch.md) with a folder of its own; stopped in any way, the same command
 goes on from there. Beside each folder stand STUDY.json and STUDY.md, the scored machines.
