@@ -56,6 +56,17 @@ def test_the_reference_case_is_valid():
     assert case.probes or case.candidates
 
 
+def test_the_machine_in_the_papers_regime_keeps_all_that_is_printed():
+    text = files("thermojoint").joinpath("cases/paper_regime.toml").read_text("utf-8")
+    case = parse_case(text, "paper_regime.toml", Path())
+    reference = parse_case(REFERENCE, "reference.toml", Path())
+    for same in ("materials", "sources", "convection_W_m2K", "supports", "displacement", "march"):
+        assert getattr(case, same) == getattr(reference, same)
+    knee, of_reference = case.joints["knee"], reference.joints["knee"]
+    assert knee.model_copy(update={"friction_coefficient": 0.6}) == of_reference
+    assert len(case.candidates) == 2
+
+
 @pytest.mark.parametrize(("step", "count"), [(2.0, 1050), (9.0, 234), (1400.0, 2), (2100.0, 1)])
 def test_a_march_ends_with_the_first_step_at_or_after_its_duration(step, count):
     case = case_from_data(changed(("march", "step_s"), step), "case", Path())
