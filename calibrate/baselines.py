@@ -47,6 +47,8 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     InputError
         A probe is missing or the samples are uneven.
     """
+    from sklearn.linear_model import LinearRegression
+
     axes = tuple(axes_of(responses[0]))
     times = steps.times(responses[0])
     interval, length = steps.even_interval(times, "baselines"), float(times[-1])
@@ -59,8 +61,6 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     plain = np.concatenate(inputs)
     filtered = np.column_stack((plain, np.concatenate(passed)))
     target = np.concatenate(outputs)
-    from sklearn.linear_model import LinearRegression
-
     least = LinearRegression(fit_intercept=False).fit(plain, target).coef_
     shrunk = _ridge(filtered, target, DEVIATION_UNCERTAINTY)
     seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
@@ -113,6 +113,8 @@ def fit_autoregression(
     slowest : float
         Slowest rate, 1/s.
     """
+    from sklearn.linear_model import LinearRegression
+
     target = _MICRO * np.concatenate(outputs)
     lagged = [
         np.column_stack([_delayed(_MICRO * one, lag)[:, None] for lag in range(1, PAST + 1)])
@@ -120,8 +122,6 @@ def fit_autoregression(
     ]
     stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
     table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
-    from sklearn.linear_model import LinearRegression
-
     predicted = LinearRegression(fit_intercept=False).fit(table, target).coef_
     past = bounded_past(predicted[:PAST], float(np.exp(-slowest * interval)))
     denominator = np.concatenate(([1.0], -past))
@@ -157,9 +157,9 @@ def _delayed(values: Array, lag: int) -> Array:
 
 def _ridge(features: Array, target: Array, uncertainty: float) -> Array:
     """Return weights, shape (..., features), for features that err by `uncertainty` rms."""
-    penalty = len(features) * uncertainty**2
     from sklearn.linear_model import Ridge
 
+    penalty = len(features) * uncertainty**2
     found = Ridge(alpha=penalty, fit_intercept=False, solver="svd").fit(features, target)
     return np.asarray(found.coef_)
 

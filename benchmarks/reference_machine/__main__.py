@@ -16,7 +16,7 @@ from pathlib import Path
 from artefacts.files import write_text
 from benchmarks.reference_machine.table import as_json, as_markdown, scored
 from fesim.batch.study import read_study
-from thermojoint.batch_run import run_study
+from thermojoint.cli.batch_run import run_study
 
 HERE = Path(__file__).parent
 STUDIES = tuple(sorted(path.stem for path in HERE.glob("*.toml")))

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from artefacts.response import probes_of
 from estimator.judge import superposed
 from models.deformation import basis
-from thermojoint import paper_values
-from thermojoint.summary import pressure_share
+from thermojoint.paper import paper_values
+from thermojoint.paper.summary import pressure_share
 
 Vector = NDArray[np.float64]
 
