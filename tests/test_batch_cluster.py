@@ -15,7 +15,7 @@ from fesim.batch.run import run_batch
 distributed = pytest.importorskip("distributed")
 
 from fesim.batch.cluster import OWN_VERSION, DaskCrew, dask_crew  # noqa: E402 - it needs Dask
-from thermojoint.cli.main import batch_run  # noqa: E402 - it needs Dask
+from thermojoint.cli import batch_run  # noqa: E402 - it needs Dask
 
 
 @pytest.fixture(scope="module")
