@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import os
+import signal
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -31,6 +32,11 @@ threadpool_limits(limits=int(os.environ.setdefault("OMP_NUM_THREADS", "1")))
 # How long an example takes says something of the machine and its load, nothing of a law.
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
+
+# Where a shell started the tests in its background Ctrl-C is ignored, and so it would be in the
+# processes that tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No test finds what another run has left, nor leaves anything.
 os.environ["THERMOJOINT_CACHE"] = "off"

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from bars import AREA, DEPTH, WIDTH, two_bars
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
@@ -100,6 +100,7 @@ def test_a_window_holds_its_points_and_is_filled_in_one_direction(points):
     st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=30),
     st.floats(1e-6, 1e3),
 )
+@example([0.0, 502.0, -250594.0], 1.0)
 def test_bands_rise_and_cover_the_field(values, factor):
     values = factor * np.array(values)
     scale = colour_scale("any", [values])

@@ -400,3 +400,10 @@ def test_contradictions_are_refused(edit, place, value, message):
     with pytest.raises(InputError) as caught:
         edit((place, value))
     assert message in str(caught.value)
+
+
+def test_a_set_up_of_another_step_is_refused(coarse_case, coarse_setup):
+    """Its times would be those of the other step."""
+    longer = coarse_case.march.model_copy(update={"step_s": 10.0})
+    with pytest.raises(InputError, match="10 s, but the structure was set up for"):
+        simulate(coarse_case.model_copy(update={"march": longer}), setup=coarse_setup)

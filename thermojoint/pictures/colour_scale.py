@@ -102,14 +102,18 @@ def _even(low: float, high: float) -> tuple[float, ...]:
 def _uneven(low: float, high: float) -> tuple[float, ...]:
     """1, 2, 5 times powers of ten on each side that is used; the ends to two digits.
 
-    Around zero is one band: from it, where there is only one side, or across it.
+    Around zero is one band: from it, where there is only one side, or across it, however little
+    lies
+    on the other one.
     """
     largest = max(abs(low), abs(high))
     powers = np.arange(np.floor(np.log10(largest) - _DECADES), np.ceil(np.log10(largest)) + 1.0)
     steps = np.outer(10.0**powers, [1.0, 2.0, 5.0]).ravel()
     steps = steps[steps >= largest * 10.0**-_DECADES]
     below, above = (_up_to(end, steps, largest) for end in (-low, high))
-    around = [] if below and above else [0.0]
+    slight = next((end for end in (low, high) if 0.0 < abs(end) <= steps[0]), 0.0)
+    edge = _outwards(slight) if abs(slight) > largest * 10.0**-_DECADES else 0.0
+    around = [] if below and above else [edge]
     levels = [*(-value for value in reversed(below)), *around, *above]
     used = [k for k in range(len(levels) - 1) if levels[k + 1] > low and levels[k] < high]
     return tuple(levels[used[0] : used[-1] + 2])
