@@ -103,8 +103,7 @@ def _uneven(low: float, high: float) -> tuple[float, ...]:
     """1, 2, 5 times powers of ten on each side that is used; the ends to two digits.
 
     Around zero is one band: from it, where there is only one side, or across it, however little
-    lies
-    on the other one.
+    lies on the other one.
     """
     largest = max(abs(low), abs(high))
     powers = np.arange(np.floor(np.log10(largest) - _DECADES), np.ceil(np.log10(largest)) + 1.0)
