@@ -125,6 +125,7 @@ def draw_march(rng: np.random.Generator, data: Data, flange: bool) -> float:
             "friction_coefficient": friction,
             "preload_MPa": spread(rng, 0.1, 20.0),
             "normal_law": str(rng.choice(["surface", "back-burdekin"])),
+            "back_burdekin": {"coefficient_um": 0.6, "exponent": 0.5},
             "roughness_um": spread(rng, 0.2, 5.0),
             "tangential_stiffness_ratio": float(rng.uniform(0.2, 1.0)),
         }
