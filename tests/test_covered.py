@@ -13,7 +13,7 @@ from skfem import CellBasis, ElementTetP1, FacetBasis, MeshHex
 from test_pairing import SEAT, long_sleeve, two_rings
 
 from fesim.case.schema import read_case
-from fesim.march.stepping import heat_step
+from fesim.march.heat_step import heat_step
 from fesim.simulate import simulate
 from fesim.solid.heat import film_form, film_matrix
 from fesim.solid.spaces import make_spaces

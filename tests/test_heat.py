@@ -8,7 +8,7 @@ from bars import AREA, DEPTH, IRON, LEFT, RIGHT, STEEL, WIDTH, conduct, level, s
 from scipy.linalg import expm
 from skfem import FacetBasis, MeshHex, MeshTet
 
-from fesim.march.stepping import heat_balance, heat_step
+from fesim.march.heat_step import heat_balance, heat_step
 from fesim.solid.heat import HeatSource, flux_form, heat_operators
 from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure

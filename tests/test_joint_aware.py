@@ -356,7 +356,7 @@ def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, respons
     with pytest.raises(InputError, match="another model"):
         load_state(other, path)
     path.write_text("{}")
-    with pytest.raises(InputError, match="not a joint-aware"):
+    with pytest.raises(InputError, match="not a 'thermojoint-joint-aware-state'"):
         load_state(estimator, path)
 
 

@@ -14,7 +14,7 @@ from skfem import MeshHex, MeshHex2
 
 from artefacts.errors import InputError
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import heat_step
+from fesim.march.heat_step import heat_step
 from fesim.solid.spaces import interpolation, local_coordinates, make_spaces
 from meshes.box_grid import put_side_by_side
 from meshes.milling_machine import box_milling_machine

@@ -26,7 +26,7 @@ from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
 from artefacts.arrays import Array
-from fesim.march.stepping import heat_step
+from fesim.march.heat_step import heat_step
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import heat_operators
 from fesim.solid.spaces import Spaces, make_spaces

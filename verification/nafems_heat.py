@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from fesim.joint.operators import JointOperators
-from fesim.march.stepping import heat_step
+from fesim.march.heat_step import heat_step
 from fesim.solid.condensation import ThermalCondensation, condense_heat
 from fesim.solid.heat import HeatOperators, heat_operators
 from fesim.solid.materials import Material

@@ -14,19 +14,24 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import write_text
+from artefacts.json_file import JsonKind, read_json
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint
 
-SCHEMA = "thermojoint-joint-aware-state"
-SCHEMA_VERSION = 1
+FILE = JsonKind(
+    "thermojoint-joint-aware-state",
+    1,
+    "state",
+    "saved by a joint-aware estimator",
+    "start afresh",
+)
 
 
 def save_state(estimator: JointAware, state: Array, path: Path) -> None:
     """Write a `state` of an estimator to `path`, whole or not at all."""
     fresh = math.isnan(float(state[0]))
     content = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
+        **FILE.header,
         "model": fingerprint(estimator.model),
         "fresh": fresh,
         # Before the first sample the first two entries are NaN, which JSON does not know.
@@ -43,22 +48,7 @@ def load_state(estimator: JointAware, path: Path) -> Array:
     InputError
         The file is missing, truncated, no such state, of another version or of another model.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a state saved by the estimator")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: not a readable state, perhaps truncated; start afresh"
-        ) from error
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(f"{path}: not a joint-aware estimator's state; give one that it saved")
-    if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: state of version {content.get('schema_version')}, expected {SCHEMA_VERSION}; "
-            "start afresh"
-        )
+    content = read_json(path, FILE)
     if content.get("model") != fingerprint(estimator.model):
         raise InputError(
             f"{path}: state of another model; start afresh, or use the model it was saved with"

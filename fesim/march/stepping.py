@@ -19,6 +19,7 @@ from artefacts.errors import ConvergenceError, ThermojointError
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
+from fesim.march.heat_step import heat_balance, heat_step
 from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
 
-#: Heat flows below this part of the heat held, in each step, are none.
-AT_REST = 1e-6
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
 MAX_SWEEPS = 100
@@ -333,58 +332,6 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
     if last @ turn >= 0.0:
         return 1.0
     return float(np.clip(-weight * (last @ turn) / (turn @ turn), *WEIGHTS))
-
-
-def heat_step(
-    thermal: ThermalCondensation, temperature: Array, inputs: Array, joint: Array
-) -> tuple[Array, Array]:
-    """Implicit Euler on the condensed heat equation.
-
-    Parameters
-    ----------
-    thermal : ThermalCondensation
-        The condensed step.
-    temperature : ndarray, shape (n,)
-        At the start, K.
-    inputs : ndarray, shape (k,)
-        Sources, W; ambient and held surfaces, K.
-    joint : ndarray, shape (m,)
-        Conductance times area of each contact element, W/K.
-
-    Returns
-    -------
-    temperature : ndarray, shape (n,)
-        At the end, K.
-    heat_flow : ndarray, shape (m,)
-        Across the joint from side a to side b, W.
-    """
-    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
-    system = joint[:, None] * thermal.joint_influence
-    system.flat[:: len(joint) + 1] += 1.0
-    heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
-    after: Array = alone - thermal.influence @ heat_flow
-    return after, np.asarray(heat_flow, dtype=np.float64)
-
-
-def heat_balance(
-    thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
-) -> float:
-    """(in - stored - convected) over one step, relative to the largest of the three.
-
-    What enters at one held surface and leaves at another counts as entering, and what one part of
-    the structure stores at the cost of another counts as stored: neither counts as nothing. Where
-    everything has come to rest all three are rounding: then it is relative to `AT_REST` of the heat
-    that the structure holds, in each step.
-    """
-    sums, step = thermal.balance, thermal.step
-    held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
-    given = float(sums.entering @ inputs)
-    change = (after - before) / step
-    stored = float(sums.stored @ change)
-    convected = float(sums.convected @ after)
-    moved, holding = (float(np.abs(sums.stored) @ np.abs(part)) for part in (change, after / step))
-    largest = max(abs(given), float(np.abs(held).sum()), moved, abs(convected), AT_REST * holding)
-    return (given + float(held.sum()) - stored - convected) / largest if largest > 0.0 else 0.0
 
 
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
