@@ -33,7 +33,7 @@ from rich.table import Table
 from artefacts.files import write_text
 from artefacts.response import read_response
 from benchmarks.fuzz_inputs import WRITERS, Files, unharmed
-from thermojoint.cli import main as thermojoint
+from thermojoint.cli.main import main as thermojoint
 
 HEADER = ["damage", "result", "refused in one line", "failed"]
 #: An input that takes longer than this is a hang, s; the unharmed ones take about one.

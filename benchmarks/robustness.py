@@ -173,7 +173,7 @@ def sweep(first: int, count: int) -> list[tuple[Drawn, Figures | str]]:
     """March; return the figures of each, or why it failed."""
     found: list[tuple[Drawn, Figures | str]] = []
     setup: Setup | None = None
-    console = Console(stderr=True)
+    console = Console(stderr=True, markup=False)
     for one in track(marches(first, count), "marches", total=count, console=console):
         if setup is None or one.number % LAWS == 0:
             setup = set_up(one.case)
