@@ -312,7 +312,7 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         pressure = np.clip(pressure + weight * (after - pressure), *ends)
     raise ConvergenceError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
-        f'after {MAX_SWEEPS} sweeps; take a shorter march.step_s or coupling = "staggered"'
+        f'after {MAX_SWEEPS} sweeps; take coupling = "staggered"'
     )
 
 
