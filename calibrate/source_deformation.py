@@ -7,7 +7,7 @@ with the strengths q_i of Table 2. All inputs are fitted at once, one axis at a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -128,10 +128,16 @@ def fit_source_deformation(
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
         found = fit(single, starts=starts, seed=seed, ridge=RIDGE)
-        guess += [found.values[name] for name in single.names]
+        guess += _in_order([found.values[name] for name in single.names])
     problem = _step_problem(t, deviations, strengths)
     found = fit(problem, coarse=coarse, starts=0, guesses=[guess], ridge=RIDGE)
     return eq18_models(found, sources), found
+
+
+def _in_order(rates: Sequence[float]) -> list[float]:
+    """Return c, d, e, f with c >= d and e <= f: the other orders say the same."""
+    c, d, e, f = rates
+    return [max(c, d), min(c, d), min(e, f), max(e, f)]
 
 
 def source_displacements(
