@@ -142,7 +142,7 @@ def bounded_past(past: Array, radius: float) -> Array:
     """Return weights of the past whose poles lie within `radius`, each moved there radially."""
     poles = np.roots(np.concatenate(([1.0], -np.asarray(past))))
     size = np.abs(poles)
-    inside = poles * np.where(size > radius, radius / np.where(size > 0.0, size, 1.0), 1.0)
+    inside = poles * (radius / np.maximum(size, radius))
     return np.asarray(-np.real(np.poly(inside))[1:])
 
 

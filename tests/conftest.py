@@ -29,9 +29,11 @@ from models.regularisation import choose_regularisation
 # processes that tests start, the call for the rest.
 threadpool_limits(limits=int(os.environ.setdefault("OMP_NUM_THREADS", "1")))
 
-# How long an example takes says something of the machine and its load, nothing of a law.
+# How long an example takes says something of the machine and its load, nothing of a law. In CI the
+# examples are the same in every run: new ones are looked for where somebody can follow them up.
 hypothesis.settings.register_profile("any machine", deadline=None)
-hypothesis.settings.load_profile("any machine")
+hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "any machine")
 
 # Where a shell started the tests in its background Ctrl-C is ignored, and so it would be in the
 # processes that tests start and interrupt.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
@@ -161,6 +161,7 @@ def test_what_stands_still_fades_from_a_leaking_bank_and_what_moves_passes():
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=3), st.floats(0.5, 0.999))
+@example([2.2e-311], 0.5)
 def test_whatever_a_prediction_says_an_autoregression_is_stable(past, radius):
     found = bounded_past(np.array(past), radius)
     poles = np.roots(np.concatenate(([1.0], -found)))
