@@ -9,11 +9,13 @@ xarray is imported where a response is made or read: it takes as long as most of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError, unknown_name
 from artefacts.files import whole_file
 
@@ -200,3 +202,37 @@ def probes_of(response: xr.Dataset) -> list[str]:
 def axes_of(response: xr.Dataset) -> list[str]:
     """Return the names of the displacement axes of a response, in their order."""
     return [str(name) for name in response["axis"].to_numpy()]
+
+
+def columns_of(
+    response: xr.Dataset, variable: str, names: Sequence[str], where: str = "response"
+) -> Array:
+    """Return columns of a variable, such as temperatures of probes or displacements along axes.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `check_response` takes it.
+    variable : str
+        One of two dimensions, time and another that has names.
+    names : sequence of str
+        Of the columns, in the order wanted.
+    where : str
+        For the error message.
+
+    Returns
+    -------
+    ndarray, shape (n, names)
+
+    Raises
+    ------
+    InputError
+        The response lacks a name.
+    """
+    kind = str(response[variable].dims[1])
+    known = [str(name) for name in response[kind].to_numpy()]
+    for name in names:
+        if name not in known:
+            raise unknown_name(kind, name, known, where)
+    columns = [known.index(name) for name in names]
+    return np.asarray(response[variable].to_numpy()[:, columns], dtype=float)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError, unknown_name
-from artefacts.response import check_response
+from artefacts.errors import InputError
+from artefacts.response import check_response, columns_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -82,19 +82,12 @@ def times(response: xr.Dataset) -> np.ndarray:
 
 def temperature(response: xr.Dataset, probe: str, where: str) -> np.ndarray:
     """Return the temperature at `probe`, K above ambient, shape (n,)."""
-    return _column(response, "temperature", "probe", probe, where)
+    return columns_of(response, "temperature", [probe], where)[:, 0]
 
 
 def displacement(response: xr.Dataset, axis: str, where: str) -> np.ndarray:
     """Return the displacement along `axis`, m, shape (n,)."""
-    return _column(response, "displacement", "axis", axis, where)
-
-
-def _column(response: xr.Dataset, variable: str, dim: str, name: str, where: str) -> np.ndarray:
-    known = [str(value) for value in response[dim].to_numpy()]
-    if name not in known:
-        raise unknown_name(dim, name, known, where)
-    return response[variable].to_numpy()[:, known.index(name)].astype(float)
+    return columns_of(response, "displacement", [axis], where)[:, 0]
 
 
 def thinned(count: int) -> slice:

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from artefacts.files import write_text
+from artefacts.response import columns_of
 from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement import with_roles
@@ -27,7 +28,7 @@ from fesim.case.schema import Case, StepInput, read_case
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from models.assembly import assemble
-from models.sensors import displacement_along, readings, rises
+from models.sensors import readings, rises
 from thermojoint.paper import inputs
 
 #: Hours to report.
@@ -52,7 +53,7 @@ def rows(level: float, response: xr.Dataset, estimators: list[Estimator]) -> Ite
     """Yield what every estimator says at `HOURS`, and its largest displacement."""
     times = response["time"].to_numpy()
     for one in estimators:
-        actual = 1e6 * displacement_along(response, one.axes)
+        actual = 1e6 * columns_of(response, "displacement", one.axes)
         found = [e for _, e in follow(one, samples(one, response), one.initial_state())]
         told = 1e6 * np.array([each.displacement for each in found])
         for hours in HOURS:

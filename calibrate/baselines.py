@@ -15,14 +15,14 @@ from scipy.signal import lfilter
 
 from artefacts import steps
 from artefacts.arrays import Array
-from artefacts.response import axes_of
+from artefacts.response import axes_of, columns_of
 from calibrate.chain import Calibrated
 from calibrate.linear import SLOWEST
 from calibrate.placement import DEVIATION_UNCERTAINTY, with_roles
 from models.baselines import Autoregression, Baselines, Regression, low_passes
 from models.filters.bank import respond_to_line
 from models.parameters import Span
-from models.sensors import ROLES, displacement_along, rises
+from models.sensors import ROLES, rises
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,7 +54,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     interval, length = steps.even_interval(times, "baselines"), float(times[-1])
     after = times > 0.0
     inputs = [rises(response)[after] for response in responses]
-    outputs = [_MICRO * displacement_along(response, axes)[after] for response in responses]
+    outputs = [_MICRO * columns_of(response, "displacement", axes)[after] for response in responses]
     constants = tuple(length * share for share in TIME_CONSTANTS)
     low = low_passes(constants)
     passed = [respond_to_line(low, times[after], one, interval)[1] for one in inputs]

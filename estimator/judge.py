@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError, unknown_name
-from artefacts.response import axes_of, probes_of
+from artefacts.response import axes_of, columns_of, probes_of
 from artefacts.steps import step_level
 from estimator.baselines.starting import regressions
 from estimator.fchs.stream import Signals, run
@@ -26,7 +26,7 @@ from models import blocks
 from models.assembly import Assembly, assemble
 from models.baselines import Baselines
 from models.parameters import Model
-from models.sensors import displacement_along, readings, rises, roles_in
+from models.sensors import readings, rises, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -172,7 +172,7 @@ def validate(
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = _assembly(model, seen.times)
     estimate, _ = run(assembly, seen.times, seen.delta_T, seen.temperatures)
-    actual = displacement_along(response, assembly.axes)
+    actual = columns_of(response, "displacement", assembly.axes)
     linear = estimate.linear
     if reference is not None:
         order = [axes_of(response).index(axis) for axis in assembly.axes]
@@ -234,7 +234,7 @@ def block_errors(
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = _assembly(model, seen.times)
     times, heat = seen.times, held_heat(response)
-    actual = displacement_along(response, assembly.axes)
+    actual = columns_of(response, "displacement", assembly.axes)
     order = [axes_of(response).index(axis) for axis in assembly.axes]
     linear = superposed(reference, response, "displacement")[:, order]
     known = probes_of(response)

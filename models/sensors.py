@@ -10,7 +10,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError, shown_point, unknown_name
-from artefacts.response import axes_of, probes_of
+from artefacts.response import probes_of
 from models.parameters import Model
 
 if TYPE_CHECKING:
@@ -141,18 +141,3 @@ def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
                 f"{names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
             )
     return found
-
-
-def displacement_along(response: xr.Dataset, axes: tuple[str, ...]) -> Array:
-    """Return the displacement, m, shape (k, axes), in the order of `axes`.
-
-    Raises
-    ------
-    InputError
-        The response lacks an axis.
-    """
-    known = axes_of(response)
-    for axis in axes:
-        if axis not in known:
-            raise unknown_name("axis", axis, known, "response")
-    return np.asarray(response["displacement"].to_numpy()[:, [known.index(axis) for axis in axes]])

@@ -11,6 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
+from artefacts.response import columns_of
 from calibrate import chain
 from calibrate.baselines import bounded_past, fit_baselines
 from calibrate.linear import FADING, SLOWEST
@@ -25,7 +26,7 @@ from fesim.simulate import simulate
 from models.assembly import assemble
 from models.baselines import read_baselines, write_baselines
 from models.filters.bank import leaking, respond_to_line, simple_bank
-from models.sensors import displacement_along, readings, rises
+from models.sensors import readings, rises
 
 AXES = ("x", "y")
 CALIBRATED = 35.0
@@ -108,7 +109,7 @@ def test_an_estimator_calibrated_for_35_minutes_is_bounded_for_as_long_as_it_run
     response = long_runs[run]
     displacement, status = estimated(estimators[kind], response)
     heat = float(response["heat_input"][-1])
-    largest = np.abs(displacement_along(calibration[2.0], AXES)).max() / 2.0 * heat
+    largest = np.abs(columns_of(calibration[2.0], "displacement", AXES)).max() / 2.0 * heat
     # The slowest term goes on to at most this multiple of what it was when calibration ended.
     reach = -1.0 / np.expm1(-SLOWEST)
     if kind in ("mlr", "ridge", "arx"):
@@ -126,7 +127,7 @@ def test_inside_the_calibration_nothing_is_flagged_and_the_estimate_is_near(
     estimators, calibration, kind
 ):
     displacement, status = estimated(estimators[kind], calibration[1.0])
-    actual = displacement_along(calibration[1.0], AXES)
+    actual = columns_of(calibration[1.0], "displacement", AXES)
     assert set(status) == {Status.OK}
     assert np.abs(displacement - actual).max() < 0.05 * np.abs(actual).max()
 
@@ -143,7 +144,7 @@ def test_every_fitted_rate_is_one_that_the_calibration_can_bear(model):
 
 
 def test_eq_8_ends_where_the_displacement_was_going_not_back_at_zero(model, calibration):
-    actual = displacement_along(calibration[1.0], AXES)[-1]
+    actual = columns_of(calibration[1.0], "displacement", AXES)[-1]
     for k, axis in enumerate(AXES):
         shape = model.linear.deformation[axis]
         assert (shape.C + shape.D) / actual[k] > 0.9

@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
-from artefacts.response import probes_of
+from artefacts.response import columns_of, probes_of
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.open_band import open_band
 from estimator.joint_aware.physics_fit import Fit, fit_physics
-from estimator.joint_aware.readings import displacement_in, run_in, temperatures_in
+from estimator.joint_aware.readings import run_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
@@ -115,7 +115,10 @@ def calibrate_machine(
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
     """Axes along which something moves."""
     peaks = np.max(
-        [np.abs(displacement_in(one, machine.axes)).max(axis=0) for one in responses.values()],
+        [
+            np.abs(columns_of(one, "displacement", machine.axes)).max(axis=0)
+            for one in responses.values()
+        ],
         axis=0,
     )
     if not peaks.any():
@@ -129,7 +132,10 @@ def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> lis
 def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Return where calibration responses have been."""
     every = np.vstack(
-        [temperatures_in(response, machine.sensor_names) for response in responses.values()]
+        [
+            columns_of(response, "temperature", machine.sensor_names)
+            for response in responses.values()
+        ]
     )
     return Calibrated(
         duration_s=max(float(one["time"].to_numpy()[-1]) for one in responses.values()),

@@ -8,9 +8,10 @@ import numpy as np
 import xarray as xr
 
 from artefacts.arrays import Array
+from artefacts.response import columns_of
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.readings import displacement_in, samples_in
+from estimator.joint_aware.readings import samples_in
 
 _MICRO = 1e6
 
@@ -59,7 +60,7 @@ def judge(
         )
     start = estimator.initial_state() if state is None else state
     found = [estimate for _, estimate in follow(estimator, samples, start)]
-    actual = displacement_in(response, estimator.axes)
+    actual = columns_of(response, "displacement", estimator.axes)
     errors = np.array([one.displacement for one in found]) - actual
     bands = np.array([one.band for one in found])
     rows: list[dict[str, str | float]] = []

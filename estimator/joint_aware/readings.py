@@ -8,42 +8,10 @@ import numpy as np
 import xarray as xr
 
 from artefacts.arrays import Array
-from artefacts.errors import InputError, unknown_name
-from artefacts.response import axes_of, probes_of
+from artefacts.errors import InputError
+from artefacts.response import columns_of
 from estimator.joint_aware.physics_fit import MOST_SAMPLES, Run
 from estimator.joint_aware.reduced_machine import ReducedMachine
-
-
-def temperatures_in(response: xr.Dataset, sensors: Sequence[str]) -> Array:
-    """Return the temperatures of some probes, K above the initial ambient, shape (n, p).
-
-    Raises
-    ------
-    InputError
-        A probe is missing.
-    """
-    known = probes_of(response)
-    for name in sensors:
-        if name not in known:
-            raise unknown_name("probe", name, known, "response")
-    columns = [known.index(name) for name in sensors]
-    return np.asarray(response["temperature"].to_numpy()[:, columns], dtype=float)
-
-
-def displacement_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
-    """Return the displacement along some axes, m, shape (n, axes).
-
-    Raises
-    ------
-    InputError
-        An axis is missing.
-    """
-    known = axes_of(response)
-    for axis in axes:
-        if axis not in known:
-            raise unknown_name("axis", axis, known, "response")
-    columns = [known.index(axis) for axis in axes]
-    return np.asarray(response["displacement"].to_numpy()[:, columns], dtype=float)
 
 
 def ambient_in(response: xr.Dataset) -> Array:
@@ -61,7 +29,7 @@ def samples_in(response: xr.Dataset, sensors: Sequence[str]) -> Iterator[tuple[f
     InputError
         A probe is missing.
     """
-    values = np.column_stack([temperatures_in(response, sensors), ambient_in(response)])
+    values = np.column_stack([columns_of(response, "temperature", sensors), ambient_in(response)])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))
 
@@ -101,7 +69,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     return Run(
         inputs=np.column_stack([heat[:, None] * machine.power, ambient]),
         times=times[kept],
-        temperature=temperatures_in(response, machine.sensor_names)[kept],
-        displacement=displacement_in(response, machine.axes)[kept],
+        temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
+        displacement=columns_of(response, "displacement", machine.axes)[kept],
         length=machine.step,
     )

@@ -76,13 +76,6 @@ def files_of(case: Case) -> list[Path]:
     return [Path(name) for name in names]
 
 
-def check_folder(path: Path) -> None:
-    """Refuse, before any work, a place where no folder can be made or written in."""
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: is a file; give a folder")
-    _check_place(path, path.absolute())
-
-
 def check_whole_folder(path: Path) -> None:
     """Refuse, before any work, a folder that cannot be replaced whole, or must not be."""
     check_replaceable(path)
