@@ -3,6 +3,7 @@
 import copy
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +26,13 @@ from estimator.joint_aware.model_file import (
 )
 from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.parameters import with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.physics import conduct, make_physics, settle_joint, simulate_known
 from estimator.joint_aware.physics_fit import Run, fit_physics
 from estimator.joint_aware.readings import run_in, samples_in
 from estimator.joint_aware.recognition import is_observer
 from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from estimator.joint_aware.saved_state import load_state, save_state
-from fesim.case.schema import case_from_data
+from fesim.case.schema import JointSection, case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.cli.app import app
@@ -107,6 +108,35 @@ def test_the_machine_without_its_mesh_marches_as_the_simulator(data, setup, mach
     steps = np.rint(seen.times / machine.step).astype(int) - 1
     assert temperature[steps] == pytest.approx(seen.temperature, abs=1e-9)
     assert displacement[steps] == pytest.approx(seen.displacement, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", ["cmy-1969", "back-burdekin", "cmy-exact"])
+def test_machine_code_marches_as_the_plain_step(machine, law):
+    """Heating that makes the joint slide, and cooling; a law that machine code does not know."""
+    section = machine.joints[0].section
+    given = {"normal_law": law} if law == "back-burdekin" else {"conductance": {"law": law}}
+    section = JointSection.model_validate(section.model_dump() | given)
+    other = replace(machine, joints=tuple(replace(one, section=section) for one in machine.joints))
+    held = other.at_preload
+    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    assert (physics.kernel is None) == (law == "cmy-exact")
+    inputs = np.zeros((120, 2))
+    inputs[:60, 0], inputs[80:, 1] = 4.0 * machine.power[0], -3.0
+    marched = simulate_known(physics, inputs, 10.0)
+    amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
+    # A conductance of the user's own is none that machine code knows.
+    laws = [(replace(law, conductance=partial(law.conductance)), m) for law, m in physics.laws]
+    plain = replace(physics, laws=laws, machine=replace(physics.machine, laws=laws))
+    assert plain.kernel is None
+    sensed, moved = [], []
+    for row in inputs:
+        amplitudes = conduct(plain, amplitudes, row, joint.pressure, 10.0)
+        joint, displacement = settle_joint(plain, joint, amplitudes)
+        sensed.append(physics.modes.sensors @ amplitudes)
+        moved.append(displacement)
+    assert np.abs(joint.slip).max() > 0.1 * MICRO
+    for found, wanted in zip(marched, (sensed, moved), strict=True):
+        assert found == pytest.approx(np.array(wanted), abs=1e-12 * np.abs(wanted).max())
 
 
 def test_other_parameters_on_the_same_modes_are_as_good_as_new_ones(data, machine):

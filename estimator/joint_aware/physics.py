@@ -10,12 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from artefacts.arrays import Array
+from estimator.joint_aware.compiled_march import (
+    HeatStep,
+    JointKernel,
+    conduct_step,
+    joint_kernel,
+    march_steps,
+    settle_step,
+)
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from fesim.joint.law import JointLaw
 from fesim.march.stepping import CondensedMachine, settle_along
@@ -73,6 +81,11 @@ class Physics:
         """Number of contact elements."""
         return self.held.size
 
+    @cached_property
+    def kernel(self) -> JointKernel | None:
+        """What its steps need in machine code; None for laws that are not known there."""
+        return joint_kernel(self.machine, self.modes.jump, self.held) if self.contacts else None
+
     def at_rest(self) -> JointState:
         """Every joint at its preload."""
         count = self.contacts
@@ -100,33 +113,14 @@ def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
     return Physics(modes, laws, held, machine)
 
 
-class HeatStep(NamedTuple):
-    """Implicit Euler of one length; shapes as in `Modes`.
-
-    Attributes
-    ----------
-    decay : ndarray, shape (r,)
-        Of the amplitudes.
-    drive : ndarray, shape (r, s + 1)
-        Amplitudes per W of each source and K of the ambient.
-    influence : ndarray, shape (r, m)
-        Amplitudes per W across each contact element.
-    joint_influence : ndarray, shape (m, m)
-        Temperature jumps per W across each contact element, K/W.
-    """
-
-    decay: Array
-    drive: Array
-    influence: Array
-    joint_influence: Array
-
-
 @lru_cache(maxsize=64)
 def heat_step(modes: Modes, length: float) -> HeatStep:
     """Return the step of some length (s); kept, as samples usually come evenly."""
     decay = 1.0 / (1.0 + length * modes.rates)
-    influence = np.ascontiguousarray(length * decay[:, None] * modes.jump.T)
-    return HeatStep(decay, length * decay[:, None] * modes.drive, influence, modes.jump @ influence)
+    drive, influence = (
+        np.ascontiguousarray(length * decay[:, None] * one) for one in (modes.drive, modes.jump.T)
+    )
+    return HeatStep(decay, drive, influence, np.ascontiguousarray(modes.jump @ influence))
 
 
 def conduct(
@@ -148,6 +142,11 @@ def conduct(
         s.
     """
     step = heat_step(physics.modes, length)
+    kernel = physics.kernel
+    if kernel is not None:
+        after = np.array(amplitudes)
+        conduct_step(step, kernel, after, inputs, pressure)
+        return after
     alone = step.decay * amplitudes + step.drive @ inputs
     if not physics.contacts:
         return alone
@@ -155,8 +154,7 @@ def conduct(
     system = joint[:, None] * step.joint_influence
     system.flat[:: len(joint) + 1] += 1.0
     flow = np.linalg.solve(system, joint * (physics.modes.jump @ alone))
-    after: Array = alone - step.influence @ flow
-    return after
+    return np.asarray(alone - step.influence @ flow)
 
 
 def settle_joint(
@@ -169,6 +167,19 @@ def settle_joint(
     ConvergenceError
         The gap equations have no solution that Newton's method finds.
     """
+    kernel = physics.kernel
+    if kernel is not None:
+        after = JointState(*map(np.array, joint))
+        displacement = np.empty(len(physics.modes.elastic.probe_thermal))
+        if settle_step(kernel, amplitudes, *after, displacement) == 0:
+            return after, displacement
+    return settle_plainly(physics, joint, amplitudes)
+
+
+def settle_plainly(
+    physics: Physics, joint: JointState, amplitudes: Array
+) -> tuple[JointState, Array]:
+    """As `settle_joint`, without machine code of its own, and where the joint snaps."""
     elastic = physics.modes.elastic
     free = elastic.probe_thermal @ amplitudes
     if not physics.contacts:
@@ -203,11 +214,22 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     tuple of ndarray, shapes (n, p) and (n, axes)
         Sensors, K, and displacement, m.
     """
+    inputs = np.ascontiguousarray(inputs, dtype=np.float64)
     amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
     history = np.empty((len(inputs), amplitudes.size))
     displacement = np.empty((len(inputs), len(physics.modes.elastic.probe_thermal)))
-    for k, given in enumerate(inputs):
-        amplitudes = conduct(physics, amplitudes, given, joint.pressure, length)
-        joint, displacement[k] = settle_joint(physics, joint, amplitudes)
-        history[k] = amplitudes
+    step, kernel, k = heat_step(physics.modes, length), physics.kernel, 0
+    while k < len(inputs):
+        if kernel is not None:
+            k += march_steps(
+                step, kernel, inputs[k:], amplitudes, *joint, history[k:], displacement[k:]
+            )
+            if k == len(inputs):
+                break
+        else:
+            amplitudes = conduct(physics, amplitudes, inputs[k], joint.pressure, length)
+            history[k] = amplitudes
+        # Without machine code, or where the joint snaps.
+        joint, displacement[k] = settle_plainly(physics, joint, amplitudes)
+        k += 1
     return history @ physics.modes.sensors.T, displacement

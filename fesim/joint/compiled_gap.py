@@ -59,7 +59,7 @@ class CompiledGap:
         gap, value, moved, tangent = _storage(guess)
         problem = self.problem
         try:
-            outcome, size, iterations = _solve(
+            outcome, size, iterations = solve_in_place(
                 problem.springs,
                 problem.compliance,
                 self.laws,
@@ -262,7 +262,7 @@ def _largest(values: Array) -> float:
 
 
 @compiled
-def _solve(
+def solve_in_place(
     springs: Array,
     compliance: Array,
     laws: Array,
@@ -274,7 +274,7 @@ def _solve(
     moved: Array,
     tangent: Array,
 ) -> tuple[int, float, int]:
-    """Newton's method from `gap`, in place; return the outcome, the residual and the iterations."""
+    """Newton's method from `gap`, in place: outcome (0 is solved), residual and iterations."""
     count = gap.shape[1]
     unknowns = 3 * count
     remainder, residual, step = np.empty(unknowns), np.empty(unknowns), np.empty(unknowns)

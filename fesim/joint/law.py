@@ -236,6 +236,29 @@ def harmonic_conductivity(first: Array, second: Array) -> Array:
     return 2.0 * first * second / (first + second)
 
 
+@dataclass(frozen=True, eq=False)
+class PowerLawConductance:
+    """h_c = factor (p/H)^exponent, W/(m2 K): Eq. 11 of one joint.
+
+    Attributes
+    ----------
+    factor : float or ndarray, shape (m,)
+        C (m/sigma) k_h, W/(m2 K).
+    hardness : float
+        H, Pa.
+    exponent : float
+        n.
+    """
+
+    factor: float | Array
+    hardness: float
+    exponent: float
+
+    def __call__(self, pressure: Array) -> Array:
+        """Conductance, W/(m2 K), at pressures (m,), Pa."""
+        return self.factor * (pressure / self.hardness) ** self.exponent
+
+
 def power_law_conductance(
     constant: float,
     exponent: float,
@@ -243,17 +266,12 @@ def power_law_conductance(
     roughness: float,
     conductivity: float | Array,
     hardness: float,
-) -> Callable[[Array], Array]:
+) -> PowerLawConductance:
     """Eq. 11: h_c = C (m/sigma) k_h (p/H)^n, W/(m2 K), as a function of the pressure (Pa).
 
     C and n are 1.45 and 0.985 (Cooper, Mikic & Yovanovich 1969) or 1.25 and 0.95 (Yovanovich 1982).
     """
-    factor = constant * slope / roughness * conductivity
-
-    def conductance(pressure: Array) -> Array:
-        return factor * (pressure / hardness) ** exponent
-
-    return conductance
+    return PowerLawConductance(constant * slope / roughness * conductivity, hardness, exponent)
 
 
 def exact_conductance(
