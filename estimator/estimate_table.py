@@ -27,7 +27,7 @@ def row(estimator: Estimator, estimate: Estimate) -> list[str]:
         *(_MICRO * estimate.band),
     ]
     texts = (f"{float(value):.9g}" if value == value else "" for value in values)
-    return [*texts, estimate.status.words]
+    return [*texts, estimate.words]
 
 
 def _column(channel: Channel) -> str:

@@ -19,7 +19,8 @@ class Status(IntFlag):
     """What is to be known of an estimate: nothing, or why it is less certain than usual.
 
     Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
-    readings that were missing, still count.
+    readings that were missing, still count. Distrusted: a sensor is left out, as it contradicts
+    what is known. Refused: so does a reading of the displacement.
     """
 
     OK = 0
@@ -28,12 +29,18 @@ class Status(IntFlag):
     BEYOND_TEMPERATURE = auto()
     READING_MISSING = auto()
     UNSETTLED = auto()
+    SENSOR_DISTRUSTED = auto()
+    DISPLACEMENT_REFUSED = auto()
+
+    @property
+    def reasons(self) -> list[str]:
+        """The reasons alone, e.g. ``["beyond-time", "beyond-heat"]``."""
+        return [(flag.name or "").lower().replace("_", "-") for flag in Status if flag in self]
 
     @property
     def words(self) -> str:
         """``ok``, or the reasons, e.g. ``beyond-time beyond-heat``."""
-        reasons = (flag.name or "" for flag in Status if flag in self)
-        return " ".join(name.lower().replace("_", "-") for name in reasons) or "ok"
+        return " ".join(self.reasons) or "ok"
 
 
 class Channel(NamedTuple):
@@ -66,6 +73,8 @@ class Estimate(NamedTuple):
         How far the estimate can be trusted.
     details : ndarray, shape (details,)
         The estimator's own `details`.
+    missing, distrusted : tuple of str
+        Channels that were empty, and that are left out although they were not.
     """
 
     time: float
@@ -73,6 +82,18 @@ class Estimate(NamedTuple):
     band: Array
     status: Status
     details: Array
+    missing: tuple[str, ...] = ()
+    distrusted: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The status in words, with the channels it is of: ``sensor-distrusted:T1,T2``."""
+        named = {"reading-missing": self.missing, "sensor-distrusted": self.distrusted}
+        words = (
+            f"{reason}:{','.join(named[reason])}" if named.get(reason) else reason
+            for reason in self.status.reasons
+        )
+        return " ".join(words) or "ok"
 
 
 class Estimator(Protocol):

@@ -1,4 +1,4 @@
-"""The joint-aware estimator behind the common interface: predict, correct, settle, read."""
+"""The joint-aware estimator behind the common interface: expect, trust, correct, settle, read."""
 
 from __future__ import annotations
 
@@ -9,46 +9,41 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
+from estimator import sensor_faults
 from estimator.interface import Channel, Estimate, Status
-from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
+from estimator.joint_aware import displacement_readings, suspicion
+from estimator.joint_aware.displacement_readings import ModelError
+from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import (
-    FOLLOWED,
     KNOWN,
     UNKNOWN,
     ObserverState,
     shapes,
     unpacked,
 )
-from estimator.joint_aware.physics import (
-    JointState,
-    Physics,
-    conduct,
-    make_physics,
-    settle_joint,
-)
+from estimator.joint_aware.trust import Moment, Trusted, trusted
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05
+#: The ambient may change by this much without a word, K.
+AMBIENT = 10.0
 #: Steps between two samples at most; after a longer silence they are longer.
 MOST_STEPS = 2000
-#: Excess columns that tell the readings less than this part of their noise are nothing any more.
-FORGOTTEN = 1e-3
-#: The joint is followed from when the displacement is known to this, m.
-FOLLOWABLE = 1e-6
-#: No machine is hotter or colder than this, K from the ambient: it is no temperature.
-LARGEST = 1e4
+#: Standard deviation of a reading of the displacement, m.
+TOUCH_NOISE = 0.5e-6
 #: Half a band of 95 % in standard deviations.
 WIDTH = 1.96
+
+Names = tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class JointAware:
-    """The machine's reduced physics with its joint, corrected by whatever temperatures come.
+    """The machine's reduced physics with its joint, corrected by whatever readings come.
 
     A channel that is NaN is left out of its sample. `warm_state` starts on a machine of whose past
     nothing is known, `initial_state` on one at rest at the ambient temperature.
@@ -57,9 +52,12 @@ class JointAware:
     ----------
     model : ObserverModel
         All it runs on.
+    touch_noise : float
+        Standard deviation of a reading of the displacement, m.
     """
 
     model: ObserverModel
+    touch_noise: float = TOUCH_NOISE
     kind: Literal["joint-aware"] = "joint-aware"
 
     @property
@@ -69,8 +67,14 @@ class JointAware:
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Sensors and the ambient, all above the ambient at which the machine was cold, K."""
-        return tuple(Channel(name, "K") for name in (*self.model.sensors, "ambient"))
+        """Sensors and the ambient, above the ambient at which the machine was cold, K.
+
+        Readings of the displacement stand last, m; a sample may end before them.
+        """
+        return (
+            *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
+            *(Channel(f"displacement_{axis}", "m") for axis in self.axes),
+        )
 
     @property
     def details(self) -> tuple[Channel, ...]:
@@ -83,36 +87,29 @@ class JointAware:
         )
 
     @cached_property
-    def physics(self) -> Physics:
-        """The machine that is marched."""
-        return make_physics(self.model.modes, self.model.joints, self.model.held)
-
-    @cached_property
-    def system(self) -> LinearSystem:
-        """Its linear part over one step of the filter."""
-        model = self.model
-        return linear_system(model.modes, model.remainder, model.power, model.step)
+    def observer(self) -> Observer:
+        """What runs from sample to sample."""
+        return Observer(self.model)
 
     @cached_property
     def parts(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the state."""
-        columns = self.model.warm.shape[1]
-        return shapes(self.system.size, self.physics.contacts, columns)
+        system = self.observer.system
+        return shapes(
+            system.size,
+            self.observer.physics.contacts,
+            self.model.warm.shape[1],
+            len(system.rows),
+            len(self.axes),
+        )
 
     @cached_property
-    def _usual(self) -> tuple[Array, Array]:
-        """Gain of all readings with the steady covariance, and no excess columns."""
-        none = np.zeros(self.model.warm.shape)
-        everything = np.arange(len(self.system.rows))
-        return correct(self.model.filter, self.system.rows, everything, none, 1.0)
-
-    @cached_property
-    def _calibrated_readings(self) -> tuple[Array, Array]:
-        """Lowest and highest reading of every sensor that is not beyond the calibration, K."""
+    def calibrated_readings(self) -> tuple[Array, Array]:
+        """Lowest and highest reading of every channel that is not beyond the calibration, K."""
         known = self.model.calibrated.temperatures
         low, high = np.array([known[name] for name in self.model.sensors]).T
         slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(self.model.filter.noise[:-1]))
-        return low - slack, high + slack
+        return np.append(low - slack, -AMBIENT), np.append(high + slack, AMBIENT)
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
@@ -123,9 +120,18 @@ class JointAware:
         return self._state(self.model.warm, UNKNOWN)
 
     def _state(self, excess: Array, memory: float) -> Array:
-        unknown, joint = np.array(np.nan), self.physics.at_rest()
-        linear = np.zeros(self.system.size)
-        return ObserverState(unknown, unknown, np.array(memory), linear, *joint, excess).flat()
+        unseen, size = np.array(np.nan), self.observer.system.size
+        return ObserverState(
+            time=unseen,
+            begun=unseen,
+            memory=np.array(memory),
+            linear=np.zeros(size),
+            **self.observer.physics.at_rest()._asdict(),
+            excess=excess,
+            watch=sensor_faults.fresh(len(self.observer.system.rows)),
+            model_error=displacement_readings.unknown(len(self.axes)),
+            suspicion=suspicion.none(size),
+        ).flat()
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
@@ -133,50 +139,79 @@ class JointAware:
         Raises
         ------
         InputError
-            Time does not increase, or a value is no temperature.
+            Time does not increase, or the number of values is wrong.
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
         before = unpacked(state, self.parts)
-        readings = _checked(values, self.channels)
-        length, steps = self._steps(float(before.time), time)
-        linear, joint, excess = before.linear, before.joint, before.excess
-        memory = float(before.memory)
-        for k in range(steps):
-            linear = self._predicted(linear, joint, length)
-            if k + 1 < steps:
-                joint, _ = self._settled(joint, linear, memory)
-                excess = self._forgetting(excess, length)
-        present = np.flatnonzero(np.isfinite(readings))
-        gain, excess = self._gain(present, excess, length if steps else self.model.step)
-        linear = linear + gain @ (readings - self.system.rows @ linear)[present]
-        amplitudes = self._amplitudes(linear)
-        joint, moved = self._settled(joint, linear, memory)
-        relaxed = linear[amplitudes.size : self.system.decay.size]
-        displacement = moved + self.model.remainder.displacement @ relaxed
-        begun = before.begun if steps else np.array(time)
+        readings, touched = self._separated(values)
+        moment = self._moment(float(before.time), time)
+        expected = self.observer.expected(before, moment.length, moment.steps)
+        used = trusted(self.observer, before, expected, moment, readings, self.calibrated_readings)
+        linear, excess = self._corrected(used, moment, readings)
+        expected = used.expected
+        found = self.observer.read(linear, expected.joint, expected.memory)
+        known = displacement_readings.later(before.model_error, moment.length * moment.steps)
+        refused = False
+        if np.isfinite(touched).any():
+            correction = self._touched(touched, found, expected.memory, excess, known)
+            linear, excess = linear + correction.state, correction.excess
+            known, refused = correction.known, correction.refused
+            found = self.observer.read(linear, expected.joint, expected.memory)
+        begun = float(before.begun) if moment.steps else time
         after = ObserverState(
-            np.array(time),
-            begun,
-            np.array(self._remembered(memory, excess)),
-            linear,
-            *joint,
-            self._onward(excess),
+            time=np.array(time),
+            begun=np.array(begun),
+            memory=np.array(self.observer.remembered(expected.memory, excess)),
+            linear=linear,
+            **found.joint._asdict(),
+            excess=self.observer.onward(excess),
+            watch=used.watch,
+            model_error=known,
+            suspicion=used.suspicion,
         ).flat()
-        inputs = linear[self.system.decay.size :]
-        status = self._status(time - float(begun), inputs, readings, excess)
-        pressure = joint.pressure if joint.pressure.size else np.array([np.nan])
-        details = np.concatenate([inputs, [pressure.min(), pressure.max()]])
+        sigma = self.observer.sigma(found.relaxed, expected.memory)
+        inputs = linear[self.observer.system.decay.size :]
+        pressure = found.joint.pressure if found.joint.pressure.size else np.array([np.nan])
+        missing, distrusted = self._left_out(readings, used.believed)
+        status = self._beyond(time - begun, inputs, readings, used.believed)
+        for holds, flag in (
+            (missing, Status.READING_MISSING),
+            (distrusted, Status.SENSOR_DISTRUSTED),
+            (refused, Status.DISPLACEMENT_REFUSED),
+            (excess.any(), Status.UNSETTLED),
+        ):
+            status |= flag if holds else Status.OK
         return after, Estimate(
-            time, displacement, self._half_band(relaxed, excess, memory), status, details
+            time=time,
+            displacement=found.displacement + known.mean * sigma,
+            band=self._half_band(sigma, known, excess),
+            status=status,
+            details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
+            missing=missing,
+            distrusted=distrusted,
         )
 
-    def _steps(self, last: float, time: float) -> tuple[float, int]:
-        """Length (s) and number of the steps from the last sample to this one; 0 at the first."""
+    def _separated(self, values: Sequence[float]) -> tuple[Array, Array]:
+        """Readings of the temperatures, K, and of the displacement, m; NaN where there is none."""
+        thermal = len(self.observer.system.rows)
+        if len(values) not in (thermal, len(self.channels)):
+            names = ", ".join(channel.name for channel in self.channels[:thermal])
+            raise InputError(
+                f"sample has {len(values)} values, expected {thermal}: {names}; or "
+                f"{len(self.channels)}, with a displacement along {', '.join(self.axes)}"
+            )
+        given = np.full(len(self.channels), np.nan)
+        given[: len(values)] = values
+        given[~np.isfinite(given)] = np.nan
+        return given[:thermal], given[thermal:]
+
+    def _moment(self, last: float, time: float) -> Moment:
+        """When a sample comes after the last one (s)."""
         if not math.isfinite(time):
             raise InputError(f"time {time:g} s is no time; drop the sample")
         if math.isnan(last):
-            return 0.0, 0
+            return Moment(time, 0.0, 0)
         if not time > last:
             raise InputError(
                 f"time {time:g} s does not come after {last:g} s; drop or re-order the sample"
@@ -186,107 +221,60 @@ class JointAware:
         steps = min(steps, MOST_STEPS)
         length = (time - last) / steps
         near = abs(length - self.model.step) <= 1e-6 * self.model.step
-        return self.model.step if near else length, steps
+        return Moment(time, self.model.step if near else length, steps)
 
-    def _amplitudes(self, linear: Array) -> Array:
-        return linear[: self.model.modes.rates.size]
+    def _corrected(self, used: Trusted, moment: Moment, readings: Array) -> tuple[Array, Array]:
+        """The linear state and the excess columns after the readings that are used."""
+        at, expected = np.flatnonzero(used.believed), used.expected
+        length = moment.length if moment.steps else self.model.step
+        gain, excess = self.observer.gain(at, expected.excess, length)
+        innovation = readings - self.observer.system.rows @ expected.linear
+        return expected.linear + gain @ innovation[at], excess
 
-    def _predicted(self, linear: Array, joint: JointState, length: float) -> Array:
-        """The linear state one step later, with the joint as it was."""
-        count, dynamic = self.model.modes.rates.size, self.system.decay.size
-        inputs = linear[dynamic:]
-        sources, rates = self.model.power.size, self.model.remainder.rates
-        decay = 1.0 / (1.0 + length * rates)
-        relaxed = linear[count:dynamic].reshape(sources, -1)
-        heat = inputs[:sources] / self.model.power
-        after = np.empty_like(linear)
-        after[:count] = conduct(self.physics, linear[:count], inputs, joint.pressure, length)
-        after[count:dynamic] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
-        after[dynamic:] = inputs
-        return after
+    def _touched(
+        self, touched: Array, found: Settled, memory: float, excess: Array, known: ModelError
+    ) -> displacement_readings.Correction:
+        """What a reading of the displacement changes."""
+        sigma = self.observer.sigma(found.relaxed, memory)
+        return displacement_readings.correct_by(
+            touched - found.displacement - known.mean * sigma,
+            self.touch_noise,
+            self.model.band.steady,
+            sigma,
+            self.model.band.tangent,
+            excess,
+            known,
+        )
 
-    def _gain(
-        self, present: NDArray[np.int64], excess: Array, length: float
-    ) -> tuple[Array, Array]:
-        """Gain of the readings that came, and the excess columns after them."""
-        weight = max(1.0, self.model.step / length)
-        if present.size == len(self.system.rows) and weight == 1.0 and not excess.any():
-            return self._usual
-        gain, after = correct(self.model.filter, self.system.rows, present, excess, weight)
-        return gain, compressed(after, self.model.filter.scale, excess.shape[1])
+    def _left_out(self, readings: Array, believed: sensor_faults.Flags) -> tuple[Names, Names]:
+        """Channels that are empty, and those that are not and yet left out."""
+        if believed.all():
+            return (), ()
+        names = [channel.name for channel in self.channels[: readings.size]]
+        empty = np.isnan(readings)
+        return (
+            tuple(name for name, gone in zip(names, empty, strict=True) if gone),
+            tuple(name for name, bad in zip(names, ~empty & ~believed, strict=True) if bad),
+        )
 
-    def _forgetting(self, excess: Array, length: float) -> Array:
-        """Excess columns after a step of some length without any reading."""
-        nothing = np.arange(0)
-        _, after = self._gain(nothing, excess, self.model.step)
-        walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
-        if walks.any():
-            more = np.zeros((len(after), walks.size))
-            more[-walks.size :] = np.diag(walks)
-            after = compressed(np.hstack([after, more]), self.model.filter.scale, excess.shape[1])
-        return self._onward(after)
-
-    def _onward(self, excess: Array) -> Array:
-        """Excess columns one step later; none where they have come to say nothing."""
-        if not excess.any():
-            return excess
-        after = self.system.advance(excess)
-        told = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
-        moved = np.square(self.model.band.tangent @ after).sum(axis=1)
-        known = np.all(moved <= FORGOTTEN * self.model.band.steady)
-        return np.zeros_like(after) if told.max() <= FORGOTTEN and known else after
-
-    def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
-        """The joint and the displacement at the present temperatures.
-
-        As long as these are guesses the joint is taken there from rest each time: a way through
-        temperatures that never were would leave slips that never were.
-        """
-        if memory == UNKNOWN:
-            joint = joint._replace(slip=np.zeros_like(joint.slip))
-        return settle_joint(self.physics, joint, self._amplitudes(linear))
-
-    def _remembered(self, memory: float, excess: Array) -> float:
-        """What is known of the slips after a sample."""
-        uncertain = np.square(self.model.band.tangent @ excess).sum(axis=1)
-        return FOLLOWED if memory == UNKNOWN and uncertain.max() <= FOLLOWABLE**2 else memory
-
-    def _half_band(self, relaxed: Array, excess: Array, memory: float) -> Array:
+    def _half_band(self, sigma: Array, known: ModelError, excess: Array) -> Array:
         """Half the width of 95 %, m, shape (axes,)."""
-        band, rates = self.model.band, self.model.remainder.rates.size
-        square = np.square(relaxed.reshape(-1, rates)).mean(axis=0)
-        variance = band.steady + band.constant + band.square @ square + band.fourth @ square**2
-        if memory != KNOWN:
-            variance = variance + band.history
+        variance = self.model.band.steady + known.variance * sigma**2
         if excess.any():
-            variance = variance + np.square(band.tangent @ excess).sum(axis=1)
+            variance = variance + np.square(self.model.band.tangent @ excess).sum(axis=1)
         return np.asarray(WIDTH * np.sqrt(variance))
 
-    def _status(self, elapsed: float, inputs: Array, readings: Array, excess: Array) -> Status:
+    def _beyond(
+        self, elapsed: float, inputs: Array, readings: Array, believed: sensor_faults.Flags
+    ) -> Status:
+        """Where the calibration has not been."""
         known, status = self.model.calibrated, Status.OK
         if elapsed > (1.0 + SLACK) * known.duration_s:
             status |= Status.BEYOND_TIME
         heat = inputs[: self.model.power.size] / self.model.power
         if heat.max() > (1.0 + SLACK) * known.heat or heat.min() < -SLACK * known.heat:
             status |= Status.BEYOND_HEAT
-        low, high = self._calibrated_readings
-        if (readings[:-1] < low).any() or (readings[:-1] > high).any():
+        low, high = self.calibrated_readings
+        if (believed & ((readings < low) | (readings > high))).any():
             status |= Status.BEYOND_TEMPERATURE
-        if np.isnan(readings).any():
-            status |= Status.READING_MISSING
-        if excess.any():
-            status |= Status.UNSETTLED
         return status
-
-
-def _checked(values: Sequence[float], channels: Sequence[Channel]) -> Array:
-    if len(values) != len(channels):
-        names = ", ".join(channel.name for channel in channels)
-        raise InputError(f"sample has {len(values)} values, expected {len(channels)}: {names}")
-    readings = np.asarray(values, dtype=float)
-    bad = np.flatnonzero(np.abs(readings) > LARGEST)
-    if bad.size:
-        raise InputError(
-            f"{channels[bad[0]].name} is {readings[bad[0]]:g} K, no temperature; leave it out"
-        )
-    return readings

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_discrete_are, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_discrete_are
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
@@ -213,19 +213,15 @@ def correct(
     absent = np.setdiff1d(np.arange(len(rows)), present)
     covariance = filter_.innovation + np.diag(weight * filter_.noise)
     seen = filter_.cross[:, present]
-    if present.size:
-        factor = cho_factor(covariance[np.ix_(present, present)])
-        gain = cho_solve(factor, seen.T).T
-    else:
-        gain = np.zeros((len(seen), 0))
+    # Few readings, many states: inverses of the small matrices, then products.
+    precision = np.linalg.inv(covariance[np.ix_(present, present)])
+    gain = seen @ precision
     lost = np.empty((len(seen), 0))
     if absent.size:
         across = covariance[np.ix_(present, absent)]
-        rest = covariance[np.ix_(absent, absent)] - (
-            across.T @ cho_solve(factor, across) if present.size else 0.0
-        )
+        rest = covariance[np.ix_(absent, absent)] - across.T @ precision @ across
         unseen = filter_.cross[:, absent] - gain @ across
-        lost = solve_triangular(cholesky(rest, lower=True), unseen.T, lower=True).T
+        lost = unseen @ np.linalg.inv(np.linalg.cholesky(rest)).T
     if not excess.any():
         return gain, np.hstack([excess, lost])
     if not present.size:
@@ -234,9 +230,10 @@ def correct(
     shifted = excess - gain @ seen_excess
     doubted = covariance + np.diag(filter_.lasting)
     told = np.linalg.solve(doubted[np.ix_(present, present)], seen_excess)
-    root = cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told, lower=True)
-    left = solve_triangular(root, shifted.T, lower=True).T
-    more = left @ solve_triangular(root, told.T, lower=True)
+    root = np.linalg.cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told)
+    inverse = np.linalg.inv(root)
+    left = shifted @ inverse.T
+    more = left @ (inverse @ told.T)
     return gain + more, np.hstack([left, lost])
 
 

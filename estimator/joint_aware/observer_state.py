@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.arrays import Array
+from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.physics import JointState
+from estimator.joint_aware.suspicion import Suspicion
+from estimator.sensor_faults import Watch
 
 #: The joint's slips are those of a run from rest; or they are not known at all, because the
 #: temperatures are not yet; or they are followed since the temperatures are known.
@@ -33,6 +36,12 @@ class ObserverState:
         Of the joint: `physics.JointState`.
     excess : ndarray, shape (n, k)
         What the covariance has more than the steady one: L of P + L L^T.
+    watch : Watch
+        What is remembered of every channel.
+    model_error : ModelError
+        What readings of the displacement have told.
+    suspicion : Suspicion
+        A jump that is not yet judged.
     """
 
     time: Array
@@ -44,6 +53,9 @@ class ObserverState:
     pressure: Array
     change: Array
     excess: Array
+    watch: Watch
+    model_error: ModelError
+    suspicion: Suspicion
 
     @property
     def joint(self) -> JointState:
@@ -61,11 +73,16 @@ class ObserverState:
                 self.pressure,
                 self.change.ravel(),
                 self.excess.ravel(),
+                *self.watch,
+                *self.model_error,
+                *(part.ravel() for part in self.suspicion),
             ]
         )
 
 
-def shapes(states: int, contacts: int, columns: int) -> dict[str, tuple[int, ...]]:
+def shapes(
+    states: int, contacts: int, columns: int, channels: int, axes: int
+) -> dict[str, tuple[int, ...]]:
     """Return the shape of every part, in order."""
     return {
         "time": (),
@@ -77,6 +94,10 @@ def shapes(states: int, contacts: int, columns: int) -> dict[str, tuple[int, ...
         "pressure": (contacts,),
         "change": (3, contacts),
         "excess": (states, columns),
+        **{f"watch.{name}": (channels,) for name in Watch._fields},
+        **{f"model_error.{name}": (axes,) for name in ModelError._fields},
+        **{f"suspicion.{name}": () for name in Suspicion._fields[:-1]},
+        "suspicion.linear": (states,),
     }
 
 
@@ -87,4 +108,12 @@ def unpacked(state: Array, parts: dict[str, tuple[int, ...]]) -> ObserverState:
         size = math.prod(shape)
         found[name] = state[at : at + size].reshape(shape)
         at += size
-    return ObserverState(**found)
+    groups = {
+        group: kind(*(found.pop(f"{group}.{name}") for name in kind._fields))
+        for group, kind in (
+            ("watch", Watch),
+            ("model_error", ModelError),
+            ("suspicion", Suspicion),
+        )
+    }
+    return ObserverState(**found, **groups)  # type: ignore[arg-type]

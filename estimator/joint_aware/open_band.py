@@ -94,7 +94,7 @@ def open_band(
 
 def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
     """Mean square of what slips of the past change in the displacement, m2, shape (axes,)."""
-    physics = observer.physics
+    physics = observer.observer.physics
     amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
     differences = []
     for given in heat:

@@ -20,7 +20,7 @@ from estimator.joint_aware.model_file import fingerprint
 
 FILE = JsonKind(
     "thermojoint-joint-aware-state",
-    1,
+    2,
     "state",
     "saved by a joint-aware estimator",
     "start afresh",
@@ -29,13 +29,11 @@ FILE = JsonKind(
 
 def save_state(estimator: JointAware, state: Array, path: Path) -> None:
     """Write a `state` of an estimator to `path`, whole or not at all."""
-    fresh = math.isnan(float(state[0]))
     content = {
         **FILE.header,
         "model": fingerprint(estimator.model),
-        "fresh": fresh,
-        # Before the first sample the first two entries are NaN, which JSON does not know.
-        "state": state[2:].tolist() if fresh else state.tolist(),
+        # What is not known yet is NaN, which JSON does not have.
+        "state": [None if math.isnan(value) else value for value in state.tolist()],
     }
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
@@ -53,13 +51,11 @@ def load_state(estimator: JointAware, path: Path) -> Array:
         raise InputError(
             f"{path}: state of another model; start afresh, or use the model it was saved with"
         )
-    values, fresh = content.get("state"), bool(content.get("fresh"))
-    size = estimator.initial_state().size - (2 if fresh else 0)
+    values = content.get("state")
     if (
         not isinstance(values, list)
-        or len(values) != size
-        or not all(isinstance(one, float) and math.isfinite(one) for one in values)
+        or len(values) != estimator.initial_state().size
+        or not all(one is None or (isinstance(one, float) and math.isfinite(one)) for one in values)
     ):
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    found = np.array(values)
-    return np.concatenate([[np.nan, np.nan], found]) if fresh else found
+    return np.array([math.nan if one is None else one for one in values])

@@ -1,0 +1,186 @@
+"""Which readings of a sample an observer uses, and what it takes to be known where some are not.
+
+`sensor_faults` judges a sample by itself, `suspicion` a jump by the samples after it. Where most
+readings contradict, it is the state that is wrong: then nothing is taken to be known. Where one is
+newly distrusted, the heat is taken to be unknown, as it may have changed at that moment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from estimator.joint_aware import suspicion
+from estimator.joint_aware.filter_design import compressed
+from estimator.joint_aware.observer import ANSWER, Expected, Observer
+from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
+from estimator.joint_aware.suspicion import Judgement, Suspicion
+from estimator.sensor_faults import GATE, MODEL_ERROR, Flags, Watch, judge_sample
+
+#: A reading is impossible further than this beyond the calibrated ones, K; above them also by this
+#: many times their range.
+ROOM, FURTHER = 60.0, 3.0
+#: The heat may jump to this many times the largest calibrated, and a part of that more or below 0.
+ONSET, SLACK = 1.5, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Trusted:
+    """What is used of a sample.
+
+    Attributes
+    ----------
+    believed : ndarray of bool, shape (p + 1,)
+        Readings to be used.
+    watch : Watch
+        Of every channel, after the sample.
+    suspicion : Suspicion
+        After the sample.
+    expected : Expected
+        What they are to correct.
+    """
+
+    believed: Flags
+    watch: Watch
+    suspicion: Suspicion
+    expected: Expected
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a sample comes.
+
+    Attributes
+    ----------
+    time : float
+        s.
+    length : float
+        Of a step since the sample before, s.
+    steps : int
+        Number of these; 0 at the first sample.
+    """
+
+    time: float
+    length: float
+    steps: int
+
+
+def trusted(
+    observer: Observer,
+    before: ObserverState,
+    expected: Expected,
+    moment: Moment,
+    readings: Array,
+    limits: tuple[Array, Array],
+) -> Trusted:
+    """Say which readings of a sample are used.
+
+    Parameters
+    ----------
+    observer : Observer
+        Whose sample it is.
+    before : ObserverState
+        After the sample before.
+    expected : Expected
+        At this one.
+    moment : Moment
+        When it comes.
+    readings : ndarray, shape (p + 1,)
+        K; NaN where there is none.
+    limits : pair of ndarray, shape (p + 1,)
+        Lowest and highest calibrated reading, K.
+    """
+    watch, open_ = before.watch, before.suspicion
+    offset = False
+    if np.isfinite(open_.channel):
+        alone = observer.expected(replace(before, linear=open_.linear), moment.length, moment.steps)
+        open_ = open_._replace(linear=alone.linear, samples=open_.samples + 1.0)
+        judgement = _judgement(observer, open_, moment, readings)
+        offset = judgement is Judgement.OFFSET
+        if offset:
+            watch = _distrusting(watch, int(open_.channel), moment.time)
+        if judgement in (Judgement.OFFSET, Judgement.SPIKE):
+            expected = expected._replace(linear=alone.linear)
+        if judgement is not Judgement.OPEN:
+            open_ = suspicion.none(alone.linear.size)
+    rows, noise = observer.system.rows, np.sqrt(observer.model.filter.noise)
+    lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
+    for attempt in (expected, lost):
+        verdict = judge_sample(
+            watch,
+            moment.time,
+            readings,
+            rows @ attempt.linear,
+            partial(_unexplained, observer, attempt, moment),
+            noise,
+            possible(limits),
+        )
+        if not verdict.lost:
+            break
+    if offset or (verdict.watch.distrusted > watch.distrusted).any():
+        attempt = _heat_unknown(observer, attempt)
+    innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
+    jumps = bool(np.abs(innovation).max() > GATE * MODEL_ERROR)
+    if jumps and moment.steps and not np.isfinite(open_.channel):
+        deviation = np.sqrt(np.diag(observer.innovation_covariance(attempt.excess)))
+        elapsed = moment.steps * moment.length
+        open_ = suspicion.suspected(attempt.linear, innovation, deviation, moment.time, elapsed)
+    return Trusted(verdict.believed, verdict.watch, open_, attempt)
+
+
+def possible(limits: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the lowest and highest reading that can be one, K, of the calibrated ones."""
+    low, high = limits
+    return low - ROOM, high + FURTHER * (high - low) + ROOM
+
+
+def _judgement(observer: Observer, open_: Suspicion, moment: Moment, readings: Array) -> Judgement:
+    """What a jump before this sample was."""
+    channel = int(open_.channel)
+    departure = float(readings[channel] - observer.system.rows[channel] @ open_.linear)
+    # The source that the reading sees most of.
+    answers = observer.onset[:, channel]
+    answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
+    return suspicion.judged(open_, departure, moment.time, answer, observer.model.step)
+
+
+def _distrusting(watch: Watch, channel: int, time: float) -> Watch:
+    """The watch with one more channel distrusted."""
+    distrusted, fault = watch.distrusted.copy(), watch.fault.copy()
+    distrusted[channel], fault[channel] = 1.0, time
+    return watch._replace(distrusted=distrusted, fault=fault)
+
+
+def _heat_unknown(observer: Observer, expected: Expected) -> Expected:
+    """The same with any heat of every source."""
+    power, scale = observer.model.power, observer.model.filter.scale
+    unknown = np.zeros((observer.system.size, power.size))
+    unknown[observer.system.decay.size :][: power.size] = np.diag(
+        observer.model.calibrated.heat * power
+    )
+    more = np.hstack([expected.excess, unknown])
+    return expected._replace(excess=compressed(more, scale, expected.excess.shape[1]))
+
+
+def _unexplained(
+    observer: Observer,
+    expected: Expected,
+    moment: Moment,
+    innovation: Array,
+    at: NDArray[np.int64],
+) -> tuple[Array, Array]:
+    """What no possible change of the heat explains; as `sensor_faults.Explain`."""
+    covariance = observer.innovation_covariance(expected.excess)
+    if not moment.steps:
+        return innovation, covariance
+    power = observer.model.power
+    heat = expected.linear[observer.system.decay.size :][: power.size]
+    most = ONSET * observer.model.calibrated.heat * power
+    slack = SLACK * most
+    bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
+    onset = observer.onset[min(moment.steps, ANSWER) - 1]
+    return suspicion.without_heat(innovation, at, covariance, onset, bounds), covariance

@@ -1,0 +1,240 @@
+"""Which readings of a sample are not to be believed: range, rate, stuck, and contradiction.
+
+Everything is judged before a sample is used. A channel is distrusted when it is
+
+- impossible: no part of the machine is so hot or so cold;
+- hasty: it changed faster than any part of a machine does;
+- stuck: it repeats its last value far longer than it ever did; or the model says that it should
+  have moved by now;
+- contradicted: its innovation, given the other channels, is beyond what is to be expected.
+
+It is believed again when all that has been over for `RETURN`. Where most channels contradict the
+model, it is the model's state that is wrong (`Verdict.lost`): then all are believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+
+Flags = NDArray[np.bool_]
+#: From the innovations (n,), K, and the channels that count (indices): what of them no possible
+#: change of the heat explains, K, shape (n,), and its covariance, K2, shape (n, n).
+Explain = Callable[[Array, NDArray[np.int64]], tuple[Array, Array]]
+
+#: Standard deviations of an innovation beyond which a reading is contradicted.
+GATE = 5.0
+#: What a healthy reading may be off by for want of a perfect model, K: no innovation below
+#: GATE * MODEL_ERROR counts, however sure the model is of itself.
+MODEL_ERROR = 0.2
+#: A distrusted channel is believed again after this long without a fault, s.
+RETURN = 30.0
+#: No thermometer in a machine changes faster than this, K/s, beyond a jump of `JUMP`, K.
+RATE, JUMP = 2.0, 3.0
+#: A value that repeats for this long, s, and this many samples may be stuck, ...
+STUCK, REPEATS = 12.0, 4
+#: ... if by its own habit the channel would do so with this probability, or less, ...
+IMPROBABLE = 1e-6
+#: ... and has no coarse display: it has changed by less than its noise, or by what is on average so
+#: far from multiples of one step, over so many changes; ...
+GRAIN, SEEN = 0.1, 10.0
+#: ... or if the model says that it should have moved by so many of its steps, or of its noise.
+STEPS = 4.0
+#: Repetition that a channel is given at first, and the samples over which its habit is learnt.
+HABIT, LEARNT = 0.5, 50.0
+#: Changes below this are rounding, K.
+ROUNDING = 1e-9
+
+
+class Watch(NamedTuple):
+    """What is remembered of every channel; arrays of shape (n,), NaN where nothing is known yet.
+
+    Attributes
+    ----------
+    distrusted : ndarray
+        1 where it is left out, else 0.
+    fault : ndarray
+        When it last showed a fault, s.
+    read : ndarray
+        When it was last there, s.
+    last : ndarray
+        What it said then, K.
+    changed : ndarray
+        When it first said so, s.
+    expected : ndarray
+        What the model said at that time, K.
+    repeats : ndarray
+        How often it said so since.
+    habit : ndarray
+        The share of its readings that repeat the one before.
+    finest : ndarray
+        The smallest change that it has shown, K.
+    grain : ndarray
+        How far its changes are from multiples of that, as a part of it: 0 for a coarse display.
+    """
+
+    distrusted: Array
+    fault: Array
+    read: Array
+    last: Array
+    changed: Array
+    expected: Array
+    repeats: Array
+    habit: Array
+    finest: Array
+    grain: Array
+
+
+def fresh(channels: int) -> Watch:
+    """Return a watch that has seen nothing."""
+    nothing, unknown = np.zeros(channels), np.full(channels, np.nan)
+    return Watch(
+        distrusted=nothing,
+        fault=unknown,
+        read=unknown,
+        last=unknown,
+        changed=unknown,
+        expected=unknown,
+        repeats=nothing,
+        habit=np.full(channels, HABIT),
+        finest=unknown,
+        grain=nothing,
+    )
+
+
+class Verdict(NamedTuple):
+    """What a sample is worth.
+
+    Attributes
+    ----------
+    believed : ndarray of bool, shape (n,)
+        To be used.
+    lost : bool
+        Most channels contradict the model: its state is not the machine's.
+    watch : Watch
+        To be kept for the next sample.
+    """
+
+    believed: Flags
+    lost: bool
+    watch: Watch
+
+
+def judge_sample(
+    watch: Watch,
+    time: float,
+    readings: Array,
+    predicted: Array,
+    explain: Explain,
+    noise: Array,
+    limits: tuple[Array, Array],
+) -> Verdict:
+    """Say which readings of a sample are to be used.
+
+    Parameters
+    ----------
+    watch : Watch
+        Of the sample before.
+    time : float
+        s.
+    readings : ndarray, shape (n,)
+        K; NaN where there is none.
+    predicted : ndarray, shape (n,)
+        What the model expects, K.
+    explain : callable
+        As `Explain`; called where it matters.
+    noise : ndarray, shape (n,)
+        Standard deviation of a reading, K.
+    limits : pair of ndarray, shape (n,)
+        Lowest and highest reading that is possible, K.
+    """
+    present = np.isfinite(readings)
+    innovation = readings - predicted
+    seen = _seen(watch, time, readings, predicted)
+    doubted = watch.distrusted > 0.0
+    # NaN compares as False: what is not there, or was never there, shows no fault.
+    with np.errstate(invalid="ignore"):
+        impossible = (readings < limits[0]) | (readings > limits[1])
+        hasty = np.abs(readings - watch.last) > RATE * (time - watch.read) + JUMP
+        near = np.abs(innovation) <= GATE * MODEL_ERROR
+    odd = present & (impossible | hasty | _stuck(seen, time, predicted, noise))
+    trusted = present & ~odd & ~doubted
+    contradicted = _contradicted(innovation, explain, trusted)
+    credible = present & ~odd
+    lost = _mostly(contradicted | (credible & doubted), credible) and bool(contradicted.any())
+    if lost:
+        faulty = odd
+        doubted = doubted & ~credible
+    else:
+        faulty = odd | contradicted | (doubted & present & ~near)
+    fault = np.where(faulty, time, seen.fault)
+    distrusted = faulty | (doubted & (~present | (time - fault < RETURN)))
+    after = seen._replace(distrusted=distrusted.astype(float), fault=fault)
+    return Verdict(present & ~distrusted, lost, after)
+
+
+def _seen(watch: Watch, time: float, readings: Array, predicted: Array) -> Watch:
+    """The watch with the readings of a sample in it."""
+    present = np.isfinite(readings)
+    change = np.abs(readings - watch.last)
+    same = change <= ROUNDING
+    new = present & ~same
+    run = watch.repeats + 1.0
+    kept = (1.0 - 1.0 / LEARNT) ** run
+    habit = kept * watch.habit + (1.0 - kept) * watch.repeats / run
+    finest = np.fmin(watch.finest, change)
+    multiple = change / finest
+    odd = np.abs(multiple - np.rint(multiple))
+    return watch._replace(
+        read=np.where(present, time, watch.read),
+        last=np.where(new, readings, watch.last),
+        changed=np.where(new, time, watch.changed),
+        expected=np.where(new, predicted, watch.expected),
+        repeats=np.where(new, 0.0, watch.repeats + same),
+        habit=np.where(new, habit, watch.habit),
+        finest=np.where(new, finest, watch.finest),
+        grain=np.where(new & (odd >= 0.0), watch.grain + (odd - watch.grain) / SEEN, watch.grain),
+    )
+
+
+def _stuck(watch: Watch, time: float, predicted: Array, noise: Array) -> Flags:
+    """Channels that repeat their last value although they should not."""
+    repeated = (watch.repeats >= REPEATS) & (time - watch.changed >= STUCK)
+    if not repeated.any():
+        return np.asarray(repeated)
+    unlike = watch.repeats * np.log(np.maximum(watch.habit, 1e-300)) < math.log(IMPROBABLE)
+    fine = (watch.finest < noise) | (watch.grain > GRAIN)
+    moved = np.abs(predicted - watch.expected) > STEPS * np.fmax(watch.finest, noise)
+    return np.asarray(repeated & ((unlike & fine) | moved))
+
+
+def _contradicted(innovation: Array, explain: Explain, trusted: Flags) -> Flags:
+    """Channels that the others and the model contradict, the worst first; shape (n,)."""
+    found = np.zeros_like(trusted)
+    at = np.flatnonzero(trusted)
+    # No statistic below exceeds |innovation| / MODEL_ERROR: the usual case costs nothing.
+    if math.sqrt(innovation[at] @ innovation[at]) <= GATE * MODEL_ERROR:
+        return found
+    while at.size:
+        rest, covariance = explain(innovation, at)
+        whole = covariance + MODEL_ERROR**2 * np.eye(found.size)
+        inverse = np.linalg.inv(whole[np.ix_(at, at)])
+        # What the others leave open in i is r = (S^-1 nu)_i / (S^-1)_ii, of variance 1 / (S^-1)_ii.
+        relative = np.abs(inverse @ rest[at]) / np.sqrt(np.diag(inverse))
+        worst = int(np.argmax(relative))
+        if relative[worst] <= GATE:
+            break
+        found[at[worst]] = True
+        at = np.delete(at, worst)
+    return found
+
+
+def _mostly(contradicted: Flags, credible: Flags) -> bool:
+    """Whether more than half of the channels, and more than one, contradict."""
+    return bool(contradicted.sum() > max(1.0, 0.5 * credible.sum()))
