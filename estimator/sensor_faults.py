@@ -43,7 +43,7 @@ STUCK, REPEATS = 12.0, 4
 IMPROBABLE = 1e-6
 #: ... and has no coarse display: it has changed by less than its noise, or by what is on average so
 #: far from multiples of one step, over so many changes; ...
-GRAIN, SEEN = 0.1, 10.0
+GRAIN, SEEN = 0.005, 10.0
 #: ... or if the model says that it should have moved by so many of its steps, or of its noise.
 STEPS = 4.0
 #: Repetition that a channel is given at first, and the samples over which its habit is learnt.
@@ -188,9 +188,8 @@ def _seen(watch: Watch, time: float, readings: Array, predicted: Array) -> Watch
     run = watch.repeats + 1.0
     kept = (1.0 - 1.0 / LEARNT) ** run
     habit = kept * watch.habit + (1.0 - kept) * watch.repeats / run
-    finest = np.fmin(watch.finest, change)
-    multiple = change / finest
-    odd = np.abs(multiple - np.rint(multiple))
+    ratio = np.fmax(change, watch.finest) / np.where(new, np.fmin(change, watch.finest), 1.0)
+    odd = np.abs(ratio - np.rint(ratio))
     return watch._replace(
         read=np.where(present, time, watch.read),
         last=np.where(new, readings, watch.last),
@@ -198,7 +197,7 @@ def _seen(watch: Watch, time: float, readings: Array, predicted: Array) -> Watch
         expected=np.where(new, predicted, watch.expected),
         repeats=np.where(new, 0.0, watch.repeats + same),
         habit=np.where(new, habit, watch.habit),
-        finest=np.where(new, finest, watch.finest),
+        finest=np.where(new, np.fmin(watch.finest, change), watch.finest),
         grain=np.where(new & (odd >= 0.0), watch.grain + (odd - watch.grain) / SEEN, watch.grain),
     )
 

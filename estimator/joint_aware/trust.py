@@ -94,19 +94,14 @@ def trusted(
     limits : pair of ndarray, shape (p + 1,)
         Lowest and highest calibrated reading, K.
     """
-    watch, open_ = before.watch, before.suspicion
-    offset = False
-    if np.isfinite(open_.channel):
-        alone = observer.expected(replace(before, linear=open_.linear), moment.length, moment.steps)
-        open_ = open_._replace(linear=alone.linear, samples=open_.samples + 1.0)
-        judgement = _judgement(observer, open_, moment, readings)
-        offset = judgement is Judgement.OFFSET
-        if offset:
-            watch = _distrusting(watch, int(open_.channel), moment.time)
-        if judgement in (Judgement.OFFSET, Judgement.SPIKE):
-            expected = expected._replace(linear=alone.linear)
-        if judgement is not Judgement.OPEN:
-            open_ = suspicion.none(alone.linear.size)
+    watch = before.watch
+    open_, judgement = _followed(observer, before, moment, readings)
+    if judgement in (Judgement.OFFSET, Judgement.SPIKE):
+        expected = expected._replace(linear=open_.linear)
+    if judgement is Judgement.OFFSET:
+        watch = _distrusting(watch, int(open_.channel), moment.time)
+    if judgement is not Judgement.OPEN:
+        open_ = suspicion.none(expected.linear.size)
     rows, noise = observer.system.rows, np.sqrt(observer.model.filter.noise)
     lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
@@ -121,7 +116,10 @@ def trusted(
         )
         if not verdict.lost:
             break
-    if offset or (verdict.watch.distrusted > watch.distrusted).any():
+    if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
+        attempt = attempt._replace(linear=open_.linear)
+        open_ = suspicion.none(expected.linear.size)
+    if (verdict.watch.distrusted > before.watch.distrusted).any():
         attempt = _heat_unknown(observer, attempt)
     innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
     jumps = bool(np.abs(innovation).max() > GATE * MODEL_ERROR)
@@ -138,14 +136,24 @@ def possible(limits: tuple[Array, Array]) -> tuple[Array, Array]:
     return low - ROOM, high + FURTHER * (high - low) + ROOM
 
 
-def _judgement(observer: Observer, open_: Suspicion, moment: Moment, readings: Array) -> Judgement:
-    """What a jump before this sample was."""
-    channel = int(open_.channel)
-    departure = float(readings[channel] - observer.system.rows[channel] @ open_.linear)
+def _followed(
+    observer: Observer, before: ObserverState, moment: Moment, readings: Array
+) -> tuple[Suspicion, Judgement]:
+    """A jump that is not yet judged, this sample counted, and what it was."""
+    known = before.suspicion
+    if not np.isfinite(known.channel):
+        return known, Judgement.OPEN
+    channel = int(known.channel)
+    alone = observer.expected(replace(before, linear=known.linear), moment.length, moment.steps)
+    known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
+    if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
+        # It may be stuck: that takes longer to be seen.
+        return known, Judgement.OPEN
+    departure = float(readings[channel] - observer.system.rows[channel] @ alone.linear)
     # The source that the reading sees most of.
     answers = observer.onset[:, channel]
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
-    return suspicion.judged(open_, departure, moment.time, answer, observer.model.step)
+    return known, suspicion.judged(known, departure, moment.time, answer, observer.model.step)
 
 
 def _distrusting(watch: Watch, channel: int, time: float) -> Watch:

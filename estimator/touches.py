@@ -1,0 +1,70 @@
+"""Readings of the displacement now and then, a touch probe's, beside a row of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.log_file import read_log
+
+
+def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
+    """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the axes that were read.
+
+    Returns
+    -------
+    times : ndarray, shape (k,)
+        s.
+    values : ndarray, shape (k, axes)
+        m; NaN where nothing was read.
+
+    Raises
+    ------
+    InputError
+        The file is unusable, or holds a reading of no axis.
+    """
+    log = read_log([path])
+    known = {column.base: k for k, column in enumerate(log.columns)}
+    if not known.keys() & set(axes):
+        wanted = ", ".join(f"{axis}_um" for axis in axes)
+        raise InputError(f"{path}: no reading of a displacement; name its columns {wanted}")
+    values = np.full((len(log.times), len(axes)), np.nan)
+    for k, axis in enumerate(axes):
+        if axis in known:
+            column = log.columns[known[axis]]
+            if column.quantity != "length":
+                raise InputError(
+                    f"{path}: {column.name} is a {column.quantity}; name the column {axis}_um"
+                )
+            values[:, k] = log.values[:, known[axis]]
+    return log.times, values
+
+
+def with_touches(
+    samples: Iterable[Sequence[float]], times: Array, values: Array
+) -> Iterator[tuple[float, ...]]:
+    """Yield every sample with the readings that came since the one before it, NaN for none.
+
+    Parameters
+    ----------
+    samples : iterable of sequences
+        Time (s) and values.
+    times : ndarray, shape (k,)
+        Of the readings, s, increasing. What was read before the first sample is left out.
+    values : ndarray, shape (k, axes)
+        m.
+    """
+    at = None
+    for time, *rest in samples:
+        if at is None:
+            at = int(np.searchsorted(times, time, "left"))
+        end = int(np.searchsorted(times, time, "right"))
+        latest = np.full(values.shape[1], np.nan)
+        for row in values[at:end]:
+            latest = np.where(np.isfinite(row), row, latest)
+        at = max(at, end)
+        yield (time, *rest, *map(float, latest))
