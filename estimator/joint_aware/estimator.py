@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
-from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_model import Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
     FOLLOWED,
     KNOWN,
@@ -60,7 +59,11 @@ class JointAware:
     """
 
     model: ObserverModel
-    kind: Literal["joint-aware"] = "joint-aware"
+
+    @property
+    def kind(self) -> Kind:
+        """Name of the kind."""
+        return self.model.kind
 
     @property
     def axes(self) -> tuple[str, ...]:
