@@ -12,7 +12,8 @@ from artefacts.response import make_response
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
 from thermojoint.paper.report import Picture, ReportData, report_html
-from thermojoint.paper.summary import convergence, pressure_share, verdict
+from thermojoint.paper.summary import convergence, pressure_share
+from thermojoint.paper.verdict import verdict
 from thermojoint.pictures import stills as pictures
 from thermojoint.pictures.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.pictures.figures import (
