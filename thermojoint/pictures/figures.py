@@ -197,7 +197,9 @@ def errors_figure(
         _draw(panel, times, series, 1e6)
         panel.set_yscale("log")
         panel.set_ylabel(f"size of the error {axis} (µm)")
-    _finish(panels)
+    # Too many curves for a place between them: one legend, beside the last panel.
+    _finish(panels[:-1], legend=False)
+    _finish(panels[-1:], outside=True)
     return figure
 
 
