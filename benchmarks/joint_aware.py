@@ -17,7 +17,6 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Mapping
-from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 
@@ -35,8 +34,9 @@ from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, reduce_machine
 from estimator.noise import NOISE_PEAK_TO_PEAK_K, sensor_noise
 from fesim.case.schema import Case, case_from_data
-from fesim.setup.machine import Setup, set_up
-from fesim.simulate import simulate
+from fesim.setup.machine import set_up
+from thermojoint.paper import inputs
+from thermojoint.paper.long_runs import LongRuns, simulate_long, warm_part
 
 #: Element sizes of the bodies and of the joint, mm.
 MODEL, PLANT = (50.0, 25.0), (40.0, 20.0)
@@ -48,16 +48,14 @@ PLACES = {
     "T1": (625.0, 450.0, 87.5),
     "T2": (625.0, 700.0, 87.5),
 }
-DAY, COOL_DOWN, HEATED = 480.0, 240.0, 35.0
-#: Seed of the day: levels 0 to 2 that last 5 to 40 min, ambient within 3 K.
+#: Seed of the day and of the noise.
 SEED = 3
-#: A warm start, this long after the start of the day, and when it is judged, s.
-WARM, SETTLED = 4 * 3600.0, 1200.0
+RUNS = LongRuns(seed=SEED)
 
 
 def machine_data(height: float, sizes: tuple[float, float]) -> dict:
-    """Return the reference case on a mesh, bracket and source top at a height (mm)."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    """Return the equal-heights case on a mesh, bracket and source top at a height (mm)."""
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
     data = tomllib.loads(text)
     data["structure"] |= {"element_size_mm": sizes[0], "joint_element_size_mm": sizes[1]}
     data["structure"]["dimensions_mm"] = {
@@ -87,53 +85,12 @@ def with_eight_off(data: dict) -> dict:
     return data
 
 
-def random_day(folder: Path) -> dict:
-    """Write a day's heat and ambient; return what a case says of them."""
-    rng = np.random.default_rng(SEED)
-    end, now, times, levels = 60.0 * DAY, 0.0, [], []
-    while now < end:
-        level, lasts = rng.uniform(0.0, 2.0), 60.0 * rng.uniform(5.0, 40.0)
-        times += [now + 1e-3 if now else 0.0, now + lasts]
-        levels += [level, level]
-        now += lasts
-    every = np.arange(0.0, end + 1.0, 600.0)
-    drift = np.cumsum(rng.normal(size=every.size))
-    drift = 3.0 * (drift - drift[0]) / np.abs(drift - drift[0]).max()
-    heat, ambient = folder / "heat.csv", folder / "ambient.csv"
-    heat.write_text(_csv("heat_input", times, levels))
-    ambient.write_text(_csv("ambient_degC", every, 20.0 + drift))
-    return {
-        "heat_input": {"kind": "sampled", "file": str(heat)},
-        "ambient": {"file": str(ambient)},
-    }
-
-
-def runs(folder: Path) -> dict[str, tuple[dict, float]]:
-    """Return what drives every run, and its length, min."""
-    cooled = folder / "cooled.csv"
-    off = 60.0 * HEATED
-    cooled.write_text(_csv("heat_input", [0.0, off, off + 1e-3], [2.0, 2.0, 0.0]))
-    steps = {
-        f"step-{level}": ({"heat_input": {"kind": "step", "level": level}}, HEATED)
-        for level in (0.5, 1.0, 2.0, 1.5, 3.0)
-    }
-    triangle = {"kind": "triangle", "peak": 2.0, "duration_min": 10.0}
-    return steps | {
-        "triangle": ({"heat_input": triangle}, HEATED),
-        "cool-down": ({"heat_input": {"kind": "sampled", "file": str(cooled)}}, COOL_DOWN),
-        "day": (random_day(folder), DAY),
-    }
-
-
 def responses_of(data: dict, folder: Path) -> dict[str, xr.Dataset]:
     """Simulate a plant in every run."""
-    setup: Setup | None = None
-    found = {}
-    for name, (drive, minutes) in runs(folder).items():
-        case = _case(deepcopy(data) | drive, minutes)
-        setup = setup or set_up(case)
-        found[name] = simulate(case, setup=setup).response
-    return found
+    case = machine_case(data)
+    setup = set_up(case)
+    short = inputs.simulate_inputs(case, inputs.CALIBRATION | inputs.VALIDATION, setup=setup)
+    return short | simulate_long(case, RUNS, folder, setup, lambda *_: None)
 
 
 def judged(
@@ -143,33 +100,14 @@ def judged(
     rows = []
     for name in cases:
         rows += judge(name, responses[name], estimator)[0]
-    triangle = responses["triangle"]
+    triangle = responses[inputs.TRIANGLE]
     noise = sensor_noise(
         triangle["time"].to_numpy(), NOISE_PEAK_TO_PEAK_K, SEED, len(estimator.model.sensors)
     )
-    rows += judge("triangle-noise", triangle, estimator, noise)[0]
-    day = responses["day"]
-    late = day.isel(time=day["time"].to_numpy() >= WARM)
-    _, estimates = judge("warm-start", late, estimator, state=estimator.warm_state())
-    settled = late["time"].to_numpy() >= WARM + SETTLED
-    actual = late["displacement"].sel(axis=list(estimator.axes)).to_numpy()[settled]
-    claimed = np.array([one.displacement for one in estimates])[settled]
-    bands = np.array([one.band for one in estimates])[settled]
-    for k, axis in enumerate(estimator.axes):
-        error = np.abs(claimed - actual)[:, k]
-        rows.append(
-            {
-                "case": "warm-start",
-                "estimator": estimator.kind,
-                "axis": axis,
-                "max_abs_error_um": 1e6 * float(error.max()),
-                "rms_error_um": 1e6 * float(np.sqrt(np.mean(error**2))),
-                "peak_total_um": 1e6 * float(np.abs(actual[:, k]).max()),
-                "band_cover": float(np.mean(error <= bands[:, k])),
-                "mean_band_um": 1e6 * float(bands[:, k].mean()),
-            }
-        )
-    return rows
+    rows += judge(inputs.NOISY, triangle, estimator, noise)[0]
+    warm, late = estimator.warm_state(), warm_part(responses[inputs.DAY], RUNS)
+    settled = 60.0 * RUNS.settled
+    return rows + judge(inputs.WARM_START, late, estimator, state=warm, settled_s=settled)[0]
 
 
 def cost(estimator: JointAware, response: xr.Dataset) -> dict[str, float]:
@@ -194,7 +132,7 @@ def cost(estimator: JointAware, response: xr.Dataset) -> dict[str, float]:
 
 def study(height: float, wanted: list[str]) -> dict:
     """Return all figures."""
-    case = _case(machine_data(height, MODEL) | {"heat_input": {"kind": "step", "level": 1.0}}, 35.0)
+    case = machine_case(machine_data(height, MODEL))
     machine = reduce_machine(case, set_up(case), SENSORS)
     plants = {
         "other mesh": machine_data(height, PLANT),
@@ -228,7 +166,7 @@ def _one(
     )
     taken = time.perf_counter() - begun
     estimator = JointAware(calibrated.model)
-    cases = ["step-1.5", "step-3.0", "triangle", "day", "cool-down"]
+    cases = [*inputs.VALIDATION, inputs.DAY, inputs.COOL_DOWN]
     rows = judged(estimator, responses, [name for name in cases if name not in calibration])
     sample = cost(estimator, responses["step-1.5"])
     return rows, {"calibration_s": taken, "sample": sample} | report(calibrated.fit)
@@ -248,18 +186,9 @@ def show(rows: list[dict], plant: str, label: str) -> None:
     Console(width=100).print(table)
 
 
-def _case(data: dict, minutes: float) -> Case:
-    data = deepcopy(data)
-    data["march"]["duration_min"] = minutes
+def machine_case(data: dict) -> Case:
+    """Return the case of nested dictionaries."""
     return case_from_data(data, "benchmark", Path())
-
-
-def _csv(name: str, times: list[float] | np.ndarray, values: list[float] | np.ndarray) -> str:
-    rows = (
-        f"{time!r},{value!r}"
-        for time, value in zip(map(float, times), map(float, values), strict=True)
-    )
-    return "\n".join([f"time_s,{name}", *rows]) + "\n"
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from thermojoint.cli import arguments
 from thermojoint.cli.app import app
 from thermojoint.paper import inputs, reproduce
 from thermojoint.paper.inputs import check_drivable, check_placeable
-from thermojoint.paper.summary import paper_claim
+from thermojoint.paper.verdict import paper_claim
 
 PAGE = (Path(__file__).parents[1] / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]

@@ -9,23 +9,25 @@ import subprocess
 import sys
 import tomllib
 from contextlib import contextmanager
+from functools import partial
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 from in_process import undisturbed
-from reference_case import CASE, lasting
+from reference_case import lasting
+from short_runs import SHORT, quick_bands
 
 from artefacts.response import read_response, write_response
+from estimator.judge import ESTIMATORS
 from models.model_file import Provenance, read_model, write_model
 from thermojoint.cli import console
 from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
 from thermojoint.paper import inputs, paper_values, reproduce
 from thermojoint.pictures import view
-
-CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
 
 
 @pytest.fixture
@@ -48,7 +50,9 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reproduce")
     (folder / "coarse.toml").write_text(lasting(3.0))
     patch = pytest.MonkeyPatch()
-    with patch.context() as within, undisturbed():
+    short = partial(reproduce.reproduce, long=SHORT)
+    with patch.context() as within, undisturbed(), quick_bands():
+        within.setattr(reproduce, "reproduce", short)
         arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
         within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])
         with pytest.raises(SystemExit) as stop:
@@ -560,8 +564,7 @@ def test_reproduce_leaves_every_file(results):
 def test_reproduce_validates_every_case_with_every_estimator(results):
     rows = json.loads((results / "validation.json").read_text())["rows"]
     given = {(row["case"], row["estimator"], row["axis"]) for row in rows}
-    estimators = ("none", "linear", "mlr", "ridge", "arx", "fchs")
-    assert {(c, e, a) for c in CASES for e in estimators for a in "xy"} <= given
+    assert {(c, e, a) for c in inputs.CASES for e in ESTIMATORS for a in "xy"} <= given
     for row in rows:
         assert 0.0 <= row["rms_error_um"] <= row["max_abs_error_um"]
         assert {"peak_total_um", "peak_nonlinear_um"} <= set(row)
@@ -588,7 +591,7 @@ def test_the_report_holds_everything_in_one_page(results):
     for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
         assert words in page
     shown = len(list((results / "figures").iterdir()))
-    assert page.count("data:image/png;base64,") == shown == 13
+    assert page.count("data:image/png;base64,") == shown == 16
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "<script" not in page
 
@@ -621,5 +624,6 @@ def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
     code, _, _ = command("reproduce", "--out", tmp_path / "results")
     assert code == 0
     [(case, _)] = seen
-    assert case.title == tomllib.loads(CASE)["title"]
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    assert case.title == tomllib.loads(text)["title"]
     assert case.march.duration_min == 35.0

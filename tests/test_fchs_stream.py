@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
+from estimator.block_errors import block_errors
 from estimator.fchs.estimator import Fchs
 from estimator.fchs.stream import initial_state, run, step, stream
 from estimator.interface import follow
-from estimator.judge import block_errors, superposed, validate
+from estimator.judge import validate
 from estimator.noise import sensor_noise
 from estimator.saved_state import load_state, save_state
 from estimator.starting import started
+from estimator.superposition import superposed
 from models import blocks, deformation, ring_source
 from models.assembly import assemble
 from models.assembly_file import fingerprint, read_assembly, write_assembly

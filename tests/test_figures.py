@@ -1,22 +1,28 @@
 """Figures and pictures show the data they are given, and always exist."""
 
+import io
 import sys
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
+from estimator.judge import ESTIMATORS
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
+from thermojoint.cli import console
 from thermojoint.paper.report import Picture, ReportData, report_html
-from thermojoint.paper.summary import convergence, pressure_share, verdict
+from thermojoint.paper.summary import convergence, pressure_share
+from thermojoint.paper.verdict import error_table, paper_claim, verdict
 from thermojoint.pictures import stills as pictures
 from thermojoint.pictures.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.pictures.figures import (
     displacements_figure,
+    errors_figure,
     heat_text,
     pressure_figure,
     response_figure,
@@ -250,6 +256,48 @@ def judged(case, axis, linear, fchs):
         {"case": case, "axis": axis, "estimator": name, "max_abs_error_um": error}
         for name, error in (("linear", linear), ("fchs", fchs))
     ]
+
+
+def test_the_joint_aware_estimator_is_held_against_the_paper_as_fchs_is():
+    rows = [
+        {"case": "step-1.5", "axis": "x", "estimator": name, "max_abs_error_um": error}
+        for name, error in (("linear", 0.9), ("fchs", 0.6), ("joint-aware", 0.05), ("ridge", 0.01))
+    ]
+    assert [paper_claim(row) for row in rows] == [None, 0.1, 0.1, None]
+    text = verdict(rows)
+    assert "FCHS estimator's largest error" in text
+    assert "joint-aware estimator's largest error is within" in text
+    assert "in 1 of 1 rows: step-1.5 x." in text
+
+
+def test_errors_of_all_estimators_stand_beside_each_other():
+    rows = judged("day", "x", 44.2, 36.4) + judged("step-1.5", "y", 3.08, 0.5688)
+    table = error_table(rows)
+    assert table.estimators == ("linear", "fchs")
+    assert [(row.case, row.axis, row.errors, row.paper) for row in table.rows] == [
+        ("day", "x", (44.2, 36.4), None),
+        ("step-1.5", "y", (3.08, 0.5688), 0.1),
+    ]
+    terminal = Console(width=100, record=True, file=io.StringIO())
+    console.show_estimators(terminal, table)
+    shown = terminal.export_text()
+    for text in ("linear", "fchs", "44", "0.57", "–"):
+        assert text in shown
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1232.4, "1232"), (10.0, "10"), (9.96, "10"), (0.0541, "0.054")]
+)
+def test_a_figure_has_two_digits_and_no_exponent(value, text):
+    assert console.rounded(value) == text
+
+
+def test_eight_estimators_have_eight_curves():
+    errors = {name: np.full((5, 2), 1e-6) for name in ESTIMATORS}
+    figure = errors_figure(np.arange(5.0), errors, ["x", "y"], "day")
+    for axes in figure.axes:
+        looks = {(line.get_linestyle(), line.get_color()) for line in axes.get_lines()}
+        assert len(looks) == len(ESTIMATORS) == 8
 
 
 def test_the_verdict_says_what_was_reached_and_what_was_not():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from short_runs import SHORT, quick_bands
 
 from artefacts.errors import InputError
 from calibrate import chain
@@ -20,20 +21,25 @@ from calibrate.placement import (
     with_roles,
 )
 from estimator import judge, noise
-from fesim.case.schema import case_from_data
+from estimator.joint_aware.model_file import read_observer
+from fesim.case.schema import HeldTemperatureSection, MeshSection, case_from_data
+from meshes.structure import Probe
 from models.sensors import roles_in
 from thermojoint.paper import inputs
+from thermojoint.paper.long_runs import random_day
+from thermojoint.paper.observers import observer_case, observers_of
 from thermojoint.paper.reproduce import reproduce
 
 AXES = ("x", "y")
-ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "fchs")
+OBSERVERS = {"kalman-linear", "joint-aware"}
 
 
 @pytest.fixture(scope="module")
 def case():
     """The reference machine with elements of 100 mm, 35 minutes in steps of 10 s."""
     data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
-    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
+    data["structure"]["element_size_mm"] = 100.0
+    del data["structure"]["joint_element_size_mm"]
     data["march"] = {"step_s": 10.0, "duration_min": 35.0}
     data["candidates"][1]["spacing_mm"] = 75.0
     return case_from_data(data, "coarse study", Path())
@@ -43,7 +49,8 @@ def case():
 def results(case, tmp_path_factory):
     """The folder that a whole run leaves."""
     out = tmp_path_factory.mktemp("results")
-    reproduce(case, out)
+    with quick_bands():
+        reproduce(case, out, SHORT)
     return out
 
 
@@ -62,14 +69,19 @@ def model(results):
 
 
 def test_a_run_leaves_every_file(results):
-    names = {f"responses/{name}.nc" for name in (*inputs.CALIBRATION, *inputs.VALIDATION)}
+    simulated = (*inputs.CALIBRATION, *inputs.VALIDATION, inputs.DAY, inputs.COOL_DOWN)
+    names = {f"responses/{name}.nc" for name in simulated}
     names |= {"model.json", "baselines.json", "tables.json", "validation.json", "report.html"}
+    names |= {
+        f"{kind}.{end}" for kind in ("joint_aware", "kalman_linear") for end in ("h5", "json")
+    }
     found = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
     assert names <= found
     pictures = {name.split("/")[1] for name in found if name.startswith("figures/")}
     for number in range(6, 12):
         assert any(name.startswith(f"figure-{number:02d}") for name in pictures)
     assert {"temperature.png", "deformation.png", "pressure.png"} <= pictures
+    assert {f"error-{case}.png" for case in inputs.CASES} <= pictures
 
 
 def test_tables_json_has_every_parameter(results):
@@ -99,10 +111,65 @@ def test_eqs_8_and_18_follow_the_calibration_responses(results):
 def test_validation_json_judges_every_estimator_in_every_case(results):
     rows = json.loads((results / "validation.json").read_text())["rows"]
     found = {(row["case"], row["estimator"], row["axis"]) for row in rows}
-    cases = ("step-1.5", "step-3.0", "triangle", "triangle-noise")
-    assert found == {(c, e, a) for c in cases for e in ESTIMATORS for a in AXES}
+    assert found == {(c, e, a) for c in inputs.CASES for e in judge.ESTIMATORS for a in AXES}
     for row in rows:
-        assert 0.0 < row["rms_error_um"] <= row["max_abs_error_um"] <= row["peak_total_um"]
+        assert 0.0 < row["rms_error_um"] <= row["max_abs_error_um"]
+        assert ("band_cover" in row) == ("mean_band_um" in row) == (row["estimator"] in OBSERVERS)
+        if row["case"] not in (inputs.DAY, inputs.COOL_DOWN, inputs.WARM_START):
+            assert row["max_abs_error_um"] <= row["peak_total_um"]
+            assert row["peak_nonlinear_um"] > 0.0
+        else:
+            assert row["peak_nonlinear_um"] is None
+
+
+def test_the_joint_aware_estimator_is_nearest_although_its_mesh_is_another(results):
+    rows = json.loads((results / "validation.json").read_text())["rows"]
+    error = {(r["case"], r["axis"], r["estimator"]): r["max_abs_error_um"] for r in rows}
+    for case in ("step-1.5", "step-3.0", "triangle", "day", "cool-down"):
+        for axis in AXES:
+            ours = error[case, axis, "joint-aware"]
+            others = [error[case, axis, name] for name in judge.ESTIMATORS if name != "joint-aware"]
+            assert ours < min(others)
+
+
+def test_the_observers_know_the_machine_on_a_coarser_mesh(case, results):
+    sensors = read_observer(results / "joint_aware.h5").sensors
+    assert sensors == ("a", "b", "T1", "T2")
+    known = observer_case(case, {"a": Probe((0.55, 0.6125, 0.1), "column")})
+    assert known.structure.element_size_mm == 125.0
+    assert known.structure.joint_element_size_mm is None
+    assert known.structure.dimensions_mm == case.structure.dimensions_mm
+    assert known.probes["a"].position_mm == (550.0, 612.5, 100.0)
+    assert known.joints == case.joints
+
+
+def test_a_mesh_from_a_file_has_to_serve_its_observers(case):
+    mesh = MeshSection(kind="mesh", file=Path("machine.msh"))
+    measured = case.model_copy(update={"structure": mesh})
+    assert observer_case(measured, {}).structure == mesh
+
+
+def test_a_machine_with_held_temperatures_has_no_observers(case, tmp_path):
+    held = {"bearings": HeldTemperatureSection(rise_K=0.0)}
+    assert observers_of(case.model_copy(update={"held_temperatures": held}), {}, {}, tmp_path) == []
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_day_is_drawn_from_its_seed(results, responses):
+    heat, ambient = (random_day(480.0, 10)[name] for name in ("heat_input", "ambient_degC"))
+    again, other = random_day(480.0, 10), random_day(480.0, 11)
+    assert np.array_equal(heat, again["heat_input"])
+    assert not np.array_equal(ambient[1], other["ambient_degC"][1])
+    lasts = np.diff(heat[0])[::2]
+    assert ((lasts > 299.0) & (lasts < 2401.0)).all()
+    assert heat[0][-1] >= 480.0 * 60.0
+    assert 0.0 <= heat[1].min() < heat[1].max() <= 2.0
+    assert np.abs(ambient[1] - ambient[1][0]).max() == pytest.approx(3.0)
+    # The day in the results is the drawn one, and says where its histories are.
+    told = json.loads(responses["day"].attrs["case"])
+    files = [told["heat_input"]["file"], told["ambient"]["file"]]
+    assert all(Path(one).parent == results / "responses" and Path(one).is_file() for one in files)
+    assert list(responses["day"]["probe"].to_numpy()) == ["a", "b", "T1", "T2"]
 
 
 def test_the_report_is_one_page_that_loads_nothing(results):
@@ -133,8 +200,8 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
         for with_them in (None, beside)
     }
     names = {given: {row["estimator"] for row in one.rows} for given, one in found.items()}
-    assert names[True] == set(ESTIMATORS)
-    assert names[False] == set(ESTIMATORS) - {"mlr", "ridge", "arx"}
+    assert names[True] == set(judge.ESTIMATORS) - OBSERVERS
+    assert names[False] == {"none", "linear", "fchs"}
     short = replace(beside, arx={"y": beside.arx["y"]})
     with pytest.raises(InputError, match="no axis named 'x'"):
         judge.validate_model(model, None, given, baselines=short)

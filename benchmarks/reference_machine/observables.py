@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from artefacts.response import probes_of
-from estimator.judge import superposed
+from estimator.superposition import superposed
 from models.deformation import basis
 from thermojoint.paper import paper_values
 from thermojoint.paper.summary import pressure_share

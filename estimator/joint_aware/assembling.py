@@ -16,9 +16,9 @@ from estimator.joint_aware.filter_design import (
 )
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.parameters import factors_of, with_factors
-from estimator.joint_aware.physics import Physics, make_physics
 from estimator.joint_aware.physics_fit import Fit
 from estimator.joint_aware.reduced_machine import Modes, ReducedMachine, diagonal_modes
+from estimator.joint_aware.sticking import sticking_tangent
 
 #: Columns of the covariance that a run may carry beside the steady one.
 COLUMNS = 12
@@ -64,10 +64,9 @@ def make_observer(
         [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
     )
     steady = replace(found, scale=scale)
-    physics = make_physics(modes, fitted.joints, held)
     moved = np.hstack(
         [
-            _sticking_tangent(physics),
+            sticking_tangent(modes.elastic, fitted.laws),
             fit.remainder.displacement,
             np.zeros((len(machine.axes), machine.power.size + 1)),
         ]
@@ -136,23 +135,3 @@ def _answer(rates: Array, lasted: float, ago: float) -> Array:
     safe = np.where(slow, 1.0, rates)
     grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)
     return np.asarray(grown * np.exp(-rates * ago))
-
-
-def _sticking_tangent(physics: Physics) -> Array:
-    """Displacement per amplitude with every joint sticking at its preload, m, (axes, r)."""
-    elastic = physics.modes.elastic
-    if not physics.contacts:
-        return elastic.probe_thermal
-    stiffness = []
-    for part in range(3):
-        for law, count in physics.laws:
-            normal = float(law.normal.slope(np.zeros(1))[0])
-            sliding = 0.0 if law.friction.coefficient == 0.0 else -law.friction.stiffness
-            stiffness.append(np.full(count, normal if part == 0 else sliding))
-    slope = np.concatenate(stiffness) + elastic.reference
-    force = elastic.compliance * elastic.area
-    gaps = np.linalg.solve(np.eye(slope.size) - force * slope, elastic.thermal_gap)
-    tangent: Array = elastic.probe_thermal + elastic.probe_compliance @ (
-        (elastic.area * slope)[:, None] * gaps
-    )
-    return tangent

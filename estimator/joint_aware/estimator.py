@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware import displacement_readings, suspicion
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer import Observer, Settled
-from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_model import Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
     KNOWN,
     UNKNOWN,
@@ -58,7 +57,11 @@ class JointAware:
 
     model: ObserverModel
     touch_noise: float = TOUCH_NOISE
-    kind: Literal["joint-aware"] = "joint-aware"
+
+    @property
+    def kind(self) -> Kind:
+        """Name of the kind."""
+        return self.model.kind
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 import xarray as xr
 
@@ -16,12 +14,71 @@ from estimator.joint_aware.readings import samples_in
 _MICRO = 1e6
 
 
+def followed(
+    response: xr.Dataset,
+    estimator: JointAware,
+    added: Array | None = None,
+    state: Array | None = None,
+) -> list[Estimate]:
+    """Run an estimator on the temperatures of a response.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        With the probes of the model.
+    estimator : JointAware
+        What is run.
+    added : ndarray, shape (n, p), optional
+        Noise on the sensors, K; NaN takes a reading away.
+    state : ndarray, optional
+        Where it starts; default at rest.
+
+    Raises
+    ------
+    InputError
+        The response lacks a probe.
+    """
+    sensors = estimator.model.sensors
+    table = np.array(list(samples_in(response, sensors)))
+    if added is not None:
+        table[:, 1 : 1 + len(sensors)] += added
+    start = estimator.initial_state() if state is None else state
+    return [estimate for _, estimate in follow(estimator, table.tolist(), start)]
+
+
+def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
+    """Return figures of a run, each of shape (axes,).
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, axes)
+        Estimated less actual displacement, m.
+    band : ndarray, shape (k, axes), optional
+        Half the width of 95 %, m.
+
+    Returns
+    -------
+    dict
+        max_abs_error_um, rms_error_um; with a band band_cover (part of the samples inside it) and
+        mean_band_um.
+    """
+    found = {
+        "max_abs_error_um": np.abs(error).max(axis=0) * _MICRO,
+        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * _MICRO,
+    }
+    if band is not None:
+        found["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
+        found["mean_band_um"] = band.mean(axis=0) * _MICRO
+    return found
+
+
 def judge(
     case: str,
     response: xr.Dataset,
     estimator: JointAware,
     added: Array | None = None,
     state: Array | None = None,
+    settled_s: float = 0.0,
 ) -> tuple[list[dict[str, str | float]], list[Estimate]]:
     """Run an estimator on the temperatures of `response` and judge it by the displacement.
 
@@ -29,20 +86,15 @@ def judge(
     ----------
     case : str
         Name for the rows.
-    response : xarray.Dataset
-        With the probes of the model.
-    estimator : JointAware
-        What is judged.
-    added : ndarray, shape (n, p), optional
-        Noise on the sensors, K; NaN takes a reading away.
-    state : ndarray, optional
-        Where it starts; default at rest.
+    response, estimator, added, state
+        As in `followed`.
+    settled_s : float
+        The rows count samples from this long after the first one on, s.
 
     Returns
     -------
     rows : list of dict
-        For each axis: case, estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
-        band_cover (part of the samples inside the band of 95 %), mean_band_um (its half width).
+        For each axis: case, estimator, axis, peak_total_um, and `figures_of`.
     estimates : list of Estimate
         The whole run.
 
@@ -51,31 +103,16 @@ def judge(
     InputError
         The response lacks a probe or an axis.
     """
-    samples: Iterable[tuple[float, ...]] = samples_in(response, estimator.model.sensors)
-    if added is not None:
-        nothing = np.zeros((len(added), 1))
-        samples = (
-            (time, *(np.array(values) + more))
-            for (time, *values), more in zip(samples, np.hstack([added, nothing]), strict=True)
-        )
-    start = estimator.initial_state() if state is None else state
-    found = [estimate for _, estimate in follow(estimator, samples, start)]
-    actual = columns_of(response, "displacement", estimator.axes)
-    errors = np.array([one.displacement for one in found]) - actual
-    bands = np.array([one.band for one in found])
-    rows: list[dict[str, str | float]] = []
-    for k, axis in enumerate(estimator.axes):
-        error, band = np.abs(errors[:, k]), bands[:, k]
-        rows.append(
-            {
-                "case": case,
-                "estimator": estimator.kind,
-                "axis": axis,
-                "max_abs_error_um": float(error.max() * _MICRO),
-                "rms_error_um": float(np.sqrt(np.mean(error**2)) * _MICRO),
-                "peak_total_um": float(np.abs(actual[:, k]).max() * _MICRO),
-                "band_cover": float(np.mean(error <= band)),
-                "mean_band_um": float(band.mean() * _MICRO),
-            }
-        )
+    found = followed(response, estimator, added, state)
+    times = response["time"].to_numpy()
+    counted = times >= times[0] + settled_s
+    actual = columns_of(response, "displacement", estimator.axes)[counted]
+    error = np.array([one.displacement for one in found])[counted] - actual
+    band = np.array([one.band for one in found])[counted]
+    figures = {"peak_total_um": np.abs(actual).max(axis=0) * _MICRO} | figures_of(error, band)
+    rows: list[dict[str, str | float]] = [
+        {"case": case, "estimator": estimator.kind, "axis": axis}
+        | {name: float(values[k]) for name, values in figures.items()}
+        for k, axis in enumerate(estimator.axes)
+    ]
     return rows, found

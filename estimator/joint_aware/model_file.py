@@ -20,7 +20,7 @@ from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import whole_file
 from estimator.joint_aware.filter_design import SteadyFilter
-from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
+from estimator.joint_aware.observer_model import Band, Calibrated, Kind, ObserverModel
 from estimator.joint_aware.recognition import SCHEMA
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from estimator.joint_aware.remainder import Remainder
@@ -28,6 +28,9 @@ from fesim.case.schema import JointSection
 from fesim.solid.condensation import ElasticCondensation
 
 SCHEMA_VERSION = 1
+
+#: Reads the kind: what is none of them is no model.
+KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
 #: Parts of the model that are arrays alone: attribute to class, with the arrays of each.
 _MODES = ("rates", "drive", "jump", "sensors")
@@ -132,6 +135,7 @@ def _header(model: ObserverModel) -> str:
         {
             "schema": SCHEMA,
             "schema_version": SCHEMA_VERSION,
+            "kind": model.kind,
             "step_s": model.step,
             "sensors": model.sensors,
             "axes": model.axes,
@@ -177,4 +181,5 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             {name: (low, high) for name, (low, high) in known["temperatures"].items()},
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
+        kind=KIND.validate_python(header["kind"]),
     )

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from artefacts.arrays import Array
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from estimator.joint_aware.remainder import Remainder
+
+#: With its joint, or with the joint linearised at its preload (`linear_joint`).
+Kind = Literal["joint-aware", "kalman-linear"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,8 @@ class ObserverModel:
     factors : dict of str to (float, float)
         Calibrated parameter to the factor on the case's value and the standard deviation of its
         logarithm.
+    kind : str
+        What an estimator on it is called.
     """
 
     modes: Modes
@@ -103,3 +109,4 @@ class ObserverModel:
     sources: tuple[str, ...]
     calibrated: Calibrated
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    kind: Kind = "joint-aware"

@@ -25,8 +25,10 @@ from thermojoint.paper import paper_values
 if TYPE_CHECKING:
     import xarray as xr
 
+    from estimator.rows import Row
     from thermojoint.paper.summary import Convergence, PressureShare, SchemeErrors
     from thermojoint.paper.tables import PrintedTable
+    from thermojoint.paper.verdict import ErrorTable
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
@@ -91,6 +93,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return "–" if value is None else f"{value:.{digits}g}"
 
 
+def rounded(value: float) -> str:
+    """Return a number with two digits that count, or as a whole number, never with an exponent."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
+
+
 def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
     from thermojoint.paper.tables import NOTE
@@ -116,9 +123,9 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     console.print(f"Paper: {paper_values.CITATION}.")
 
 
-def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+def show_validation(console: Console, rows: Sequence[Row]) -> None:
     """Print the errors of the estimators, from temperatures alone."""
-    from thermojoint.paper.summary import paper_claim
+    from thermojoint.paper.verdict import paper_claim
 
     table = Table()
     title = "Validation from temperatures alone (µm)"
@@ -133,7 +140,7 @@ def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]])
             str(row["estimator"]),
             str(row["axis"]),
             *(
-                number(float(row[name]), 3)
+                _figure(row[name])
                 for name in (
                     "max_abs_error_um",
                     "rms_error_um",
@@ -144,6 +151,18 @@ def show_validation(console: Console, rows: Sequence[Mapping[str, str | float]])
             number(claim),
         )
     _titled(console, title, table)
+
+
+def show_estimators(console: Console, table: ErrorTable) -> None:
+    """Print the largest errors of all estimators beside each other, a line for a case and axis."""
+    shown = Table()
+    for name in ("case", "axis"):
+        shown.add_column(name, no_wrap=True)
+    for name in (*table.estimators, "paper"):
+        shown.add_column(name.replace("-", "-\n"), justify="right")
+    for row in table.rows:
+        shown.add_row(row.case, row.axis, *map(rounded, row.errors), number(row.paper))
+    _titled(console, "Largest error of the estimated displacement, from temperatures (µm)", shown)
 
 
 def show_bands(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
@@ -200,7 +219,7 @@ def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
     _titled(console, "Largest error by the calibration of Eq. 18 (µm)", table)
 
 
-def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+def show_blocks(console: Console, rows: Sequence[Row]) -> None:
     """Print which block of Figure 5 an error comes from."""
     if not rows:
         return
@@ -215,10 +234,7 @@ def show_blocks(console: Console, rows: Sequence[Mapping[str, str | float]]) -> 
             str(row["case"]),
             str(row["driven_by"]),
             str(row["axis"]),
-            *(
-                number(float(row[f"{part}_error_um"]), 3)
-                for part in ("linear", "nonlinear", "total")
-            ),
+            *(_figure(row[f"{part}_error_um"]) for part in ("linear", "nonlinear", "total")),
         )
     _titled(console, title, table)
 
@@ -282,6 +298,11 @@ def show_share(console: Console, share: PressureShare) -> None:
         table.add_row(str(row.contact), f"{row.early_MPa:+.2f}", f"{row.final_MPa:+.2f}", part)
     _titled(console, title, table)
     console.print(f"No share where the final change is below {STILL:.0%} of the largest one.")
+
+
+def _figure(value: str | float | None) -> str:
+    """Return a figure of a row as a table shows it."""
+    return number(None if value is None else float(value), 3)
 
 
 def _titled(console: Console, title: str, table: Table) -> None:

@@ -32,6 +32,16 @@ VALIDATION: dict[str, HeatInput] = {
     "step-3.0": StepInput(kind="step", level=3.0),
     "triangle": TriangleInput(kind="triangle", peak=2.0, duration_min=10.0),
 }
+#: The response to the reference step.
+REFERENCE = "step-1.0"
+#: The response of Figure 7, and of the field pictures.
+PRESSURE = "step-2.0"
+#: The responses of Figures 8 and 9, and of 10 and 11; the latter's noise is the estimate's.
+EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
+#: Longer than anything the paper judges by (`thermojoint.paper.long_runs`).
+DAY, COOL_DOWN, WARM_START = "day", "cool-down", "warm-start"
+#: All that estimators are judged by, in this order.
+CASES = (*VALIDATION, NOISY, DAY, COOL_DOWN, WARM_START)
 
 
 def check_drivable(case: Case) -> None:

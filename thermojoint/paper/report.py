@@ -11,17 +11,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from thermojoint.cli.console import number
+from estimator.rows import Row
+from thermojoint.cli.console import number, rounded
 from thermojoint.paper import paper_values
 from thermojoint.paper.summary import (
     STILL,
     Convergence,
     PressureShare,
     SchemeErrors,
-    paper_claim,
-    verdict,
 )
 from thermojoint.paper.tables import NOTE, PrintedTable
+from thermojoint.paper.verdict import error_table, paper_claim, verdict
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
@@ -56,7 +56,7 @@ class ReportData:
     tables : sequence of PrintedTable
         Tables 1-3.
     validation, blocks : sequence of mapping
-        Rows of `estimator.judge.validate` and `block_errors`.
+        Rows of `estimator.judge.validate` and `estimator.block_errors`.
     schemes : sequence of SchemeErrors
         The two calibrations of Eq. 18 beside the linear estimator.
     convergence : mapping
@@ -76,9 +76,9 @@ class ReportData:
     title: str
     facts: Sequence[tuple[str, str]]
     tables: Sequence[PrintedTable] = ()
-    validation: Sequence[Mapping[str, str | float]] = ()
+    validation: Sequence[Row] = ()
     schemes: Sequence[SchemeErrors] = ()
-    blocks: Sequence[Mapping[str, str | float]] = ()
+    blocks: Sequence[Row] = ()
     convergence: Mapping[str, Convergence] = field(default_factory=dict)
     share: PressureShare | None = None
     placement: str = ""
@@ -97,11 +97,13 @@ def report_html(data: ReportData) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
+    environment.filters["rounded"] = rounded
     environment.globals["paper_claim"] = paper_claim
     template = environment.get_template("report.html.j2")
     return template.render(
         data=data,
         verdict=verdict(data.validation),
+        errors=error_table(data.validation),
         still=STILL,
         note=NOTE,
         citation=paper_values.CITATION,

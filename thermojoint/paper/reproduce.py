@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 
 from artefacts.files import write_text
@@ -18,62 +17,36 @@ from calibrate.baselines import baselines_of
 from calibrate.placement import with_roles
 from calibrate.provenance import provenance_of
 from estimator import judge
-from estimator.fchs.stream import Signals
-from estimator.judge import superposed
-from estimator.noise import joint_noise
+from estimator.joint_aware.estimator import JointAware
+from estimator.judge import Validated
 from fesim.case.schema import Case
-from fesim.setup.machine import Setup, set_up
-from models.baselines import write_baselines
+from fesim.setup.machine import set_up
+from models.baselines import Baselines, write_baselines
 from models.model_file import Provenance, write_model
 from models.parameters import Model
-from models.sensors import roles_in
+from models.sensors import ROLES
 from thermojoint.cli import console
 from thermojoint.paper import inputs
+from thermojoint.paper.drawing import draw, error_figures, paper_figures
 from thermojoint.paper.inputs import check_drivable, check_placeable
-from thermojoint.paper.report import Picture, ReportData, write_report
-from thermojoint.paper.summary import compare_schemes, convergence, pressure_share, verdict
-from thermojoint.paper.tables import printed_tables, tables_json
-from thermojoint.pictures.figures import (
-    displacements_figure,
-    errors_figure,
-    heat_text,
-    pressure_figure,
-    temperatures_figure,
-    write_figure,
+from thermojoint.paper.long_runs import (
+    LongRuns,
+    at_sensors,
+    simulate_long,
+    warm_part,
+    without_nonlinear,
 )
-from thermojoint.pictures.view import FIELDS, field_scene, run_to_end, whole_structure
+from thermojoint.paper.observers import observers_of
+from thermojoint.paper.report import ReportData, write_report
+from thermojoint.paper.summary import compare_schemes, convergence, pressure_share
+from thermojoint.paper.tables import printed_tables, tables_json
+from thermojoint.paper.verdict import error_table, verdict
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
-
-REFERENCE = "step-1.0"
-#: The response of Figure 7, and of the field pictures.
-PRESSURE = "step-2.0"
-#: The responses of Figures 8 and 9, and of 10 and 11; the latter's noise is the estimate's.
-EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
-
-CAPTIONS = {
-    "figure-06-structure": "Figure 6: the structure, its contact strips, sensors and heat source Q",
-    "figure-07-contact-pressure": "Figure 7: change of the contact pressure, heat input 2.0",
-    "figure-08-temperature-deviation": "Figure 8: temperature deviation from the linear structure "
-    "at T1 and T2, heat input 3.0",
-    "figure-09-nonlinear-displacement": "Figure 9: actual and estimated nonlinear displacement, "
-    "heat input 3.0",
-    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, and with "
-    "the sensor noise put on it",
-    "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
-    "the triangle, with sensor noise",
-    **{
-        f"error-{name}": f"Error of every estimator, {name}" for name in (*inputs.VALIDATION, NOISY)
-    },
-    "temperature": "Temperature at the end of the step, heat input 2.0",
-    "deformation": "Deformed shape at the end of the step, heat input 2.0",
-    "pressure": "Contact pressure at the end of the step, heat input 2.0",
-}
 
 
-def reproduce(case: Case, out: Path) -> None:
+def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     """Run the chain on `case`, fill the folder `out` and print what came out.
 
     The folder is all old until everything is there, and then all new (`artefacts.folders`).
@@ -85,8 +58,11 @@ def reproduce(case: Case, out: Path) -> None:
         (`thermojoint.paper.inputs.check_drivable`), and it names its sensors or has candidates
         for them.
     out : Path
-        Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``tables.json``,
-        ``validation.json``, ``figures/*.png`` and ``report.html``.
+        Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``joint_aware.h5`` and
+        ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, ``validation.json``,
+        ``figures/*.png`` and ``report.html``.
+    long : LongRuns, optional
+        How long the day and the cool-down are.
 
     Raises
     ------
@@ -97,65 +73,62 @@ def reproduce(case: Case, out: Path) -> None:
     """
     check_drivable(case)
     check_placeable(case)
+    runs = long or LongRuns()
     with whole_folder(out) as folder, console.progress_bars() as report:
         report("setting up", 0, 1)
         setup = set_up(case)
         report("setting up", 1, 1)
         heats = inputs.CALIBRATION | inputs.VALIDATION
         responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
-        for name, response in responses.items():
-            write_response(response, folder / "responses" / f"{name}.nc")
+        _write_responses(responses, folder)
 
-        report("calibrating", 0, 1)
+        report("calibrating", 0, 3)
         calibrated, provenance = _calibrate(case, responses)
+        roles = {role: role for role in ROLES}
         if calibrated.placement is not None:
-            responses = {
-                name: with_roles(response, calibrated.placement.roles)
-                for name, response in responses.items()
-            }
-            for name, response in responses.items():
-                write_response(response, folder / "responses" / f"{name}.nc")
+            roles = calibrated.placement.roles
+            responses = {name: with_roles(one, roles) for name, one in responses.items()}
+            _write_responses(responses, folder)
         write_model(calibrated.model, folder / "model.json", provenance)
-        baselines = baselines_of(calibrated, [responses[name] for name in inputs.CALIBRATION])
+        known = {name: responses[name] for name in inputs.CALIBRATION}
+        report("calibrating", 1, 3)
+        baselines = baselines_of(calibrated, list(known.values()))
         write_baselines(baselines, folder / "baselines.json")
         tables = tables_json(calibrated.model, provenance)
         _write_json(folder / "tables.json", tables)
-        report("calibrating", 1, 1)
+        report("calibrating", 2, 3)
+        sensors = {role: setup.probes[name] for role, name in roles.items()}
+        observers = observers_of(case, sensors, known, folder)
+        report("calibrating", 3, 3)
 
+        lasting = simulate_long(case, runs, folder / "responses", setup, report)
+        lasting = {
+            name: _kept(at_sensors(one, roles), folder, out) for name, one in lasting.items()
+        }
+        _write_responses(lasting, folder)
         report("validating", 0, 1)
-        judged = {name: responses[name] for name in inputs.VALIDATION}
-        validated = judge.validate_model(
-            calibrated.model,
-            responses[REFERENCE],
-            judged,
-            noisy=[TRIANGLE],
-            baselines=baselines,
-        )
+        validated = _judged(calibrated.model, responses, lasting, runs, baselines, observers)
         _write_json(folder / "validation.json", validated.figures())
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
-        axes = list(calibrated.model.linear.deformation)
-        figures |= {
-            f"error-{name}": errors_figure(
-                np.asarray(validated.estimates[name].time), errors, axes, name
-            )
-            for name, errors in validated.errors.items()
-        }
-        hot = case.model_copy(update={"heat_input": heats[PRESSURE]})
-        pictures = _draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
+        figures |= error_figures(validated)
+        hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
+        pictures = draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)
 
         data = ReportData(
             title=case.title,
-            facts=facts(case, responses[REFERENCE]),
+            facts=facts(case, responses[inputs.REFERENCE]),
             tables=printed_tables(tables, provenance.at_bound),
             validation=validated.rows,
             schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
             blocks=validated.blocks,
-            convergence={name: convergence(response) for name, response in responses.items()},
-            share=pressure_share(responses[PRESSURE]),
+            convergence={
+                name: convergence(response) for name, response in (responses | lasting).items()
+            },
+            share=pressure_share(responses[inputs.PRESSURE]),
             placement="" if calibrated.placement is None else str(calibrated.placement),
             fits=provenance.reports,
             pictures=pictures,
@@ -165,10 +138,41 @@ def reproduce(case: Case, out: Path) -> None:
     show(console.out(), data)
 
 
+def _judged(
+    model: Model,
+    responses: Mapping[str, xr.Dataset],
+    lasting: Mapping[str, xr.Dataset],
+    runs: LongRuns,
+    baselines: Baselines,
+    observers: Sequence[JointAware],
+) -> Validated:
+    """Judge every estimator in every case; those that know no warm start begin it as if cold."""
+    at_rest = [(one, one.initial_state()) for one in observers]
+    warm = [(one, one.warm_state()) for one in observers]
+    short = judge.validate_model(
+        model,
+        responses[inputs.REFERENCE],
+        {name: responses[name] for name in inputs.VALIDATION},
+        noisy=[inputs.TRIANGLE],
+        baselines=baselines,
+        observers=at_rest,
+    )
+    long = judge.validate_model(model, None, lasting, baselines=baselines, observers=at_rest)
+    started = judge.validate_model(
+        model,
+        None,
+        {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)},
+        baselines=baselines,
+        observers=warm,
+        settled_s=60.0 * runs.settled,
+    )
+    return judge.joined([short, without_nonlinear(long), without_nonlinear(started)])
+
+
 def show(terminal: Console, data: ReportData) -> None:
     """Print the tables of a report."""
     console.show_tables(terminal, data.tables)
-    console.show_validation(terminal, data.validation)
+    console.show_estimators(terminal, error_table(data.validation))
     console.show_schemes(terminal, data.schemes)
     console.show_blocks(terminal, data.blocks)
     console.show_convergence(terminal, data.convergence)
@@ -179,67 +183,6 @@ def show(terminal: Console, data: ReportData) -> None:
     if data.validation:
         terminal.print()
         terminal.print(verdict(data.validation))
-
-
-def paper_figures(
-    model: Model, responses: Mapping[str, xr.Dataset], estimates: Mapping[str, Signals]
-) -> dict[str, Figure]:
-    """Return the paper's Figures 7-11, by file name without its suffix.
-
-    Parameters
-    ----------
-    model : Model
-        Names the sensors and the axes.
-    responses : mapping
-        The responses of the study, by name.
-    estimates : mapping
-        What the estimator made of "step-3.0", "triangle" and "triangle-noise".
-    """
-    reference = responses[REFERENCE]
-    steep, triangle = responses[EXTRAPOLATION], responses[TRIANGLE]
-    times, noisy = estimates[EXTRAPOLATION], estimates[NOISY]
-    sensors = list(model.linear.direct)
-    on_steep = deviations(model, reference, steep)
-    on_triangle = deviations(model, reference, triangle)
-    noise = joint_noise(triangle)
-    return {
-        "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
-        "figure-08-temperature-deviation": temperatures_figure(
-            np.asarray(times.time),
-            {
-                sensor: {"simulated": on_steep[:, j], "estimator": times.deviation[:, j]}
-                for j, sensor in enumerate(sensors)
-            },
-            heat_text(steep),
-        ),
-        "figure-09-nonlinear-displacement": displacements_figure(
-            np.asarray(times.time), _nonlinear(model, reference, steep, times), heat_text(steep)
-        ),
-        "figure-10-noisy-deviation": temperatures_figure(
-            triangle["time"].to_numpy(),
-            {
-                sensor: {
-                    "with noise": on_triangle[:, j] + noise[sensor],
-                    "simulated": on_triangle[:, j],
-                }
-                for j, sensor in enumerate(sensors)
-            },
-            heat_text(triangle),
-        ),
-        "figure-11-noisy-displacement": displacements_figure(
-            np.asarray(noisy.time),
-            _nonlinear(model, reference, triangle, noisy),
-            heat_text(triangle),
-        ),
-    }
-
-
-def deviations(model: Model, reference: xr.Dataset, response: xr.Dataset) -> np.ndarray:
-    """Return the deviation of T1, T2 ... from the superposed reference, K, shape (k, sensors)."""
-    roles = roles_in(response, model)
-    probes = [roles[role] for role in model.linear.direct]
-    part, base = response.sel(probe=probes), reference.sel(probe=probes)
-    return part["temperature"].to_numpy() - superposed(base, part, "temperature")
 
 
 def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
@@ -275,44 +218,22 @@ def _calibrate(
     others = {
         float(responses[name]["heat_input"][-1]): responses[name]
         for name in inputs.CALIBRATION
-        if name != REFERENCE
+        if name != inputs.REFERENCE
     }
-    calibrated = chain.calibrate_responses(responses[REFERENCE], others)
+    calibrated = chain.calibrate_responses(responses[inputs.REFERENCE], others)
     origin = case.model_dump_json()
     return calibrated, provenance_of(calibrated, origin)
 
 
-def _draw(
-    folder: Path,
-    figures: Mapping[str, Figure],
-    case: Case,
-    setup: Setup,
-    sensors: Mapping[str, tuple[float, float, float]],
-    report: console.Report,
-) -> list[Picture]:
-    """Write the figures and the 3-D pictures of the end of `case`."""
-    from thermojoint.pictures.stills import write_pictures
-
-    _, _, last = run_to_end(case, report, setup)
-    scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
-    scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}
-    for name, figure in figures.items():
-        write_figure(figure, folder / f"{name}.png")
-    write_pictures({folder / f"{name}.png": scene for name, scene in scenes.items()})
-    return [Picture(folder / f"{name}.png", caption) for name, caption in CAPTIONS.items()]
+def _kept(response: xr.Dataset, folder: Path, out: Path) -> xr.Dataset:
+    """Return a response whose case names its histories where they will be, in `out`."""
+    case = str(response.attrs["case"]).replace(str(folder), str(out.resolve()))
+    return response.assign_attrs(case=case)
 
 
-def _nonlinear(
-    model: Model, reference: xr.Dataset, response: xr.Dataset, estimate: Signals
-) -> dict[str, dict[str, np.ndarray]]:
-    """Axis to the actual and the estimated nonlinear displacement, m."""
-    linear = superposed(reference, response, "displacement")
-    known = [str(name) for name in response["axis"].to_numpy()]
-    actual = response["displacement"].to_numpy() - linear
-    return {
-        axis: {"actual": actual[:, known.index(axis)], "estimated": estimate.nonlinear[:, k]}
-        for k, axis in enumerate(model.linear.deformation)
-    }
+def _write_responses(responses: Mapping[str, xr.Dataset], folder: Path) -> None:
+    for name, response in responses.items():
+        write_response(response, folder / "responses" / f"{name}.nc")
 
 
 def _write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> None:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from artefacts.errors import InputError
-from thermojoint.paper import paper_values
+from thermojoint.paper.verdict import largest_error
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from estimator.rows import Row
 
 #: A contact pressure whose final change is below this part of the largest one has no share of it.
 STILL = 0.1
@@ -226,9 +228,7 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
 
 
 def compare_schemes(
-    rows: Sequence[Mapping[str, str | float]],
-    as_printed: Sequence[Mapping[str, str | float]],
-    vectors: Sequence[Mapping[str, str | float]],
+    rows: Sequence[Row], as_printed: Sequence[Row], vectors: Sequence[Row]
 ) -> list[SchemeErrors]:
     """Return the largest errors of the linear estimator and of both FCHS calibrations.
 
@@ -242,96 +242,20 @@ def compare_schemes(
     list of SchemeErrors
         Every case along every axis, and as the length of the whole vector where that is known.
     """
-    error = {(row["case"], row["axis"], row["estimator"]): row["max_abs_error_um"] for row in rows}
-    steps = {(row["case"], row["axis"]): row["max_abs_error_um"] for row in as_printed}
-    length = {(row["case"], row["estimator"]): row["max_abs_error_um"] for row in vectors}
+    error = {(row["case"], row["axis"], row["estimator"]): largest_error(row) for row in rows}
+    steps = {(row["case"], row["axis"]): largest_error(row) for row in as_printed}
+    length = {(row["case"], row["estimator"]): largest_error(row) for row in vectors}
     found = [
-        SchemeErrors(
-            str(case),
-            str(axis),
-            float(linear),
-            float(steps[case, axis]),
-            float(error[case, axis, "fchs"]),
-        )
+        SchemeErrors(str(case), str(axis), linear, steps[case, axis], error[case, axis, "fchs"])
         for (case, axis, estimator), linear in error.items()
         if estimator == "linear"
     ]
     found += [
-        SchemeErrors(str(case), "vector", float(linear), None, float(length[case, "fchs"]))
+        SchemeErrors(str(case), "vector", linear, None, length[case, "fchs"])
         for (case, estimator), linear in length.items()
         if estimator == "linear"
     ]
     return found
-
-
-def paper_claim(row: Mapping[str, str | float]) -> float | None:
-    """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
-    if row["estimator"] != "fchs" or row["axis"] not in paper_values.TABLE1_DEFORMATION:
-        return None
-    return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
-
-
-def verdict(rows: Sequence[Mapping[str, str | float]]) -> str:
-    """Return in words what the estimator has reached: the paper's accuracy, and the linear model's.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        See `estimator.judge.validate`.
-
-    Returns
-    -------
-    str
-        One paragraph; empty if nothing was judged.
-    """
-    found = [row for row in rows if row["estimator"] == "fchs"]
-    if not found:
-        return ""
-    linear = {
-        (row["case"], row["axis"]): float(row["max_abs_error_um"])
-        for row in rows
-        if row["estimator"] == "linear"
-    }
-    error = {(row["case"], row["axis"]): float(row["max_abs_error_um"]) for row in found}
-    claims = {(row["case"], row["axis"]): paper_claim(row) for row in found}
-    near = {key: claim for key, claim in claims.items() if claim is not None}
-    reached = [key for key, claim in near.items() if error[key] <= claim]
-    missed = [key for key in near if key not in reached]
-    worse = [key for key in error if key in linear and error[key] > linear[key]]
-
-    sentences = []
-    if near:
-        sentences.append(
-            f"The FCHS estimator's largest error is within what the paper reports of its own "
-            f"machine in {len(reached)} of {len(near)} rows{_listed(reached)}."
-        )
-    if missed:
-        told = [
-            f"{case} {axis} ({error[case, axis]:.3g} against {near[case, axis]:g} µm)"
-            for case, axis in missed
-        ]
-        sentences.append(f"It is not in {', '.join(told)}.")
-    better = len(error) - len(worse)
-    sentences.append(
-        f"The linear model alone has a larger error, from the same temperatures, in {better} of "
-        f"{len(error)}."
-    )
-    if worse:
-        told = [
-            f"{case} {axis} ({error[case, axis]:.3g} against {linear[case, axis]:.3g} µm)"
-            for case, axis in worse
-        ]
-        sentences.append(f"It has the smaller one in {', '.join(told)}.")
-    return " ".join(sentences)
-
-
-def _listed(keys: Sequence[tuple[str | float, str | float]]) -> str:
-    """Cases with their axes in words, e.g. ": triangle x and y"."""
-    axes: dict[str, list[str]] = {}
-    for case, axis in keys:
-        axes.setdefault(str(case), []).append(str(axis))
-    told = [f"{case} {' and '.join(names)}" for case, names in axes.items()]
-    return f": {', '.join(told)}" if told else ""
 
 
 def _need(response: xr.Dataset, name: str) -> None:

@@ -23,8 +23,26 @@ if TYPE_CHECKING:
 
 
 _SIZE = (7.0, 4.2)
-_STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a")
+_STYLES = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (5, 1, 1, 1, 1, 1)),
+    (0, (1, 1)),
+    (0, (8, 2)),
+    (0, (3, 1, 1, 1)),
+)
+_SHADES = (
+    "#000000",
+    "#b2341f",
+    "#1f5fa8",
+    "#3c7d3c",
+    "#8a5a00",
+    "#6b4c9a",
+    "#1b8a8f",
+    "#c04a8c",
+)
 _NOISY_WIDTH = 0.4
 #: What curves are written as.
 FORMATS = ("png", "svg", "pdf")
@@ -65,7 +83,7 @@ def pressure_figure(response: xr.Dataset) -> Figure:
             minutes,
             change[:, k],
             linestyle=_STYLES[k % len(_STYLES)],
-            # One shade fewer than styles: no pair of the two comes twice among thirty curves.
+            # One shade fewer than styles: no pair of the two comes twice among fifty curves.
             color=_SHADES[k % (len(_SHADES) - 1)],
             linewidth=1.3,
             label=f"element {number}" if labelled else None,
@@ -179,7 +197,9 @@ def errors_figure(
         _draw(panel, times, series, 1e6)
         panel.set_yscale("log")
         panel.set_ylabel(f"size of the error {axis} (µm)")
-    _finish(panels)
+    # Too many curves for a place between them: one legend, beside the last panel.
+    _finish(panels[:-1], legend=False)
+    _finish(panels[-1:], outside=True)
     return figure
 
 

@@ -1,0 +1,98 @@
+"""Which block of Figure 5 an error comes from: true signals in place of estimated ones.
+
+The difference between two rows is the error of what was replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.response import axes_of, columns_of, probes_of
+from estimator.rows import Row
+from estimator.superposition import held_heat, superposed
+from models import blocks
+from models.assembly import Assembly, assemble
+from models.parameters import Model
+from models.sensors import readings
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MICRO = 1e6
+
+
+def assembled_for(model: Model, times: Array) -> Assembly:
+    """Return the estimator for samples at `times` (s), by their shortest interval.
+
+    The run is taken to be as long as those of the calibration at least: by them the inverse of the
+    sources is known to be stable.
+    """
+    length = max(float(times[-1] - times[0]), model.span.duration_s)
+    return assemble(model, float(np.diff(times).min()), length)
+
+
+def block_errors(
+    case: str,
+    response: xr.Dataset,
+    model: Model,
+    reference: xr.Dataset,
+    *,
+    roles: Mapping[str, str] | None = None,
+    noise: Mapping[str, np.ndarray] | None = None,
+) -> list[Row]:
+    """Return the largest errors with true signals in place of estimated ones.
+
+    Rows, by ``driven_by``: "temperatures" (the estimator as it is), "true heat" (Q for Q̂ in blocks
+    2 and 3), "true deviations" (∂T from the superposed reference for blocks 4 to 7), "both".
+    Errors are against the superposed reference (linear), the displacement less it (nonlinear) and
+    the displacement (total). With "both", what is left of the linear error is Eq. 8's, and of the
+    nonlinear error that of the source model and Eq. 18.
+
+    Parameters
+    ----------
+    case, response, model, reference, roles, noise
+        As in `estimator.judge.validate`; the noise stays on the temperatures wherever they are
+        used.
+
+    Returns
+    -------
+    list of dict
+        case, driven_by, axis, linear_error_um, nonlinear_error_um, total_error_um.
+    """
+    seen = readings(response, tuple(model.linear.direct), roles, noise)
+    assembly = assembled_for(model, seen.times)
+    times, heat = seen.times, held_heat(response)
+    actual = columns_of(response, "displacement", assembly.axes)
+    order = [axes_of(response).index(axis) for axis in assembly.axes]
+    linear = superposed(reference, response, "displacement")[:, order]
+    known = probes_of(response)
+    probes = [known.index((roles or {}).get(role, role)) for role in model.linear.direct]
+    on_linear = superposed(reference, response, "temperature")[:, probes]
+
+    estimated_heat = blocks.heat_part(assembly, times, seen.delta_T)
+    true_deviation = seen.temperatures - on_linear
+    rows: list[Row] = []
+    for driven_by, q, given in (
+        ("temperatures", estimated_heat, None),
+        ("true heat", heat, None),
+        ("true deviations", estimated_heat, true_deviation),
+        ("both", heat, true_deviation),
+    ):
+        deviation = given
+        if deviation is None:
+            deviation = blocks.deviations(assembly, times, q, seen.temperatures)
+        part_linear = blocks.linear_part(assembly, times, q)
+        part_nonlinear = blocks.nonlinear_part(assembly, times, deviation)
+        for k, axis in enumerate(assembly.axes):
+            errors = {
+                "linear_error_um": part_linear - linear,
+                "nonlinear_error_um": part_nonlinear - (actual - linear),
+                "total_error_um": part_linear + part_nonlinear - actual,
+            }
+            worst = {name: float(np.abs(e[:, k]).max() * MICRO) for name, e in errors.items()}
+            rows.append({"case": case, "driven_by": driven_by, "axis": axis, **worst})
+    return rows

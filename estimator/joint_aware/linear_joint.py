@@ -1,0 +1,55 @@
+"""A machine whose joint is linearised at its preload: what a Kalman filter alone can follow.
+
+Every contact element keeps the conductance and the stiffness that it has at its preload, and
+sticks. What is left of the machine is linear, and the joint-aware estimator on it is the Kalman
+filter of the reduced model with a linear joint: a baseline, calibrated and run as the other is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from estimator.joint_aware.calibration import JointAwareCalibration, calibrate_machine
+from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.reduced_machine import ReducedMachine
+from estimator.joint_aware.sticking import sticking_tangent
+
+
+def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
+    """Return a machine without contact elements that answers as this one near its preload.
+
+    The joint's conductance belongs to the conduction then, and its stiffness to the displacement
+    per temperature.
+    """
+    elastic, held = machine.elastic, machine.at_preload
+    nothing = np.zeros(0)
+    return replace(
+        machine,
+        conduction=machine.conduction + machine.jump.T @ (held[:, None] * machine.jump),
+        jump=machine.jump[:0],
+        elastic=replace(
+            elastic,
+            compliance=np.zeros((0, 0)),
+            thermal_gap=elastic.thermal_gap[:0],
+            probe_compliance=elastic.probe_compliance[:, :0],
+            probe_thermal=sticking_tangent(elastic, machine.laws),
+            reference=nothing,
+            area=nothing,
+        ),
+        joints=(),
+    )
+
+
+def calibrate_linear_joint(
+    machine: ReducedMachine,
+    responses: Mapping[str, xr.Dataset],
+    noise: Noise | None = None,
+    fitted: Sequence[str] | None = None,
+) -> JointAwareCalibration:
+    """Return the Kalman filter of a machine; as `estimator.joint_aware.calibration`."""
+    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted)
+    return replace(found, model=replace(found.model, kind="kalman-linear"))

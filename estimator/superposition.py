@@ -1,0 +1,67 @@
+"""What a structure in proportion to its reference response would do under any heat."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from artefacts.errors import InputError
+from artefacts.steps import step_level
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def superposed(reference: xr.Dataset, response: xr.Dataset, variable: str) -> np.ndarray:
+    """Return what a structure proportional to `reference` would do under the heat of `response`.
+
+    Duhamel's sum over the changes of the heat input, each value of which holds over the interval
+    that ends at its sample. The reference is the response to one step at time 0.
+
+    Parameters
+    ----------
+    reference, response : xarray.Dataset
+        Responses; the reference is at least as long.
+    variable : str
+        "temperature" or "displacement".
+
+    Returns
+    -------
+    ndarray, shape of the variable in `response`
+
+    Raises
+    ------
+    InputError
+        The reference is not one step, is too short, or has other probes or axes.
+    """
+    level = step_level(reference, "reference response")
+    times, lag = response["time"].to_numpy(), reference["time"].to_numpy()
+    if times[-1] > lag[-1] * (1.0 + 1e-9):
+        raise InputError("reference response: shorter than the response; simulate it for longer")
+    label = response[variable].dims[1]
+    if list(reference[label].to_numpy()) != list(response[label].to_numpy()):
+        raise InputError(f"reference response: other {label} names than the response")
+    unit = reference[variable].to_numpy() / level
+    if lag[0] > 0.0:
+        lag, unit = np.append(0.0, lag), np.concatenate((np.zeros((1, unit.shape[1])), unit))
+    heat = held_heat(response)
+    onsets = np.append(0.0, times[:-1])
+    changes = np.diff(heat, prepend=0.0)
+    elapsed = np.maximum(np.subtract.outer(times, onsets), 0.0)
+    return np.stack([np.interp(elapsed, lag, column) @ changes for column in unit.T], axis=1)
+
+
+def held_heat(response: xr.Dataset) -> np.ndarray:
+    """Return the heat input over the interval that ends at each sample, from rest at time 0.
+
+    Raises
+    ------
+    InputError
+        Time starts before 0.
+    """
+    times, heat = response["time"].to_numpy(), response["heat_input"].to_numpy().astype(float)
+    if times[0] < 0.0:
+        raise InputError(f"response: time starts at {times[0]:g} s; it must start at rest, at 0")
+    # Nothing has gone in by time 0, whatever the history's value there.
+    return np.where(times > 0.0, heat, 0.0)

@@ -1,0 +1,87 @@
+"""The joint linearised at its preload: the machine that a Kalman filter alone can follow."""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from artefacts.errors import InputError
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.judging import judge
+from estimator.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
+from estimator.joint_aware.model_file import read_observer, write_observer
+from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def case(coarse_data):
+    data = copy.deepcopy(coarse_data)
+    data["march"] |= {"thermal": "reduced", "duration_min": 10.0, "step_s": 10.0}
+    return case_from_data(data, "case", Path())
+
+
+@pytest.fixture(scope="module")
+def setup(case):
+    return set_up(case)
+
+
+@pytest.fixture(scope="module")
+def machine(case, setup):
+    return along(reduce_machine(case, setup, ("a", "b", "T1", "T2")), ["x", "y"])
+
+
+@pytest.fixture(scope="module")
+def responses(case, setup):
+    return {"step 1.0": simulate(case, setup=setup).response}
+
+
+@pytest.fixture(scope="module")
+def calibrated(machine, responses):
+    return calibrate_linear_joint(machine, responses, fitted=[])
+
+
+def marched(machine, level):
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    inputs = np.tile(np.append(level * machine.power, 0.0), (60, 1))
+    return np.hstack(simulate_known(physics, inputs, machine.step)) / level
+
+
+def test_near_the_preload_the_machine_is_its_linear_one(machine):
+    linear = marched(with_linear_joint(machine), 1.0)
+    small = np.abs(marched(machine, 1e-4) - linear).max(axis=0)
+    large = np.abs(marched(machine, 2.0) - linear).max(axis=0)
+    assert (small < 1e-3 * np.abs(linear).max(axis=0)).all()
+    assert (small < 0.01 * large).all()
+
+
+def test_the_linear_machine_is_proportional_to_its_heat(machine):
+    linear = with_linear_joint(machine)
+    assert marched(linear, 3.0) == pytest.approx(marched(linear, 1.0), rel=1e-9, abs=1e-12)
+
+
+def test_its_estimator_says_what_it_is_and_has_no_joint(calibrated, tmp_path):
+    write_observer(calibrated.model, tmp_path / "model.h5")
+    estimator = JointAware(read_observer(tmp_path / "model.h5"))
+    assert estimator.kind == "kalman-linear"
+    assert not estimator.model.joints
+    assert not {"friction", "preload", "roughness"} & set(estimator.model.factors)
+
+
+def test_a_model_of_an_unknown_kind_is_refused(calibrated, tmp_path):
+    write_observer(replace(calibrated.model, kind="oracle"), tmp_path / "model.h5")
+    with pytest.raises(InputError, match="not a whole joint-aware model"):
+        read_observer(tmp_path / "model.h5")
+
+
+def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):
+    rows, _ = judge("step", responses["step 1.0"], JointAware(calibrated.model))
+    for row in rows:
+        assert row["max_abs_error_um"] < 0.05 * row["peak_total_um"]
+        assert row["rms_error_um"] < 0.02 * row["peak_total_um"]

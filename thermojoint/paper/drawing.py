@@ -1,0 +1,163 @@
+"""The pictures of a run: the paper's Figures 6-11, errors against time, fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from estimator.fchs.stream import Signals
+from estimator.judge import Validated
+from estimator.noise import joint_noise
+from estimator.superposition import superposed
+from fesim.case.schema import Case
+from fesim.setup.machine import Setup
+from models.parameters import Model
+from models.sensors import roles_in
+from thermojoint.paper.inputs import (
+    CASES,
+    EXTRAPOLATION,
+    NOISY,
+    PRESSURE,
+    REFERENCE,
+    TRIANGLE,
+    Report,
+)
+from thermojoint.paper.report import Picture
+from thermojoint.pictures.figures import (
+    displacements_figure,
+    errors_figure,
+    heat_text,
+    pressure_figure,
+    temperatures_figure,
+    write_figure,
+)
+from thermojoint.pictures.view import FIELDS, field_scene, run_to_end, whole_structure
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+CAPTIONS = {
+    "figure-06-structure": "Figure 6: the structure, its contact strips, sensors and heat source Q",
+    "figure-07-contact-pressure": "Figure 7: change of the contact pressure, heat input 2.0",
+    "figure-08-temperature-deviation": "Figure 8: temperature deviation from the linear structure "
+    "at T1 and T2, heat input 3.0",
+    "figure-09-nonlinear-displacement": "Figure 9: actual and estimated nonlinear displacement, "
+    "heat input 3.0",
+    "figure-10-noisy-deviation": "Figure 10: temperature deviation under the triangle, and with "
+    "the sensor noise put on it",
+    "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
+    "the triangle, with sensor noise",
+    **{f"error-{name}": f"Error of every estimator, {name}" for name in CASES},
+    "temperature": "Temperature at the end of the step, heat input 2.0",
+    "deformation": "Deformed shape at the end of the step, heat input 2.0",
+    "pressure": "Contact pressure at the end of the step, heat input 2.0",
+}
+
+
+def paper_figures(
+    model: Model, responses: Mapping[str, xr.Dataset], estimates: Mapping[str, Signals]
+) -> dict[str, Figure]:
+    """Return the paper's Figures 7-11, by file name without its suffix.
+
+    Parameters
+    ----------
+    model : Model
+        Names the sensors and the axes.
+    responses : mapping
+        The responses of the study, by name.
+    estimates : mapping
+        What FCHS made of "step-3.0", "triangle" and "triangle-noise".
+    """
+    reference = responses[REFERENCE]
+    steep, triangle = responses[EXTRAPOLATION], responses[TRIANGLE]
+    times, noisy = estimates[EXTRAPOLATION], estimates[NOISY]
+    sensors = list(model.linear.direct)
+    on_steep = deviations(model, reference, steep)
+    on_triangle = deviations(model, reference, triangle)
+    noise = joint_noise(triangle)
+    return {
+        "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
+        "figure-08-temperature-deviation": temperatures_figure(
+            np.asarray(times.time),
+            {
+                sensor: {"simulated": on_steep[:, j], "estimator": times.deviation[:, j]}
+                for j, sensor in enumerate(sensors)
+            },
+            heat_text(steep),
+        ),
+        "figure-09-nonlinear-displacement": displacements_figure(
+            np.asarray(times.time), _nonlinear(model, reference, steep, times), heat_text(steep)
+        ),
+        "figure-10-noisy-deviation": temperatures_figure(
+            triangle["time"].to_numpy(),
+            {
+                sensor: {
+                    "with noise": on_triangle[:, j] + noise[sensor],
+                    "simulated": on_triangle[:, j],
+                }
+                for j, sensor in enumerate(sensors)
+            },
+            heat_text(triangle),
+        ),
+        "figure-11-noisy-displacement": displacements_figure(
+            np.asarray(noisy.time),
+            _nonlinear(model, reference, triangle, noisy),
+            heat_text(triangle),
+        ),
+    }
+
+
+def deviations(model: Model, reference: xr.Dataset, response: xr.Dataset) -> np.ndarray:
+    """Return the deviation of T1, T2 ... from the superposed reference, K, shape (k, sensors)."""
+    roles = roles_in(response, model)
+    probes = [roles[role] for role in model.linear.direct]
+    part, base = response.sel(probe=probes), reference.sel(probe=probes)
+    return part["temperature"].to_numpy() - superposed(base, part, "temperature")
+
+
+def error_figures(validated: Validated) -> dict[str, Figure]:
+    """Return the errors of every estimator against time, by file name without its suffix."""
+    axes = list(dict.fromkeys(str(row["axis"]) for row in validated.rows))
+    return {
+        f"error-{name}": errors_figure(
+            np.asarray(validated.estimates[name].time), errors, axes, name
+        )
+        for name, errors in validated.errors.items()
+    }
+
+
+def draw(
+    folder: Path,
+    figures: Mapping[str, Figure],
+    case: Case,
+    setup: Setup,
+    sensors: Mapping[str, tuple[float, float, float]],
+    report: Report,
+) -> list[Picture]:
+    """Write the figures and the 3-D pictures of the end of `case`."""
+    from thermojoint.pictures.stills import write_pictures
+
+    _, _, last = run_to_end(case, report, setup)
+    scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
+    scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}
+    for name, figure in figures.items():
+        write_figure(figure, folder / f"{name}.png")
+    write_pictures({folder / f"{name}.png": scene for name, scene in scenes.items()})
+    return [Picture(folder / f"{name}.png", caption) for name, caption in CAPTIONS.items()]
+
+
+def _nonlinear(
+    model: Model, reference: xr.Dataset, response: xr.Dataset, estimate: Signals
+) -> dict[str, dict[str, np.ndarray]]:
+    """Axis to the actual and the estimated nonlinear displacement, m."""
+    linear = superposed(reference, response, "displacement")
+    known = [str(name) for name in response["axis"].to_numpy()]
+    actual = response["displacement"].to_numpy() - linear
+    return {
+        axis: {"actual": actual[:, known.index(axis)], "estimated": estimate.nonlinear[:, k]}
+        for k, axis in enumerate(model.linear.deformation)
+    }

@@ -1,0 +1,181 @@
+"""What the paper does not judge by: a working day, a cool-down, a start in the middle of a day.
+
+A day has levels of heat that last for minutes and an ambient that drifts; both are drawn from a
+seed. They are runs of the plant alone: nothing is calibrated with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.files import write_text
+from artefacts.response import probes_of
+from estimator.judge import Validated
+from estimator.rows import Row
+from fesim.case.schema import AmbientSection, Case, SampledInput
+from fesim.setup.machine import Setup
+from fesim.simulate import simulate
+from thermojoint.paper.inputs import COOL_DOWN, DAY, Report
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Levels of a day, relative to the reference, and how long one lasts, s.
+LEVELS, LASTS = (0.0, 2.0), (300.0, 2400.0)
+#: The ambient starts at this, degC, and moves away from it by this at most, K.
+COLD, DRIFT = 20.0, 3.0
+#: Between two values of the ambient, s.
+AMBIENT_EVERY = 600.0
+#: A level changes within this, s.
+EDGE = 1e-3
+#: Heat of the cool-down before it is switched off.
+COOLED_FROM = 2.0
+
+
+@dataclass(frozen=True)
+class LongRuns:
+    """How long they are, min.
+
+    Attributes
+    ----------
+    day : float
+        Length of the day.
+    warm : float
+        From its start to the start on the warm machine.
+    settled : float
+        From there until the estimates are judged.
+    cool_down, heated : float
+        Length of the cool-down, and of the heating at its beginning.
+    seed : int
+        Of the day's heat and ambient.
+    """
+
+    day: float = 480.0
+    warm: float = 240.0
+    settled: float = 20.0
+    cool_down: float = 240.0
+    heated: float = 35.0
+    seed: int = 10
+
+
+def random_day(minutes: float, seed: int) -> dict[str, tuple[Array, Array]]:
+    """Return times (s) and values of a day's ``heat_input`` and ``ambient_degC``.
+
+    Parameters
+    ----------
+    minutes : float
+        Length of the day.
+    seed : int
+        The same seed gives the same day.
+    """
+    rng = np.random.default_rng(seed)
+    end, now = 60.0 * minutes, 0.0
+    times: list[float] = []
+    levels: list[float] = []
+    while now < end:
+        level, lasts = rng.uniform(*LEVELS), rng.uniform(*LASTS)
+        times += [now + EDGE if now else 0.0, now + lasts]
+        levels += [level, level]
+        now += lasts
+    every = np.arange(0.0, end + 1.0, AMBIENT_EVERY)
+    drift = np.cumsum(rng.normal(size=every.size))
+    drift = DRIFT * (drift - drift[0]) / max(float(np.abs(drift - drift[0]).max()), 1e-9)
+    return {
+        "heat_input": (np.array(times), np.array(levels)),
+        "ambient_degC": (every, COLD + drift),
+    }
+
+
+def cool_down(heated: float) -> dict[str, tuple[Array, Array]]:
+    """Return times (s) and values of the ``heat_input`` that is switched off after `heated` min."""
+    off = 60.0 * heated
+    heat = np.array([COOLED_FROM, COOLED_FROM, 0.0])
+    return {"heat_input": (np.array([0.0, off, off + EDGE]), heat)}
+
+
+def driven(
+    case: Case,
+    histories: Mapping[str, tuple[Array, Array]],
+    minutes: float,
+    name: str,
+    folder: Path,
+) -> Case:
+    """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that follows them.
+
+    Parameters
+    ----------
+    case : Case
+        The machine; its march keeps its step.
+    histories : mapping
+        ``heat_input``, and ``ambient_degC`` where the ambient moves, to times (s) and values.
+    minutes : float
+        Length of the run.
+    name : str
+        Of the run.
+    folder : Path
+        For the histories.
+    """
+    files = {column: folder / f"{name}-{column}.csv" for column in histories}
+    for column, (times, values) in histories.items():
+        rows = (f"{float(t)!r},{float(v)!r}" for t, v in zip(times, values, strict=True))
+        write_text(files[column], "\n".join([f"time_s,{column}", *rows]) + "\n")
+    ambient = files.get("ambient_degC")
+    return case.model_copy(
+        update={
+            "title": f"{case.title}, {name}",
+            "heat_input": SampledInput(kind="sampled", file=files["heat_input"]),
+            "ambient": None if ambient is None else AmbientSection(file=ambient),
+            "march": case.march.model_copy(update={"duration_min": minutes}),
+        }
+    )
+
+
+def simulate_long(
+    case: Case, runs: LongRuns, folder: Path, setup: Setup, progress: Report
+) -> dict[str, xr.Dataset]:
+    """Return the responses ``day`` and ``cool-down`` of a machine that is set up already.
+
+    The histories that drive them are left in `folder`.
+    """
+    cases = {
+        DAY: driven(case, random_day(runs.day, runs.seed), runs.day, DAY, folder),
+        COOL_DOWN: driven(case, cool_down(runs.heated), runs.cool_down, COOL_DOWN, folder),
+    }
+
+    def run(name: str, given: Case) -> xr.Dataset:
+        def told(done: int, count: int) -> None:
+            progress(name, done, count)
+
+        return simulate(given, setup=setup, progress=told).response
+
+    return {name: run(name, given) for name, given in cases.items()}
+
+
+def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
+    """Return a response with no probes but the sensors, named by their roles.
+
+    Hours of every candidate would take a hundred times the room.
+    """
+    kept = [probes_of(response).index(name) for name in roles.values()]
+    return response.isel(probe=kept).assign_coords(probe=list(roles))
+
+
+def without_nonlinear(validated: Validated) -> Validated:
+    """Return a validation without a figure of the nonlinear part.
+
+    No reference response is as long, and where the ambient moves none would do; the δ_L that was
+    calibrated on minutes says nothing of what is linear in hours.
+    """
+    rows: list[Row] = [{**row, "peak_nonlinear_um": None} for row in validated.rows]
+    return replace(validated, rows=rows)
+
+
+def warm_part(day: xr.Dataset, runs: LongRuns) -> xr.Dataset:
+    """Return the day from the start on the warm machine on."""
+    return day.isel(time=day["time"].to_numpy() >= 60.0 * runs.warm)

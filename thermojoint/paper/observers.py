@@ -1,0 +1,111 @@
+"""The estimators that march the machine's physics, from the case of the machine that is judged.
+
+Their model is the machine of the case on another, coarser mesh, so that no estimator has the mesh
+of the plant; it is calibrated from the plant's responses as every other one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from artefacts.files import write_text
+from estimator.joint_aware.calibration import calibrate_machine, report
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.linear_joint import calibrate_linear_joint
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.reduced_machine import reduce_machine
+from fesim.case.schema import Case, MillingMachineSection, ProbeSection, StepInput
+from fesim.setup.machine import set_up
+from meshes.structure import Probe
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Elements of the model, in elements of the plant.
+COARSER = 1.25
+#: How an observer of each kind is calibrated.
+KINDS = {"kalman-linear": calibrate_linear_joint, "joint-aware": calibrate_machine}
+
+
+def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
+    """Return the machine of a case as its observers know it.
+
+    Parameters
+    ----------
+    case : Case
+        The machine. The milling machine is meshed anew, with elements `COARSER` times as large; a
+        mesh from a file has to serve as it is.
+    sensors : mapping of str to Probe
+        What will be read.
+    """
+    structure = case.structure
+    if isinstance(structure, MillingMachineSection):
+        near = structure.joint_element_size_mm
+        sizes = {
+            "element_size_mm": COARSER * structure.element_size_mm,
+            "joint_element_size_mm": None if near is None else COARSER * near,
+        }
+        structure = structure.model_copy(update=sizes)
+    read = {name: _section(probe) for name, probe in sensors.items()}
+    return case.model_copy(
+        update={
+            "structure": structure,
+            "probes": case.probes | read,
+            "candidates": [],
+            "heat_input": StepInput(kind="step", level=1.0),
+            "march": case.march.model_copy(update={"thermal": "reduced"}),
+        }
+    )
+
+
+def _section(probe: Probe) -> ProbeSection:
+    """Return a probe as a case has it; without the rounding of its way from mm to m and back."""
+    x, y, z = (round(1e3 * value, 6) for value in probe.position)
+    return ProbeSection(position_mm=(x, y, z), body=probe.body)
+
+
+def observers_of(
+    case: Case,
+    sensors: Mapping[str, Probe],
+    responses: Mapping[str, xr.Dataset],
+    folder: Path,
+) -> list[JointAware]:
+    """Return the observers of a machine, and leave their models and reports in a folder.
+
+    There is none of a machine with held temperatures: they are no state of an observer.
+
+    Parameters
+    ----------
+    case : Case
+        The machine.
+    sensors : mapping of str to Probe
+        What they read.
+    responses : mapping
+        Name to response that calibrates them.
+    folder : Path
+        For ``joint_aware.h5``, ``kalman_linear.h5`` and what the data say of their parameters,
+        ``joint_aware.json`` and ``kalman_linear.json``.
+
+    Raises
+    ------
+    InputError
+        The case has what no observer can have.
+    ConvergenceError
+        The machine cannot be marched, or its sensors do not determine the heat.
+    """
+    if case.held_temperatures:
+        return []
+    known = observer_case(case, sensors)
+    machine = reduce_machine(known, set_up(known), tuple(sensors))
+    found = []
+    for kind, calibrate in KINDS.items():
+        calibrated = calibrate(machine, responses)
+        name = kind.replace("-", "_")
+        write_observer(calibrated.model, folder / f"{name}.h5")
+        text = json.dumps(report(calibrated.fit), indent=2, allow_nan=False)
+        write_text(folder / f"{name}.json", text + "\n")
+        found.append(JointAware(calibrated.model))
+    return found

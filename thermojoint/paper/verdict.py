@@ -1,0 +1,162 @@
+"""What the estimators have reached: their errors beside each other, and in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from thermojoint.paper import paper_values
+
+if TYPE_CHECKING:
+    from estimator.rows import Row
+
+#: Estimators that are held against the paper's accuracy, as a person calls them.
+CLAIMED = {"fchs": "FCHS", "joint-aware": "joint-aware"}
+
+#: Case and axis.
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class CaseErrors:
+    """Largest errors of every estimator in one case along one axis, µm.
+
+    Attributes
+    ----------
+    case, axis : str
+    errors : tuple of float
+        In the order of the table's estimators.
+    paper : float or None
+        What the paper reports of its own machine.
+    """
+
+    case: str
+    axis: str
+    errors: tuple[float, ...]
+    paper: float | None
+
+
+@dataclass(frozen=True)
+class ErrorTable:
+    """Largest errors of all estimators beside each other.
+
+    Attributes
+    ----------
+    estimators : tuple of str
+        The columns.
+    rows : tuple of CaseErrors
+        The lines.
+    """
+
+    estimators: tuple[str, ...]
+    rows: tuple[CaseErrors, ...]
+
+
+def error_table(rows: Sequence[Row]) -> ErrorTable:
+    """Return the largest errors of all estimators beside each other.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        See `estimator.judge.validate`; every estimator in every case.
+    """
+    estimators = tuple(dict.fromkeys(str(row["estimator"]) for row in rows))
+    found: dict[Key, dict[str, Row]] = {}
+    for row in rows:
+        found.setdefault(_key(row), {})[str(row["estimator"])] = row
+    return ErrorTable(
+        estimators,
+        tuple(
+            CaseErrors(
+                case,
+                axis,
+                tuple(largest_error(each[name]) for name in estimators),
+                next((claim for one in each.values() if (claim := paper_claim(one))), None),
+            )
+            for (case, axis), each in found.items()
+        ),
+    )
+
+
+def paper_claim(row: Row) -> float | None:
+    """Return the largest error (µm) the paper reports for a row of the validation, if it does."""
+    if row["estimator"] not in CLAIMED or row["axis"] not in paper_values.TABLE1_DEFORMATION:
+        return None
+    return paper_values.VALIDATION_ERROR_UM.get(str(row["case"]))
+
+
+def largest_error(row: Row) -> float:
+    """Return the largest error of a row, µm."""
+    value = row["max_abs_error_um"]
+    return math.nan if value is None else float(value)
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Return in words what FCHS and the joint-aware estimator have reached.
+
+    That is the paper's accuracy, and that of the linear model from the same temperatures.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        See `estimator.judge.validate`.
+
+    Returns
+    -------
+    str
+        One paragraph; empty if nothing was judged.
+    """
+    return " ".join(text for name in CLAIMED if (text := _reached(rows, name)))
+
+
+def _reached(rows: Sequence[Row], name: str) -> str:
+    """Return in words what one estimator has reached; empty if it was not judged."""
+    found = [row for row in rows if row["estimator"] == name]
+    if not found:
+        return ""
+    linear = {_key(row): largest_error(row) for row in rows if row["estimator"] == "linear"}
+    error = {_key(row): largest_error(row) for row in found}
+    near = {_key(row): claim for row in found if (claim := paper_claim(row)) is not None}
+    reached = [key for key, claim in near.items() if error[key] <= claim]
+    missed = [key for key in near if key not in reached]
+    worse = [key for key in error if key in linear and error[key] > linear[key]]
+
+    sentences = []
+    if near:
+        sentences.append(
+            f"The {CLAIMED[name]} estimator's largest error is within what the paper reports of "
+            f"its own machine in {len(reached)} of {len(near)} rows{_listed(reached)}."
+        )
+    if missed:
+        sentences.append(f"It is not in {_against(missed, error, near)}.")
+    sentences.append(
+        f"The linear model alone has a larger error than {CLAIMED[name]}, from the same "
+        f"temperatures, in {len(error) - len(worse)} of {len(error)}."
+    )
+    if worse:
+        sentences.append(f"It has the smaller one in {_against(worse, error, linear)}.")
+    return " ".join(sentences)
+
+
+def _key(row: Row) -> Key:
+    return str(row["case"]), str(row["axis"])
+
+
+def _against(keys: Sequence[Key], error: dict[Key, float], other: dict[Key, float]) -> str:
+    """Rows with both figures in words, e.g. "triangle x (0.2 against 0.1 µm)"."""
+    told = [
+        f"{case} {axis} ({error[case, axis]:.3g} against {other[case, axis]:.3g} µm)"
+        for case, axis in keys
+    ]
+    return ", ".join(told)
+
+
+def _listed(keys: Sequence[Key]) -> str:
+    """Cases with their axes in words, e.g. ": triangle x and y"."""
+    axes: dict[str, list[str]] = {}
+    for case, axis in keys:
+        axes.setdefault(case, []).append(axis)
+    told = [f"{case} {' and '.join(names)}" for case, names in axes.items()]
+    return f": {', '.join(told)}" if told else ""
