@@ -16,7 +16,7 @@ from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.open_band import open_band
-from estimator.joint_aware.physics_fit import Fit, fit_physics
+from estimator.joint_aware.physics_fit import STARTS, Fit, fit_physics
 from estimator.joint_aware.readings import run_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case
@@ -102,11 +102,12 @@ def calibrate_machine(
     responses: Mapping[str, xr.Dataset],
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
+    starts: int = STARTS,
 ) -> JointAwareCalibration:
     """Return the observer of a machine that is reduced already; as `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, fitted)
+    fit = fit_physics(machine, runs, fitted, starts)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     model = replace(model, band=open_band(machine, runs, fit, model, noise))
     return JointAwareCalibration(model, fit)
@@ -158,6 +159,7 @@ def report(fit: Fit) -> dict[str, object]:
         of them the data decide (`DECIDED`); residuals.
     """
     after = np.sqrt(np.diag(fit.covariance))
+    singular, directions = fit.directions
     return {
         "parameters": [
             {
@@ -174,7 +176,7 @@ def report(fit: Fit) -> dict[str, object]:
                 "decided_by": "data" if value > DECIDED else "prior",
                 "of": _named(fit, direction),
             }
-            for value, direction in zip(fit.singular, fit.directions, strict=True)
+            for value, direction in zip(singular, directions, strict=True)
         ],
         "residual_temperature_K": fit.residual_temperature.tolist(),
         "residual_displacement_um": (1e6 * fit.residual_displacement).tolist(),

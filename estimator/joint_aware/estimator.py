@@ -149,7 +149,9 @@ class JointAware:
                 excess = self._forgetting(excess, length)
         present = np.flatnonzero(np.isfinite(readings))
         gain, excess = self._gain(present, excess, length if steps else self.model.step)
-        linear = linear + gain @ (readings - self.system.rows @ linear)[present]
+        expected = self.system.rows @ linear
+        expected[:-1] += self.model.offset
+        linear = linear + gain @ (readings - expected)[present]
         amplitudes = self._amplitudes(linear)
         joint, moved = self._settled(joint, linear, memory)
         relaxed = linear[amplitudes.size : self.system.decay.size]
@@ -255,7 +257,9 @@ class JointAware:
         """Half the width of 95 %, m, shape (axes,)."""
         band, rates = self.model.band, self.model.remainder.rates.size
         square = np.square(relaxed.reshape(-1, rates)).mean(axis=0)
-        variance = band.steady + band.constant + band.square @ square + band.fourth @ square**2
+        variance = band.steady + band.constant + band.square @ square
+        indistinct = band.open @ np.concatenate([relaxed, relaxed**2])
+        variance += np.square(indistinct).mean(axis=1)
         if memory != KNOWN:
             variance = variance + band.history
         if excess.any():
