@@ -39,13 +39,14 @@ from estimator.joint_aware.observer_model import Band, ObserverModel
 from estimator.joint_aware.parameters import factors_of
 from estimator.joint_aware.physics import conduct, settle_joint, simulate_known
 from estimator.joint_aware.physics_fit import SEARCH_STEPS, Fit
+from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.joint_aware.remainder import Remainder, make_ridge, relaxed
 
 #: Drawn machines; the seed of them and of the histories.
 DRAWS, SEED = 8, 1
-#: The histories: length of the random one, s, steps, s, and how long a level of its heat lasts, s.
-DURATION, STEP, LASTS = 8 * 3600.0, 10.0, (300.0, 2400.0)
+#: The histories: length of the random one and steps, s.
+DURATION, STEP = 8 * 3600.0, 10.0
 #: Their highest level, relative to the largest heat calibrated.
 BEYOND = 1.5
 #: Gains that the data do not show are as large as those that they do, but at least this part of
@@ -83,7 +84,7 @@ def open_band(
     observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
     rng = np.random.default_rng(SEED)
     highest, sources = BEYOND * model.calibrated.heat, machine.power.size
-    day = _levels(rng, slow.step, highest, sources)
+    day = random_levels(rng, DURATION, slow.step, highest, sources)
     # The day hardly ever sees a machine that has just begun to be warm.
     begun = np.full(
         (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
@@ -150,18 +151,6 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
         joint, moved = settle_joint(physics, joint, amplitudes)
         differences.append(moved - without)
     return np.asarray(np.mean(np.square(differences), axis=0))
-
-
-def _levels(rng: np.random.Generator, step: float, highest: float, sources: int) -> Array:
-    """Heat of every source, one level after another, shape (n, s)."""
-    found = np.zeros((round(DURATION / step), sources))
-    for source in range(sources):
-        at = 0
-        while at < len(found):
-            lasts = max(1, round(rng.uniform(*LASTS) / step))
-            found[at : at + lasts, source] = rng.uniform(0.0, highest)
-            at += lasts
-    return found
 
 
 def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:

@@ -73,6 +73,8 @@ class Fit:
         In the order of the arrays below.
     logarithms : ndarray, shape (k,)
         Of the factors.
+    residuals : ndarray, shape (n,)
+        Of `misfit.residuals` there.
     jacobian : ndarray, shape (n, k)
         Of the residuals by the logarithms in units of their priors.
     remainder : Remainder
@@ -91,6 +93,7 @@ class Fit:
 
     parameters: tuple[Parameter, ...]
     logarithms: Array
+    residuals: Array
     jacobian: Array
     remainder: Remainder
     offset: Array
@@ -242,6 +245,7 @@ def _fit(
     return Fit(
         parameters=parameters,
         logarithms=logarithms,
+        residuals=residuals(problem, parameters, logarithms),
         jacobian=jacobian,
         remainder=linear.remainder,
         offset=linear.offset,
