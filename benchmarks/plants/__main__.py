@@ -77,7 +77,6 @@ def _judged(
 ) -> Iterator[dict[str, Any]]:
     """Yield what every plant says, in their order."""
     one = partial(_kept, machines, wanted, folder)
-    # Forked, workers share the machines.
     with multiprocessing.get_context("fork").Pool(workers) as pool:
         yield from pool.imap(one, plants)
 
