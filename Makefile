@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
 
-.PHONY: install reproduce test portable lint types docs wheel check bench clean
+.PHONY: install reproduce test portable lint types docs wheel check bench plants clean
 
 install: $(INSTALLED)
 
@@ -57,6 +57,10 @@ check: lint types docs test
 # Half an hour to an hour; alone on the machine, or both sides wait for others.
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.performance --out bench.json
+
+# Every estimator on 100 machines drawn at random. Stopped in any way, it goes on from there.
+plants: $(INSTALLED)
+	$(BIN)/python -m benchmarks.plants --out plants.json
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -40,7 +40,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     Parameters
     ----------
     responses : sequence of xarray.Dataset
-        From rest, evenly sampled alike, with probes a, b, T1 and T2.
+        From rest, evenly sampled at one interval, with probes a, b, T1 and T2.
 
     Raises
     ------
@@ -50,21 +50,25 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     from sklearn.linear_model import LinearRegression
 
     axes = tuple(axes_of(responses[0]))
-    times = steps.times(responses[0])
-    interval, length = steps.even_interval(times, "baselines"), float(times[-1])
-    after = times > 0.0
-    inputs = [rises(response)[after] for response in responses]
-    outputs = [_MICRO * columns_of(response, "displacement", axes)[after] for response in responses]
+    times = [steps.times(response) for response in responses]
+    interval = steps.even_interval(times[0], "baselines")
+    length = max(float(one[-1]) for one in times)
+    runs = [response.isel(time=at > 0.0) for response, at in zip(responses, times, strict=True)]
+    inputs = [rises(run) for run in runs]
+    outputs = [_MICRO * columns_of(run, "displacement", axes) for run in runs]
     constants = tuple(length * share for share in TIME_CONSTANTS)
     low = low_passes(constants)
-    passed = [respond_to_line(low, times[after], one, interval)[1] for one in inputs]
+    passed = [
+        respond_to_line(low, steps.times(run), one, interval)[1]
+        for run, one in zip(runs, inputs, strict=True)
+    ]
     plain = np.concatenate(inputs)
     filtered = np.column_stack((plain, np.concatenate(passed)))
     target = np.concatenate(outputs)
     least = LinearRegression(fit_intercept=False).fit(plain, target).coef_
     shrunk = _ridge(filtered, target, DEVIATION_UNCERTAINTY)
     seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
-    levels = [0.0, *(float(response["heat_input"][-1]) for response in responses)]
+    levels = [0.0, *(float(one) for run in runs for one in run["heat_input"].to_numpy())]
     return Baselines(
         mlr=Regression((), _by_axis(axes, least)),
         ridge=Regression(constants, _by_axis(axes, shrunk)),

@@ -40,7 +40,7 @@ def make_observer(
     machine : ReducedMachine
         As its case says.
     fit : Fit
-        Its parameters and remainder.
+        Its parameters, remainder and sensors.
     calibrated : Calibrated
         Where the calibration has been.
     noise : Noise, optional
@@ -52,6 +52,8 @@ def make_observer(
         The sensors do not determine the heat.
     """
     noise = noise or Noise()
+    # A calibration without noise says nothing of readings to come.
+    noise = replace(noise, sensor=np.maximum(noise.sensor, fit.noise))
     fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)
@@ -84,12 +86,13 @@ def make_observer(
             steady=np.maximum(np.einsum("an,nm,am->a", moved, after, moved), 0.0),
             constant=fit.residual_displacement**2,
             history=np.zeros(len(machine.axes)),
+            open=np.zeros((len(machine.axes), 1, 2 * fit.remainder.displacement.shape[1])),
             square=nothing,
-            fourth=nothing,
         ),
         warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady.scale),
         power=machine.power,
         step=machine.step,
+        offset=fit.offset,
         sensors=machine.sensor_names,
         axes=machine.axes,
         sources=machine.source_names,

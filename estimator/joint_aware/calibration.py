@@ -14,9 +14,10 @@ from artefacts.errors import InputError
 from artefacts.response import columns_of, probes_of
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.misfit import Run
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.open_band import open_band
-from estimator.joint_aware.physics_fit import Fit, fit_physics
+from estimator.joint_aware.physics_fit import STARTS, Fit, fit_physics
 from estimator.joint_aware.readings import run_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case
@@ -36,10 +37,16 @@ class JointAwareCalibration:
     ----------
     model : ObserverModel
     fit : Fit
+    machine : ReducedMachine
+        As its case says, with the axes that move.
+    runs : tuple of Run
+        That it was calibrated with.
     """
 
     model: ObserverModel
     fit: Fit
+    machine: ReducedMachine
+    runs: tuple[Run, ...]
 
 
 def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:
@@ -67,6 +74,7 @@ def calibrate_joint_aware(
     sensors: Sequence[str] | None = None,
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
+    starts: int = STARTS,
 ) -> JointAwareCalibration:
     """Return the observer of a machine from its case and its calibration responses.
 
@@ -82,6 +90,8 @@ def calibrate_joint_aware(
         What the filter reckons with.
     fitted : sequence of str, optional
         Parameters to fit; default all that the machine has.
+    starts : int
+        Searches from draws of the prior, beside that from the case's own values.
 
     Raises
     ------
@@ -94,7 +104,7 @@ def calibrate_joint_aware(
         raise InputError("joint-aware: no response to calibrate with; give one or more")
     names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
     machine = reduce_machine(case, set_up(case), names)
-    return calibrate_machine(machine, responses, noise, fitted)
+    return calibrate_machine(machine, responses, noise, fitted, starts)
 
 
 def calibrate_machine(
@@ -102,14 +112,15 @@ def calibrate_machine(
     responses: Mapping[str, xr.Dataset],
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
+    starts: int = STARTS,
 ) -> JointAwareCalibration:
     """Return the observer of a machine that is reduced already; as `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, fitted)
+    fit = fit_physics(machine, runs, fitted, starts)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     model = replace(model, band=open_band(machine, runs, fit, model, noise))
-    return JointAwareCalibration(model, fit)
+    return JointAwareCalibration(model, fit, machine, tuple(runs))
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
@@ -158,6 +169,7 @@ def report(fit: Fit) -> dict[str, object]:
         of them the data decide (`DECIDED`); residuals.
     """
     after = np.sqrt(np.diag(fit.covariance))
+    singular, directions = fit.directions
     return {
         "parameters": [
             {
@@ -174,7 +186,7 @@ def report(fit: Fit) -> dict[str, object]:
                 "decided_by": "data" if value > DECIDED else "prior",
                 "of": _named(fit, direction),
             }
-            for value, direction in zip(fit.singular, fit.directions, strict=True)
+            for value, direction in zip(singular, directions, strict=True)
         ],
         "residual_temperature_K": fit.residual_temperature.tolist(),
         "residual_displacement_um": (1e6 * fit.residual_displacement).tolist(),

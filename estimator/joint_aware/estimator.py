@@ -112,7 +112,11 @@ class JointAware:
         known = self.model.calibrated.temperatures
         low, high = np.array([known[name] for name in self.model.sensors]).T
         slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(self.model.filter.noise[:-1]))
-        return np.append(low - slack, -AMBIENT), np.append(high + slack, AMBIENT)
+        offset = self.model.offset
+        return (
+            np.append(low - slack - offset, -AMBIENT),
+            np.append(high + slack - offset, AMBIENT),
+        )
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
@@ -207,6 +211,7 @@ class JointAware:
         given = np.full(len(self.channels), np.nan)
         given[: len(values)] = values
         given[~np.isfinite(given)] = np.nan
+        given[: thermal - 1] -= self.model.offset
         return given[:thermal], given[thermal:]
 
     def _moment(self, last: float, time: float) -> Moment:

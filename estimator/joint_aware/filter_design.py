@@ -27,8 +27,10 @@ class Noise:
 
     Attributes
     ----------
-    sensor, ambient_sensor : float
-        Of one reading, K.
+    sensor : float or ndarray, shape (p,)
+        Of one reading of each sensor, K.
+    ambient_sensor : float
+        Of one reading of the ambient, K.
     heat_walk : float
         Of the heat of each source relative to its reference, per step.
     ambient_walk : float
@@ -41,7 +43,7 @@ class Noise:
         learnt from many samples, whose errors are not independent.
     """
 
-    sensor: float = 0.03
+    sensor: float | Array = 0.03
     ambient_sensor: float = 0.05
     heat_walk: float = 0.05
     ambient_walk: float = 0.01
@@ -156,7 +158,9 @@ def design_filter(
     source[:count, walk.size :] = (
         noise.joint_flow * step * system.decay[:count, None] * modes.jump.T
     )
-    readings = np.append(np.full(len(system.rows) - 1, noise.sensor**2), noise.ambient_sensor**2)
+    readings = np.append(
+        np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
+    )
     # Units of one step's walk for the inputs: amplitudes, W and K are of one size then.
     unit = np.concatenate([np.ones(dynamic), walk])
     matrix, rows = system.matrix * unit / unit[:, None], system.rows * unit

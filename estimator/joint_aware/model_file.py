@@ -27,7 +27,7 @@ from estimator.joint_aware.remainder import Remainder
 from fesim.case.schema import JointSection
 from fesim.solid.condensation import ElasticCondensation
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 #: Reads the kind: what is none of them is no model.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
@@ -44,7 +44,7 @@ _ELASTIC = (
 )
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
-_BAND = ("tangent", "steady", "constant", "history", "square", "fourth")
+_BAND = ("tangent", "steady", "constant", "history", "open", "square")
 
 
 def write_observer(model: ObserverModel, path: Path) -> None:
@@ -123,7 +123,12 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         ("band", model.band, _BAND),
     )
     found = {f"{part}/{name}": getattr(of, name) for part, of, names in parts for name in names}
-    found |= {"held": model.held, "warm": model.warm, "power": model.power}
+    found |= {
+        "held": model.held,
+        "warm": model.warm,
+        "power": model.power,
+        "offset": model.offset,
+    }
     for k, joint in enumerate(model.joints):
         found[f"joints/{k}"] = joint.conductivity
     return {name: np.asarray(array, dtype=np.float64) for name, array in found.items()}
@@ -171,6 +176,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         band=Band(**part("band", _BAND)),
         warm=arrays["warm"],
         power=arrays["power"],
+        offset=arrays["offset"],
         step=float(header["step_s"]),
         sensors=tuple(header["sensors"]),
         axes=tuple(header["axes"]),

@@ -173,7 +173,8 @@ class Observer:
         """What the model may be wrong by, m, one standard deviation, shape (axes,)."""
         band, rates = self.model.band, self.model.remainder.rates.size
         square = np.square(relaxed.reshape(-1, rates)).mean(axis=0)
-        variance = band.constant + band.square @ square + band.fourth @ square**2
+        indistinct = band.open @ np.concatenate([relaxed, relaxed**2])
+        variance = band.constant + band.square @ square + np.square(indistinct).mean(axis=1)
         if memory != KNOWN:
             variance = variance + band.history
         return np.asarray(np.sqrt(variance))

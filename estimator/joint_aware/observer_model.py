@@ -28,17 +28,19 @@ class Band:
         What the calibration left, m2.
     history : ndarray, shape (axes,)
         Of slips of which nothing is known, after a warm start, m2.
-    square, fourth : ndarray, shape (axes, q)
-        Per square and per fourth power of the heat relaxed at each rate: what the calibration does
-        not determine, m2.
+    open : ndarray, shape (axes, draws, 2 s q)
+        Error of machines that the calibration does not tell apart, per relaxation of the heat and
+        per square of it, m.
+    square : ndarray, shape (axes, q)
+        What this leaves of their errors, per square of the heat relaxed at each rate, m2.
     """
 
     tangent: Array
     steady: Array
     constant: Array
     history: Array
+    open: Array
     square: Array
-    fourth: Array
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ class ObserverModel:
         Heat of each source at heat input 1 by the case, W.
     step : float
         Longest step, s; the filter's.
+    offset : ndarray, shape (p,)
+        What every sensor reads too much, K.
     sensors, axes, sources : tuple of str
         Names.
     calibrated : Calibrated
@@ -104,6 +108,7 @@ class ObserverModel:
     warm: Array
     power: Array
     step: float
+    offset: Array
     sensors: tuple[str, ...]
     axes: tuple[str, ...]
     sources: tuple[str, ...]

@@ -2,16 +2,17 @@
 
 Parameters are drawn from what the calibration says of them, and the remainder is fitted to the
 calibration runs beside each draw, so that every drawn machine answers them alike. It then runs
-through one history of random heat, and the observer follows it by its temperatures. The mean square
-of the errors is written as a sum, with coefficients that are not negative, of squares and fourth
-powers of the relaxed heat, which every sample knows: an error that grows with the past heat, and
-faster where the joint is far from its preload.
+through histories of heat, and the observer follows it by its temperatures. Its error is written as
+a sum of the relaxed heat, which every sample knows, and of its squares, as far as that goes: a
+machine with another film errs in proportion to the heat and the longer the more, one with another
+joint errs with its square. The mean square of these sums over the draws, and what they leave, is
+the band.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -20,30 +21,41 @@ from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from estimator.interface import follow
 from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.observer_model import Band, ObserverModel
-from estimator.joint_aware.parameters import factors_of, with_factors
-from estimator.joint_aware.physics import conduct, make_physics, settle_joint, simulate_known
-from estimator.joint_aware.physics_fit import (
+from estimator.joint_aware.misfit import (
+    OFFSET,
     REMAINDER_DISPLACEMENT,
     REMAINDER_TEMPERATURE,
-    Fit,
+    Problem,
     Run,
-    remainder_at,
+    coarser,
+    errors,
+    fit_linear,
+    make_problem,
+    physics_with,
 )
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
-from estimator.joint_aware.remainder import relaxed
+from estimator.joint_aware.observer_model import Band, ObserverModel
+from estimator.joint_aware.parameters import factors_of
+from estimator.joint_aware.physics import conduct, settle_joint, simulate_known
+from estimator.joint_aware.physics_fit import SEARCH_STEPS, Fit
+from estimator.joint_aware.random_heat import random_levels
+from estimator.joint_aware.reduced_machine import ReducedMachine
+from estimator.joint_aware.remainder import Remainder, make_ridge, relaxed
 
-#: Drawn machines; the seed of them and of the history.
+#: Drawn machines; the seed of them and of the histories.
 DRAWS, SEED = 8, 1
-#: The history: length, s, its steps, s, and how long a level of heat lasts, s.
-DURATION, STEP, LASTS = 8 * 3600.0, 10.0, (300.0, 2400.0)
-#: Its highest level, relative to the largest heat calibrated.
+#: The histories: length of the random one and steps, s.
+DURATION, STEP = 8 * 3600.0, 10.0
+#: Their highest level, relative to the largest heat calibrated.
 BEYOND = 1.5
 #: Gains that the data do not show are as large as those that they do, but at least this part of
 #: what the model is not trusted to.
 LEAST_SHARE = 0.1
+#: Part of the largest mean square below which errors are all alike to the band.
+FLOOR = 1e-4
+#: What an error's explanation may leave, relative to its largest value.
+ROUGH = 0.02
 
 
 def open_band(
@@ -71,25 +83,59 @@ def open_band(
     slow = replace(machine, step=max(STEP, machine.step))
     observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
     rng = np.random.default_rng(SEED)
-    heat = _levels(rng, slow.step, BEYOND * model.calibrated.heat, machine.power.size)
-    states = relaxed(heat, fit.remainder.rates, slow.step)
-    squares = np.square(states.reshape(len(heat), machine.power.size, -1)).mean(axis=1)
-    features = np.hstack([squares, squares**2])
-    errors: list[Array] = []
-    while len(errors) < DRAWS:
+    highest, sources = BEYOND * model.calibrated.heat, machine.power.size
+    day = random_levels(rng, DURATION, slow.step, highest, sources)
+    # The day hardly ever sees a machine that has just begun to be warm.
+    begun = np.full(
+        (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
+    )
+    histories = [
+        _history_of(heat, fit.remainder.rates, slow.step) for heat in (day, begun, 0.5 * begun)
+    ]
+    problem = make_problem(slow, [coarser(run, SEARCH_STEPS) for run in runs])
+    found: list[Array] = []
+    while len(found) < DRAWS:
         try:
-            errors.append(_error(rng, slow, runs, fit, observer, heat, states))
+            drawn = _draw(rng, problem, fit)
+            found.append(np.vstack([_errors(slow, drawn, observer, one) for one in histories]))
         except ConvergenceError:
             continue
-    every = np.array(errors)
-    found = np.array([_variances(features, every[:, :, axis]) for axis in range(every.shape[2])])
-    count = squares.shape[1]
+    every = np.array(found).transpose(2, 0, 1)
+    features = np.vstack([one.features for one in histories])
+    weights = np.array([[_explained(features, error) for error in axis] for axis in every])
+    said = np.mean((weights @ features.T) ** 2, axis=1)
+    squares = np.vstack([one.squares for one in histories])
     return replace(
         model.band,
-        history=_history(observer, slow, heat),
-        square=found[:, :count],
-        fourth=found[:, count:],
+        history=_history(observer, slow, day),
+        open=weights,
+        square=np.array([_left(squares, *one) for one in zip(said, every, strict=True)]),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _History:
+    """Heat (n, s), its relaxations (n, s q), what explains errors, and mean squares (n, q)."""
+
+    heat: Array
+    states: Array
+    features: Array
+    squares: Array
+
+
+def _history_of(heat: Array, rates: Array, step: float) -> _History:
+    states = relaxed(heat, rates, step)
+    squares = np.square(states.reshape(len(heat), heat.shape[1], -1)).mean(axis=1)
+    return _History(heat, states, np.hstack([states, states**2]), squares)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """A machine that the calibration runs do not tell from the fitted one."""
+
+    factors: dict[str, float]
+    remainder: Remainder
+    offset: Array
 
 
 def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
@@ -107,71 +153,86 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
     return np.asarray(np.mean(np.square(differences), axis=0))
 
 
-def _levels(rng: np.random.Generator, step: float, highest: float, sources: int) -> Array:
-    """Heat of every source, one level after another, shape (n, s)."""
-    found = np.zeros((round(DURATION / step), sources))
-    for source in range(sources):
-        at = 0
-        while at < len(found):
-            lasts = max(1, round(rng.uniform(*LASTS) / step))
-            found[at : at + lasts, source] = rng.uniform(0.0, highest)
-            at += lasts
-    return found
-
-
-def _error(
-    rng: np.random.Generator,
-    machine: ReducedMachine,
-    runs: Sequence[Run],
-    fit: Fit,
-    observer: JointAware,
-    heat: Array,
-    states: Array,
-) -> Array:
-    """Errors (n, axes), m, of the observer on a machine that is drawn."""
+def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:
     values, turn = np.linalg.eigh(fit.covariance)
     spread = turn * np.sqrt(np.maximum(values, 0.0))
     logarithms = fit.logarithms + spread @ rng.normal(size=values.size)
-    drawn = with_factors(machine, factors_of(fit.parameters, logarithms))
-    held = drawn.at_preload
-    physics = make_physics(diagonal_modes(drawn, held), drawn.joints, held)
-    inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
+    # What the parameters change in the runs, remainder and offsets take back.
+    moved = [
+        fit_linear(problem, *errors(problem, fit.parameters, at))
+        for at in (logarithms, fit.logarithms)
+    ]
+    sensed = [np.column_stack([one.remainder.temperature, one.offset]) for one in moved]
+    constant = np.column_stack([problem.states, np.ones(len(problem.states))])
+    own = np.column_stack([fit.remainder.temperature, fit.offset])
+    temperature = own + sensed[0] - sensed[1]
+    displacement = (
+        fit.remainder.displacement
+        + moved[0].remainder.displacement
+        - moved[1].remainder.displacement
+    )
+    for row in temperature:
+        tau = _size(row[:-1], REMAINDER_TEMPERATURE)
+        row += _unknown(
+            rng, constant, np.append(tau * problem.shape, OFFSET), REMAINDER_TEMPERATURE
+        )
+    for row in displacement:
+        tau = _size(row, REMAINDER_DISPLACEMENT)
+        row += _unknown(rng, problem.states, tau * problem.shape, REMAINDER_DISPLACEMENT)
+    return _Drawn(
+        factors_of(fit.parameters, logarithms),
+        Remainder(problem.rates, temperature[:, :-1], displacement),
+        temperature[:, -1],
+    )
+
+
+def _size(gains: Array, sigma: float) -> float:
+    return max(float(np.sqrt(np.mean(gains**2))), LEAST_SHARE * sigma)
+
+
+def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float) -> Array:
+    """What the data leave open of gains on `states` with priors like `shape`."""
+    root = make_ridge(states, shape).uncertainty(sigma, 1.0)
+    return np.asarray(root @ rng.normal(size=root.shape[1]))
+
+
+def _errors(
+    machine: ReducedMachine, drawn: _Drawn, observer: JointAware, history: _History
+) -> Array:
+    """Errors (n, axes), m, of the observer on a drawn machine."""
+    physics = physics_with(machine, drawn.factors)
+    count = len(history.heat)
+    inputs = np.column_stack([history.heat * machine.power, np.zeros(count)])
     temperature, displacement = simulate_known(physics, inputs, machine.step)
-    remainder = remainder_at(machine, runs, fit, logarithms)
-    temperature = temperature + states @ _drawn(
-        rng, fit, remainder.temperature, REMAINDER_TEMPERATURE
-    )
-    displacement = displacement + states @ _drawn(
-        rng, fit, remainder.displacement, REMAINDER_DISPLACEMENT
-    )
-    times = machine.step * np.arange(len(heat) + 1)
-    readings = np.vstack([np.zeros(temperature.shape[1]), temperature])
+    temperature = drawn.offset + temperature + history.states @ drawn.remainder.temperature.T
+    displacement = displacement + history.states @ drawn.remainder.displacement.T
+    readings = np.vstack([drawn.offset, temperature])
+    times = machine.step * np.arange(count + 1)
     samples = ((time, *row, 0.0) for time, row in zip(times, readings, strict=True))
     estimates = [one.displacement for _, one in follow(observer, samples, observer.initial_state())]
     return np.array(estimates[1:]) - displacement
 
 
-def _drawn(rng: np.random.Generator, fit: Fit, gains: Array, sigma: float) -> Array:
-    """Gains like fitted ones, shape (s q, channels)."""
-    drawn = np.empty_like(gains)
-    for row, fitted in zip(drawn, gains, strict=True):
-        tau = max(float(np.sqrt(np.mean(fitted**2))), LEAST_SHARE * sigma)
-        root = fit.ridge.uncertainty(sigma, tau)
-        row[:] = fitted + root @ rng.normal(size=root.shape[1])
-    return drawn.T
+def _explained(features: Array, error: Array) -> Array:
+    """Return the weights (f,) of features (n, f) that explain an error (n,), regularised."""
+    scale = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
+    found = make_ridge(features / scale, np.ones(scale.size))
+    size = float(np.abs(error).max())
+    weights, _ = found.gains(error, ROUGH * max(size, np.finfo(float).tiny), size or 1.0)
+    return np.asarray(weights / scale)
 
 
-def _variances(features: Array, errors: Array) -> Array:
-    """Coefficients of features (n, f) for the variance of errors (draws, n).
+def _left(squares: Array, said: Array, errors: Array) -> Array:
+    """Coefficients (q,) of squares (n, q) for what errors (draws, n) have beyond `said`, (n,).
 
-    Raised so that the band of 95 % holds 95 % of them.
+    Each counts relative to what is said of it.
     """
     mean = np.mean(errors**2, axis=0)
     size = float(mean.max())
     if size <= 0.0:
-        return np.zeros(features.shape[1])
-    scale = np.maximum(features.max(axis=0), np.finfo(float).tiny)
-    coefficients = nnls(features / scale, mean / size)[0] * size / scale
-    width = WIDTH * np.sqrt(np.maximum(features @ coefficients, 1e-3 * size))
-    ratio = float(np.quantile(np.abs(errors) / width, 0.95))
-    return np.asarray(coefficients * max(ratio, 1.0) ** 2)
+        return np.zeros(squares.shape[1])
+    scale = np.maximum(squares.max(axis=0), np.finfo(float).tiny)
+    weight = 1.0 / np.maximum(said, FLOOR * size)
+    short = np.maximum(mean - said, 0.0)
+    coefficients = nnls(squares / scale * weight[:, None], short * weight)[0] / scale
+    return np.asarray(coefficients)

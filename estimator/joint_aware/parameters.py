@@ -53,6 +53,15 @@ PARAMETERS = (
     Parameter("modulus", 0.06),
 )
 
+#: What is no parameter here, as it changes the modes or the condensed stiffness as a whole.
+NEW_CONDENSATION = (
+    "geometry",
+    "mesh",
+    "Poisson's ratio",
+    "material of one body alone",
+    "supports",
+)
+
 
 def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
     """Return the parameters that a machine has.

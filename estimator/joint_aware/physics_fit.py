@@ -1,83 +1,66 @@
 """The machine's parameters from its calibration responses: regularised nonlinear least squares.
 
-min over theta (logarithms of the factors) and the remainder's gains G of
+min over theta (logarithms of the factors), the remainder's gains G and the sensors' offsets o of
 
-    sum over runs and channels |y - f(theta) - Z G|^2 / sigma^2 + |G|^2 / tau^2 + |theta / spread|^2
+    sum |y - f(theta) - Z G - o|^2 / sigma^2 + |G|^2 / tau^2 + |o|^2 / 0.3 K^2 + |theta / spread|^2
 
-G enters linearly and is eliminated (`remainder.Ridge`), so the search has as many unknowns as there
-are parameters. Temperatures and displacements of all runs count together.
+over the samples of all runs. G and o enter linearly and are eliminated (`misfit`), so that the
+search has as many unknowns as there are parameters. It goes by a coarse march whose difference from
+the machine's own march is kept from the last round (a defect correction): what it comes to solves
+the equations of the machine's own.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
-from estimator.joint_aware.parameters import Parameter, active, factors_of, with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
-from estimator.joint_aware.remainder import (
-    SHARE,
-    Remainder,
-    Ridge,
-    make_ridge,
-    relaxation_rates,
-    relaxed,
+from estimator.joint_aware.misfit import (
+    Problem,
+    Run,
+    coarser,
+    errors,
+    fit_linear,
+    make_problem,
+    reading_noise,
+    residuals,
 )
+from estimator.joint_aware.parameters import Parameter, active
+from estimator.joint_aware.reduced_machine import ReducedMachine
+from estimator.joint_aware.remainder import Remainder
 
-#: Samples of a run that count, at most.
-MOST_SAMPLES = 120
-#: What the model is not trusted to, for every sample: temperature, K, and displacement, m. A model
-#: errs alike from sample to sample, so that a whole run tells little more than one of them would:
-#: these are errors of 0.03 K and 0.14 um that last for a run.
-TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
-#: ... and of the remainder, which is there to follow what is left sample by sample.
-REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
+#: Steps of a run in a search.
+SEARCH_STEPS = 150
 #: Relative step of the difference quotients, and of the parameters at the end.
 DIFFERENCE, CLOSE = 1e-3, 1e-4
 MOST_EVALUATIONS = 20
-#: Steps of a run while the parameters are searched; the remainder is fitted with the march's own.
-SEARCH_STEPS = 700
+#: Rounds of the defect correction at most, and the change, in standard deviations, of the last.
+MOST_ROUNDS, SETTLED = 4, 0.05
+#: Searches beside that from the case's own values start from draws of the prior; their seed, and
+#: how far they go.
+STARTS, SEED, ROUGHLY = 3, 1, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One calibration run on the steps of the march.
+class Start:
+    """Where a search from one start came to.
 
     Attributes
     ----------
-    inputs : ndarray, shape (n, s + 1)
-        Heat of each source by the case, W, and the ambient, K, at the end of each step.
-    times : ndarray, shape (k,)
-        Samples that count, s.
-    temperature : ndarray, shape (k, p)
-        K.
-    displacement : ndarray, shape (k, axes)
-        m.
-    length : float
-        Of a step, s.
+    begun, found : ndarray, shape (k,)
+        Logarithms of the factors.
+    cost : float
+        Half the sum of squares there.
     """
 
-    inputs: Array
-    times: Array
-    temperature: Array
-    displacement: Array
-    length: float
-
-
-def coarser(run: Run) -> Run:
-    """Return a run in `SEARCH_STEPS` steps at most, each with the mean of its inputs."""
-    factor = math.ceil(len(run.inputs) / SEARCH_STEPS)
-    count = math.ceil(len(run.inputs) / factor)
-    padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
-    means = padded.reshape(count, factor, -1).mean(axis=1)
-    return replace(run, inputs=means, length=factor * run.length)
+    begun: Array
+    found: Array
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,40 +73,65 @@ class Fit:
         In the order of the arrays below.
     logarithms : ndarray, shape (k,)
         Of the factors.
-    covariance : ndarray, shape (k, k)
-        Of the logarithms, after the calibration.
-    singular : ndarray, shape (k,)
-        Of the Jacobian in units of the priors: above 1 the data decide, below 1 the prior does.
-    directions : ndarray, shape (k, k)
-        Rows: the direction in units of the priors that belongs to each singular value.
+    residuals : ndarray, shape (n,)
+        Of `misfit.residuals` there.
+    jacobian : ndarray, shape (n, k)
+        Of the residuals by the logarithms in units of their priors.
     remainder : Remainder
         Fitted at these parameters.
-    ridge : Ridge
-        What it was fitted with.
+    offset, noise : ndarray, shape (p,)
+        Of every sensor, and the standard deviation of its reading, K.
     residual_temperature : ndarray, shape (p,)
         RMS of what is left, K.
     residual_displacement : ndarray, shape (axes,)
         m.
+    starts : tuple of Start
+        Where searches came to, each by the coarse march; the case's own values first.
     evaluations : int
         Of all runs.
     """
 
     parameters: tuple[Parameter, ...]
     logarithms: Array
-    covariance: Array
-    singular: Array
-    directions: Array
+    residuals: Array
+    jacobian: Array
     remainder: Remainder
-    ridge: Ridge
+    offset: Array
+    noise: Array
     residual_temperature: Array
     residual_displacement: Array
+    starts: tuple[Start, ...]
     evaluations: int
+
+    @property
+    def spread(self) -> Array:
+        """Prior standard deviations of the logarithms, (k,)."""
+        return np.array([one.spread for one in self.parameters])
+
+    @property
+    def directions(self) -> tuple[Array, Array]:
+        """Singular values of the Jacobian, (k,), and the directions that they belong to, in rows.
+
+        Above 1 the data decide, below 1 the prior does.
+        """
+        _, singular, directions = np.linalg.svd(self.jacobian, full_matrices=False)
+        return singular, directions
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the logarithms after the calibration, (k, k)."""
+        singular, directions = self.directions
+        inverse = directions.T @ (directions / (1.0 + singular**2)[:, None])
+        return np.asarray(self.spread[:, None] * inverse * self.spread)
 
 
 def fit_physics(
-    machine: ReducedMachine, runs: Sequence[Run], fitted: Sequence[str] | None = None
+    machine: ReducedMachine,
+    runs: Sequence[Run],
+    fitted: Sequence[str] | None = None,
+    starts: int = STARTS,
 ) -> Fit:
-    """Fit a machine's parameters and its remainder.
+    """Fit a machine's parameters, its remainder and its sensors' offsets.
 
     Parameters
     ----------
@@ -133,7 +141,9 @@ def fit_physics(
         From rest.
     fitted : sequence of str, optional
         Names of the parameters to fit; default all that the machine has. None at all leaves the
-        case as it is and fits the remainder alone.
+        case as it is and fits the remainder and the offsets alone.
+    starts : int
+        Searches from draws of the prior, beside that from the case's own values.
 
     Raises
     ------
@@ -141,170 +151,107 @@ def fit_physics(
         The machine of the case itself cannot be marched through the runs.
     """
     parameters = tuple(one for one in active(machine) if fitted is None or one.name in fitted)
-    spread = np.array([one.spread for one in parameters])
-    whole = _problem(machine, runs)
-    problem = _problem(machine, [coarser(run) for run in runs])
-    start = _residuals(problem, parameters, np.zeros(spread.size))
+    whole = make_problem(machine, runs)
     if not parameters:
-        return _fit(whole, parameters, np.zeros(0), np.zeros((start.size, 0)), 1)
-
-    def residuals(scaled: Array) -> Array:
+        return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
+    problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    spread = np.array([one.spread for one in parameters])
+    now = np.zeros(spread.size)
+    defect, evaluations, tried = _defect(whole, problem, parameters, now), 2, []
+    for begun in _starts(parameters, starts):
         try:
-            found = _residuals(problem, parameters, spread * scaled)
+            result = _search(problem, parameters, begun, defect, ROUGHLY)
+        except ConvergenceError:
+            if not begun.any():
+                raise
+            continue
+        tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
+        evaluations += _counted(result)
+    now = min(tried, key=lambda one: one.cost).found / spread
+    for _ in range(MOST_ROUNDS):
+        defect = _defect(whole, problem, parameters, now)
+        result = _search(problem, parameters, now, defect, CLOSE)
+        evaluations += 2 + _counted(result)
+        before, now = now, result.x
+        # In standard deviations of the parameters that the data leave.
+        step = np.append(result.jac[: defect.size] @ (now - before), now - before)
+        if np.linalg.norm(step) <= SETTLED:
+            break
+    return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
+
+
+def _starts(parameters: tuple[Parameter, ...], count: int) -> list[Array]:
+    rng = np.random.default_rng(SEED)
+    drawn = np.clip(rng.normal(size=(count, len(parameters))), -2.0, 2.0)
+    return [np.zeros(len(parameters)), *drawn]
+
+
+def _defect(
+    whole: Problem, problem: Problem, parameters: tuple[Parameter, ...], scaled: Array
+) -> Array:
+    """What the residuals of the machine's own march have more than those of the coarse one."""
+    logarithms = scaled * [one.spread for one in parameters]
+    return residuals(whole, parameters, logarithms) - residuals(problem, parameters, logarithms)
+
+
+def _search(
+    problem: Problem,
+    parameters: tuple[Parameter, ...],
+    start: Array,
+    defect: Array,
+    close: float,
+) -> OptimizeResult:
+    spread = np.array([one.spread for one in parameters])
+    first: list[Array] = []
+
+    def of(scaled: Array) -> Array:
+        try:
+            found = defect + residuals(problem, parameters, spread * scaled)
         except ConvergenceError:
             # A trial step too far: worse than where the search began, so that it is shortened.
-            found = 10.0 * start
+            if not first:
+                raise
+            found = 10.0 * first[0]
+        first.append(found)
         return np.concatenate([found, scaled])
 
-    result = least_squares(
-        residuals,
-        np.zeros(spread.size),
+    return least_squares(
+        of,
+        start,
         diff_step=DIFFERENCE,
         x_scale=1.0,
         bounds=(-3.0, 3.0),
-        xtol=CLOSE,
-        ftol=CLOSE,
+        xtol=close,
+        ftol=close,
         gtol=1e-8,
         max_nfev=MOST_EVALUATIONS,
     )
-    jacobian = result.jac[: start.size]
-    evaluations = int(result.nfev + (result.njev or 0) * spread.size)
-    return _fit(whole, parameters, result.x, jacobian, evaluations)
 
 
-def remainder_at(
-    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, logarithms: Array
-) -> Remainder:
-    """Return the remainder that fits the runs beside other parameters, (k,) logarithms of factors.
-
-    What the parameters change in proportion to the heat, the remainder takes back: the runs know
-    the machine as a whole.
-    """
-    problem = _problem(machine, runs)
-    gains, _ = _gains(problem, *_errors(problem, fit.parameters, logarithms))
-    return Remainder(problem.rates, *gains)
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    machine: ReducedMachine
-    runs: Sequence[Run]
-    ridge: Ridge
-    rates: Array
-    temperature_tau: Array
-    displacement_tau: Array
-
-
-def _problem(machine: ReducedMachine, runs: Sequence[Run]) -> _Problem:
-    rates = relaxation_rates()
-    sources = machine.power.size
-    states = [
-        _sampled(relaxed(run.inputs[:, :sources] / machine.power, rates, run.length), run)
-        for run in runs
-    ]
-    level = max(float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
-
-    def tau(values: Sequence[Array]) -> Array:
-        return np.array(
-            [
-                SHARE * max(np.abs(one).max() for one in column) / level
-                for column in zip(*(value.T for value in values), strict=True)
-            ]
-        )
-
-    return _Problem(
-        machine,
-        runs,
-        make_ridge(np.vstack(states)),
-        rates,
-        tau([run.temperature for run in runs]),
-        tau([run.displacement for run in runs]),
-    )
-
-
-def _sampled(values: Array, run: Run) -> Array:
-    """Values (n, c) after each step from rest, at the times that count, (k, c)."""
-    grid = run.length * np.arange(len(values) + 1)
-    whole = np.vstack([np.zeros(values.shape[1]), values])
-    return np.column_stack([np.interp(run.times, grid, column) for column in whole.T])
-
-
-def _errors(
-    problem: _Problem, parameters: tuple[Parameter, ...], logarithms: Array
-) -> tuple[Array, Array]:
-    """What the runs have more than the machine: temperatures (k, p), displacements (k, axes)."""
-    machine = with_factors(problem.machine, factors_of(parameters, logarithms))
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    temperature, displacement = [], []
-    for run in problem.runs:
-        sensed, moved = simulate_known(physics, run.inputs, run.length)
-        temperature.append(run.temperature - _sampled(sensed, run))
-        displacement.append(run.displacement - _sampled(moved, run))
-    return np.vstack(temperature), np.vstack(displacement)
-
-
-def _residuals(problem: _Problem, parameters: tuple[Parameter, ...], logarithms: Array) -> Array:
-    temperature, displacement = _errors(problem, parameters, logarithms)
-    ridge = problem.ridge
-    parts = [
-        ridge.whitened(column, TEMPERATURE_SIGMA, tau)
-        for column, tau in zip(temperature.T, problem.temperature_tau, strict=True)
-        if tau > 0.0
-    ] + [
-        ridge.whitened(column, DISPLACEMENT_SIGMA, tau)
-        for column, tau in zip(displacement.T, problem.displacement_tau, strict=True)
-        if tau > 0.0
-    ]
-    return np.concatenate(parts)
+def _counted(result: OptimizeResult) -> int:
+    return int(result.nfev + (result.njev or 0) * result.x.size)
 
 
 def _fit(
-    problem: _Problem,
+    problem: Problem,
     parameters: tuple[Parameter, ...],
     scaled: Array,
     jacobian: Array,
+    starts: tuple[Start, ...],
     evaluations: int,
 ) -> Fit:
-    spread = np.array([one.spread for one in parameters])
-    logarithms = spread * scaled
-    temperature, displacement = _errors(problem, parameters, logarithms)
-    gains, left = _gains(problem, temperature, displacement)
-    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    inverse = directions.T @ (directions / (1.0 + singular**2)[:, None])
+    logarithms = np.array([one.spread for one in parameters]) * scaled
+    linear = fit_linear(problem, *errors(problem, parameters, logarithms))
     return Fit(
         parameters=parameters,
         logarithms=logarithms,
-        covariance=spread[:, None] * inverse * spread,
-        singular=singular,
-        directions=directions,
-        remainder=Remainder(problem.rates, *gains),
-        ridge=problem.ridge,
-        residual_temperature=np.sqrt(np.mean(left[0] ** 2, axis=0)),
-        residual_displacement=np.sqrt(np.mean(left[1] ** 2, axis=0)),
+        residuals=residuals(problem, parameters, logarithms),
+        jacobian=jacobian,
+        remainder=linear.remainder,
+        offset=linear.offset,
+        noise=reading_noise(problem, linear.temperature),
+        residual_temperature=np.sqrt(np.mean(linear.temperature**2, axis=0)),
+        residual_displacement=np.sqrt(np.mean(linear.displacement**2, axis=0)),
+        starts=starts,
         evaluations=evaluations,
     )
-
-
-def _gains(
-    problem: _Problem, temperature: Array, displacement: Array
-) -> tuple[list[Array], list[Array]]:
-    """The remainder's gains for errors of temperatures and displacements, and what is left."""
-    states = problem.ridge.left * problem.ridge.values @ problem.ridge.right
-    gains = [
-        np.array(
-            [
-                problem.ridge.gains(y, sigma, tau) if tau > 0.0 else np.zeros(states.shape[1])
-                for y, tau in zip(errors.T, taus, strict=True)
-            ]
-        )
-        for errors, sigma, taus in (
-            (temperature, REMAINDER_TEMPERATURE, problem.temperature_tau),
-            (displacement, REMAINDER_DISPLACEMENT, problem.displacement_tau),
-        )
-    ]
-    left = [
-        errors - states @ gain.T
-        for errors, gain in zip((temperature, displacement), gains, strict=True)
-    ]
-    return gains, left

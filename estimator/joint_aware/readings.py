@@ -10,7 +10,7 @@ import xarray as xr
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.response import columns_of
-from estimator.joint_aware.physics_fit import MOST_SAMPLES, Run
+from estimator.joint_aware.misfit import MOST_SAMPLES, Run
 from estimator.joint_aware.reduced_machine import ReducedMachine
 
 
@@ -64,8 +64,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
     heat = response["heat_input"].to_numpy().astype(float)[at]
     ambient = np.interp(grid, times, ambient_in(response))
-    kept = np.flatnonzero(times > 0.0)
-    kept = kept[:: max(1, int(np.ceil(kept.size / MOST_SAMPLES)))]
+    # The first, at rest, tells the offsets.
+    kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
     return Run(
         inputs=np.column_stack([heat[:, None] * machine.power, ambient]),
         times=times[kept],

@@ -206,6 +206,11 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
         Conductance times area, W/K, with which the joint belongs to the linear part: then the
         joint heat flows are those beyond it. Default: none.
     """
+    return on_basis(machine, *diagonal_basis(machine, held))
+
+
+def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
+    """Return the rates (r,), 1/s, and the basis (r, r) that `diagonal_modes` turns to."""
     conduction = machine.conduction + machine.convection
     if held is not None:
         conduction = conduction + machine.jump.T @ (held[:, None] * machine.jump)
@@ -213,10 +218,14 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
     root = np.linalg.inv(np.linalg.cholesky(machine.capacity))
     system = root @ conduction @ root.T
     rates, turn = np.linalg.eigh(0.5 * (system + system.T))
-    basis = root.T @ turn
+    return np.maximum(rates, 0.0), root.T @ turn
+
+
+def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
+    """Return a machine's modes on a basis (r, r) that makes its heat equation diagonal."""
     elastic = machine.elastic
     return Modes(
-        rates=np.maximum(rates, 0.0),
+        rates=rates,
         drive=basis.T @ np.column_stack([machine.sources, machine.ambient]),
         jump=machine.jump @ basis,
         sensors=machine.sensors @ basis,

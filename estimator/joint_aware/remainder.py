@@ -13,8 +13,11 @@ import numpy as np
 
 from artefacts.arrays import Array
 
-#: Relaxation times from the first to the last, s, evenly in their logarithm.
-FASTEST, SLOWEST, COUNT = 8.0, 6000.0, 9
+#: Relaxation times from the first to the last, s, evenly in their logarithm, and one beyond.
+FASTEST, SLOWEST, COUNT, BEYOND = 8.0, 6000.0, 9, 24000.0
+#: Longest relaxation time that has a gain, relative to the longest run: none tells what is slower.
+#: Its relaxation still tells the band of how long the machine has been warm.
+REACH = 3.0
 #: Prior standard deviation of a gain, as a part of the channel's largest value per heat input.
 SHARE = 0.05
 
@@ -39,8 +42,8 @@ class Remainder:
 
 
 def relaxation_rates() -> Array:
-    """Return rho, 1/s, shape (COUNT,)."""
-    return 1.0 / np.geomspace(FASTEST, SLOWEST, COUNT)
+    """Return rho, 1/s, shape (COUNT + 1,)."""
+    return 1.0 / np.append(np.geomspace(FASTEST, SLOWEST, COUNT), BEYOND)
 
 
 def relaxed(heat: Array, rates: Array, length: float) -> Array:
@@ -65,42 +68,44 @@ def relaxed(heat: Array, rates: Array, length: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Ridge:
-    """Least squares for gains with a normal prior, of channels that share their relaxations.
+    """Least squares for gains with a normal prior.
 
-    min_G |(y - Z G)/sigma|^2 + |G/tau|^2. What is left of a y at its minimum is |whitened(y)|^2, so
-    that a fit of other parameters may be made as if there were no remainder.
+    min_G |(y - Z G)/sigma|^2 + |G/(tau shape)|^2. What is left of a y at its minimum is
+    |whitened(y)|^2, so that a fit of other parameters may be made as if there were no Z.
 
     Attributes
     ----------
     left : ndarray, shape (n, k)
     values : ndarray, shape (k,)
-    right : ndarray, shape (k, s q)
-        Z = left diag(values) right.
+    right : ndarray, shape (k, c)
+        Z diag(shape) = left diag(values) right.
+    shape : ndarray, shape (c,)
+        Prior standard deviation of each gain, relative to tau.
     """
 
     left: Array
     values: Array
     right: Array
+    shape: Array
 
     def whitened(self, signal: Array, sigma: float, tau: float) -> Array:
-        """Return what the relaxations do not explain of a signal (n,), in units of sigma."""
+        """Return what Z does not explain of a signal (n,), in units of sigma."""
         kept = np.sqrt(sigma**2 / (sigma**2 + (tau * self.values) ** 2))
         found: Array = (signal - self.left @ ((1.0 - kept) * (self.left.T @ signal))) / sigma
         return found
 
-    def gains(self, signal: Array, sigma: float, tau: float) -> Array:
-        """Return the gains (s q,) that fit a signal (n,)."""
-        part = self.values / (self.values**2 + (sigma / tau) ** 2)
-        found: Array = self.right.T @ (part * (self.left.T @ signal))
-        return found
+    def gains(self, signal: Array, sigma: float, tau: float) -> tuple[Array, Array]:
+        """Return the gains (c,) that fit a signal (n,), and what is left of it."""
+        part = self.values / (self.values**2 + (sigma / tau) ** 2) * (self.left.T @ signal)
+        return self.shape * (self.right.T @ part), signal - self.left @ (self.values * part)
 
     def uncertainty(self, sigma: float, tau: float) -> Array:
-        """Return a root of the covariance of fitted gains, shape (s q, k)."""
+        """Return a root of the covariance of fitted gains, shape (c, k)."""
         left = sigma * tau / np.sqrt(sigma**2 + (tau * self.values) ** 2)
-        found: Array = self.right.T * left
+        found: Array = self.shape[:, None] * self.right.T * left
         return found
 
 
-def make_ridge(states: Array) -> Ridge:
-    """Return the ridge regression on relaxations Z, shape (n, s q)."""
-    return Ridge(*np.linalg.svd(states, full_matrices=False))
+def make_ridge(states: Array, shape: Array) -> Ridge:
+    """Return the ridge regression on Z, shape (n, c), with priors like `shape`, (c,)."""
+    return Ridge(*np.linalg.svd(states * shape, full_matrices=False), shape)

@@ -19,10 +19,14 @@ if TYPE_CHECKING:
 Sample = tuple[float, ...]
 
 
-def calibrate(case: Path | None, responses: Sequence[Path], out: Path) -> None:
+def calibrate(
+    case: Path | None, responses: Sequence[Path], out: Path, report_file: Path | None
+) -> None:
     """Fit the machine of a case to its responses, and write the observer made of it."""
+    from artefacts.files import write_text
     from artefacts.response import read_response
     from estimator.joint_aware.calibration import calibrate_joint_aware, report
+    from estimator.joint_aware.calibration_report import whole_report
     from estimator.joint_aware.model_file import write_observer
     from fesim.case.schema import read_case
     from thermojoint.cli import console, plausibility
@@ -31,7 +35,13 @@ def calibrate(case: Path | None, responses: Sequence[Path], out: Path) -> None:
         raise InputError("--kind joint-aware: needs the machine; add --case MACHINE.toml")
     machine = read_case(case)
     inputs = [case, *arguments.files_of(machine), *responses]
-    arguments.check_outputs({"--out": (out, file_kinds.OBSERVER)}, inputs)
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.OBSERVER),
+            "--report": (report_file, file_kinds.CALIBRATION_REPORT),
+        },
+        inputs,
+    )
     if len(set(responses)) < len(responses):
         raise InputError("--input: a response is given twice; give each once")
     console.warn(plausibility.of_case(machine, str(case)))
@@ -42,8 +52,11 @@ def calibrate(case: Path | None, responses: Sequence[Path], out: Path) -> None:
         progress("calibrating", 0, 1)
         calibrated = calibrate_joint_aware(machine, read)
         progress("calibrating", 1, 1)
+        told = whole_report(calibrated) if report_file else report(calibrated.fit)
     write_observer(calibrated.model, out)
-    console.show_physics(console.out(), report(calibrated.fit))
+    if report_file:
+        write_text(report_file, json.dumps(told, indent=2, allow_nan=False) + "\n")
+    console.show_physics(console.out(), told)
     console.wrote(out)
 
 

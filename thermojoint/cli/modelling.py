@@ -60,6 +60,12 @@ def calibrate(
     case: Annotated[
         Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
     ] = None,
+    report_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--report", help="Report to write (JSON), for --kind joint-aware: what the runs tell."
+        ),
+    ] = None,
 ) -> None:
     """Calibrate an estimator: the generalised models of Tables 1-3, or the machine's physics.
 
@@ -87,10 +93,12 @@ def calibrate(
         for option, given_too in (("--distances-mm", distances), ("--baselines", baselines)):
             if given_too is not None:
                 raise InputError(f"{option}: goes with --kind fchs; leave it out")
-        joint_aware.calibrate(case, inputs, out)
+        joint_aware.calibrate(case, inputs, out, report_file)
         return
     if case is not None:
         raise InputError("--case: goes with --kind joint-aware; leave it out")
+    if report_file is not None:
+        raise InputError("--report: goes with --kind joint-aware; leave it out")
     arguments.check_outputs(
         {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
     )

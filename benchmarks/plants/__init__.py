@@ -1,0 +1,1 @@
+"""Every estimator on machines drawn at random, each calibrated from its own responses."""

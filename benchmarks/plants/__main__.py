@@ -1,0 +1,99 @@
+"""Judge every estimator on plants drawn at random.
+
+    python -m benchmarks.plants --out plants.json       # 100 plants, about 40 minutes
+
+A model on a 50/25 mm mesh, plants on 40/20 mm with eleven parameters, sensor offsets and noise
+drawn, each calibrated from its own steps of 0.5, 1 and 2 and once more with a cool-down of 4 h.
+Each plant has a file of its own beside the result; stopped in any way, the same command goes on
+from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Iterator
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import track
+
+from artefacts.files import write_text
+from benchmarks.plants.drawing import Plant, draw_plant
+from benchmarks.plants.estimating import ESTIMATORS
+from benchmarks.plants.judging import Machines, judge_plant
+from benchmarks.plants.preparing import difference_from_new_set_up, prepared
+from benchmarks.plants.summary import summary_of, table_of
+from models.sensors import ROLES
+
+#: Plants that are compared with machines set up anew.
+CHECKED = 3
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run what is not finished, then judge all of it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("plants.json"))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--estimator", action="append", choices=list(ESTIMATORS), default=[])
+    reference = files("thermojoint").joinpath("cases/reference.toml")
+    parser.add_argument("--case", type=Path, default=Path(str(reference)))
+    options = parser.parse_args(arguments)
+    case, machines = prepared(options.case)
+    plants = [draw_plant(case, ROLES, options.seed, number) for number in range(options.count)]
+    folder = options.out.with_suffix(f".seed-{options.seed}")
+    wanted = tuple(options.estimator or ESTIMATORS)
+    found = list(
+        track(_judged(machines, plants, wanted, folder, options.workers), "plants", len(plants))
+    )
+    rows = [row for one in found for row in one["rows"]]
+    checked = {
+        str(plant.number): difference_from_new_set_up(options.case, machines.plant, plant)
+        for plant in plants[:CHECKED]
+    }
+    summary = summary_of(rows)
+    content = {
+        "seed": options.seed,
+        "rows": rows,
+        "summary": summary,
+        "difference_from_new_set_up_um": checked,
+        "plants": [{name: one[name] for name in ("plant", "factors", "offset_K")} for one in found],
+        "calibrations": [row for one in found for row in one["calibrations"]],
+    }
+    write_text(options.out, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    console = Console(width=140)
+    console.print(table_of(summary))
+    console.print(f"plants on the study's modes against new set-ups, step 3.0, µm: {checked}")
+
+
+def _judged(
+    machines: Machines, plants: list[Plant], wanted: tuple[str, ...], folder: Path, workers: int
+) -> Iterator[dict[str, Any]]:
+    """Yield what every plant says, in their order."""
+    one = partial(_kept, machines, wanted, folder)
+    with multiprocessing.get_context("fork").Pool(workers) as pool:
+        yield from pool.imap(one, plants)
+
+
+def _kept(
+    machines: Machines, wanted: tuple[str, ...], folder: Path, plant: Plant
+) -> dict[str, Any]:
+    """Return what a plant says, from its file where there is one."""
+    path = folder / f"{plant.number:03d}.json"
+    if path.is_file():
+        kept: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        return kept
+    found = judge_plant(machines, plant, wanted)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(found, allow_nan=False) + "\n")
+    return found
+
+
+if __name__ == "__main__":
+    main()

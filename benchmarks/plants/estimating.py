@@ -1,0 +1,108 @@
+"""The estimators that are judged: each calibrated from a plant's responses, each free-running."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from artefacts.arrays import Array
+from artefacts.response import columns_of
+from calibrate.baselines import baselines_of
+from calibrate.chain import calibrate_responses
+from estimator.interface import follow
+from estimator.joint_aware.calibration import calibrate_machine, report
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.reduced_machine import ReducedMachine
+from estimator.judge import validate
+
+REFERENCE = "step-1.0"
+
+
+class Errors(NamedTuple):
+    """What an estimator got wrong in a run.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Of the displacement.
+    error : ndarray, shape (n, axes)
+        Estimated less actual, m.
+    band : ndarray, shape (n, axes), or None
+        Half of the width of 95 %, m; None for an estimator that has none.
+    """
+
+    axes: tuple[str, ...]
+    error: Array
+    band: Array | None
+
+
+#: A run, and whether it begins on a machine of whose past nothing is known, to estimator -> errors.
+Judge = Callable[[xr.Dataset, bool], dict[str, Errors]]
+
+
+class Calibrated(NamedTuple):
+    """Calibrated estimators.
+
+    Attributes
+    ----------
+    judge : callable
+        Runs them.
+    report : dict
+        Of the calibration, for the file.
+    """
+
+    judge: Judge
+    report: dict[str, object]
+
+
+def joint_aware(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Calibrate the joint-aware estimator."""
+    # One search for each: that others come to the same is reported for single machines.
+    found = calibrate_machine(machine, responses, starts=0)
+    return Calibrated(observing(JointAware(found.model)), report(found.fit))
+
+
+def observing(estimator: JointAware) -> Judge:
+    """Return what runs an observer, warm where nothing is known of the start."""
+
+    def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
+        state = estimator.warm_state() if warm else estimator.initial_state()
+        samples = samples_in(response, estimator.model.sensors)
+        found = [one for _, one in follow(estimator, samples, state)]
+        actual = columns_of(response, "displacement", estimator.axes)
+        error = np.array([one.displacement for one in found]) - actual
+        band = np.array([one.band for one in found])
+        return {estimator.kind: Errors(estimator.axes, error, band)}
+
+    return judge
+
+
+def from_steps(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Calibrate FCHS, its linear part and the regressions, all of which know no machine.
+
+    FCHS is calibrated by the steps alone; the regressions by every response.
+    """
+    steps = {name: one for name, one in responses.items() if name.startswith("step-")}
+    others = {float(one["heat_input"][-1]): one for name, one in steps.items() if name != REFERENCE}
+    calibrated = calibrate_responses(steps[REFERENCE], others)
+    baselines = baselines_of(calibrated, list(responses.values()))
+    axes = tuple(calibrated.model.linear.deformation)
+
+    def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
+        # They know of no warm start: the run begins at rest for them.
+        del warm
+        judged = validate("", response, calibrated.model, baselines=baselines)
+        return {name: Errors(axes, error, None) for name, error in judged.errors.items()}
+
+    return Calibrated(judge, {})
+
+
+#: What is calibrated with a plant's responses; another estimator is one more entry.
+ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calibrated]] = {
+    "joint-aware": joint_aware,
+    "from steps": from_steps,
+}

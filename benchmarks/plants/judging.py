@@ -1,0 +1,140 @@
+"""One plant: calibrated with what it answered, judged by what it has not shown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from artefacts.arrays import Array
+from artefacts.errors import ThermojointError
+from benchmarks.plants.drawing import Plant
+from benchmarks.plants.driving import STEPS, drives
+from benchmarks.plants.estimating import ESTIMATORS, Errors
+from benchmarks.plants.responding import (
+    DISPLACEMENT_NOISE,
+    TEMPERATURE_NOISE,
+    Answer,
+    answers,
+    told,
+)
+from estimator.joint_aware.reduced_machine import ReducedMachine
+
+#: Calibration to the runs that it has.
+CALIBRATIONS = {
+    "steps": tuple(f"step-{level}" for level in STEPS),
+    "steps and cool-down": (*(f"step-{level}" for level in STEPS), "cool-down"),
+}
+CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise", "day", "cool-down", "warm-start")
+#: A warm start, this long after the start of the day, and when it is judged, s.
+WARM, SETTLED = 4 * 3600.0, 1200.0
+
+
+@dataclass(frozen=True, eq=False)
+class Machines:
+    """What every plant of a study needs.
+
+    Attributes
+    ----------
+    model : ReducedMachine
+        That the estimators know.
+    plant : ReducedMachine
+        On a mesh of its own, with the case's parameters.
+    places : xarray.Dataset
+        A response of it, of any length.
+    """
+
+    model: ReducedMachine
+    plant: ReducedMachine
+    places: xr.Dataset
+
+
+@threadpool_limits.wrap(limits=1)
+def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> dict[str, Any]:
+    """Return all that a plant says: rows, calibrations and what it was drawn with."""
+    exact = answers(machines.plant, plant, drives(machines.plant.step, plant.seed))
+    noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
+    shown = {
+        name: told(
+            exact[name], machines.plant, machines.places, plant.offset, noise, plant.seed + k
+        )
+        for k, name in enumerate(CALIBRATIONS["steps and cool-down"])
+    }
+    rows: list[dict[str, Any]] = []
+    reports: list[dict[str, Any]] = []
+    for label, runs in CALIBRATIONS.items():
+        responses = {name: shown[name] for name in runs}
+        for kind in wanted:
+            begun = time.process_time()
+            about = {"plant": plant.number, "calibration": label}
+            try:
+                calibrated = ESTIMATORS[kind](machines.model, responses)
+                taken = time.process_time() - begun
+                for case in CASES:
+                    if case in runs:
+                        continue
+                    run, settled = judged_run(machines, plant, exact, case)
+                    for name, errors in calibrated.judge(run, case == "warm-start").items():
+                        rows += [about | one for one in figures(case, name, errors, run, settled)]
+            except ThermojointError as error:
+                reports.append(about | {"estimator": kind, "failed": str(error)})
+                continue
+            reports.append(about | {"estimator": kind, "processor_s": taken} | calibrated.report)
+    return {
+        "plant": plant.number,
+        "factors": plant.factors,
+        "offset_K": plant.offset.tolist(),
+        "rows": rows,
+        "calibrations": reports,
+    }
+
+
+def judged_run(
+    machines: Machines, plant: Plant, exact: Mapping[str, Answer], case: str
+) -> tuple[xr.Dataset, float]:
+    """Return a run as the sensors tell it, and from when on it is judged, s.
+
+    All have noise but the triangle, which is judged both ways.
+    """
+    name = {"triangle-noise": "triangle", "warm-start": "day"}.get(case, case)
+    noise = 0.0 if case == "triangle" else TEMPERATURE_NOISE
+    seed = plant.seed + 100 + CASES.index(case)
+    run = told(exact[name], machines.plant, machines.places, plant.offset, (noise, 0.0), seed)
+    if case != "warm-start":
+        return run, 0.0
+    return run.isel(time=run["time"].to_numpy() >= WARM), WARM + SETTLED
+
+
+def figures(
+    case: str, estimator: str, errors: Errors, run: xr.Dataset, settled: float
+) -> list[dict[str, Any]]:
+    """Return a row for every axis."""
+    kept = run["time"].to_numpy() >= settled
+    actual = run["displacement"].sel(axis=list(errors.axes)).to_numpy()[kept]
+    size = np.abs(errors.error[kept])
+    rows = []
+    for k, axis in enumerate(errors.axes):
+        band = None if errors.band is None else errors.band[kept, k]
+        rows.append(
+            {
+                "case": case,
+                "estimator": estimator,
+                "axis": axis,
+                "max_abs_error_um": 1e6 * float(size[:, k].max()),
+                "rms_error_um": 1e6 * float(np.sqrt(np.mean(size[:, k] ** 2))),
+                "peak_total_um": 1e6 * float(np.abs(actual[:, k]).max()),
+                "band_cover": None if band is None else _share(size[:, k] <= band),
+                "mean_band_width_um": None if band is None else 2e6 * float(band.mean()),
+                "largest_band_width_um": None if band is None else 2e6 * float(band.max()),
+            }
+        )
+    return rows
+
+
+def _share(inside: Array) -> float:
+    return float(np.mean(inside))

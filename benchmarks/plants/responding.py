@@ -1,0 +1,99 @@
+"""What a plant answers, as its sensors tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from artefacts.arrays import Array
+from artefacts.response import make_response
+from benchmarks.plants.drawing import Plant
+from benchmarks.plants.driving import Drive
+from estimator.joint_aware.misfit import physics_with
+from estimator.joint_aware.physics import simulate_known
+from estimator.joint_aware.reduced_machine import ReducedMachine
+from estimator.noise import sensor_noise
+
+#: Of temperatures, K peak to peak, and of displacements in calibration, m.
+TEMPERATURE_NOISE, DISPLACEMENT_NOISE = 0.12, 5e-8
+#: What a response has beside what is computed: places and powers, for the estimators that ask.
+KEPT = ("probe_position", "contact_position", "contact_area", "contact_joint")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A run of a plant, exactly.
+
+    Attributes
+    ----------
+    drive : Drive
+        What drove it.
+    temperature : ndarray, shape (n + 1, p)
+        From rest, K.
+    displacement : ndarray, shape (n + 1, axes)
+        m.
+    """
+
+    drive: Drive
+    temperature: Array
+    displacement: Array
+
+
+def answers(machine: ReducedMachine, plant: Plant, runs: dict[str, Drive]) -> dict[str, Answer]:
+    """March a plant through runs."""
+    physics = physics_with(machine, plant.factors)
+    found = {}
+    for name, drive in runs.items():
+        heat = drive.heat[:, None] * machine.power
+        marched = simulate_known(physics, np.column_stack([heat, drive.ambient]), machine.step)
+        found[name] = Answer(drive, *(np.vstack([np.zeros(one.shape[1]), one]) for one in marched))
+    return found
+
+
+def told(
+    answer: Answer,
+    machine: ReducedMachine,
+    places: xr.Dataset,
+    offset: Array,
+    noise: tuple[float, float],
+    seed: int,
+) -> xr.Dataset:
+    """Return a run as a response with offset sensors and noise.
+
+    Parameters
+    ----------
+    answer : Answer
+        The run.
+    machine : ReducedMachine
+        Names sensors and axes.
+    places : xarray.Dataset
+        A response of the machine, of any length.
+    offset : ndarray, shape (p,)
+        Of the sensors, K.
+    noise : (float, float)
+        Of temperatures, K peak to peak, and standard deviation of displacements, m.
+    seed : int
+        Of the noise.
+    """
+    times = machine.step * np.arange(len(answer.temperature))
+    temperature, displacement = answer.temperature + offset, answer.displacement
+    if noise[0] > 0.0:
+        temperature = temperature + sensor_noise(times, noise[0], seed, offset.size)
+    rng = np.random.default_rng(seed)
+    displacement = displacement + noise[1] * rng.standard_normal(displacement.shape)
+    heat = np.append(answer.drive.heat[0], answer.drive.heat)
+    return make_response(
+        {
+            "heat_input": heat,
+            "source_power": heat[:, None] * machine.power,
+            "ambient": np.append(0.0, answer.drive.ambient),
+            "temperature": temperature,
+            "displacement": displacement,
+        }
+        | {name: places[name].to_numpy() for name in KEPT},
+        {name: places[name].to_numpy() for name in ("probe", "axis", "source", "space", "contact")}
+        | {"time": times},
+        {str(name): value for name, value in places.attrs.items()},
+    )

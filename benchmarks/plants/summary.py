@@ -1,0 +1,78 @@
+"""Medians and 90th percentiles over plants, and how far they are from what is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+from rich.table import Table
+
+#: What is told apart.
+GROUPS = ["calibration", "case", "estimator"]
+
+
+def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row for each calibration, case and estimator.
+
+    The error of a plant is its largest along either axis; the band's cover is that of all samples,
+    and its width the mean over a run along the wider axis, then the median over plants.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        As `judging.figures` makes them, with plant and calibration.
+    """
+    table = pd.DataFrame(rows)
+    each = (
+        table.groupby([*GROUPS, "plant"], sort=False)
+        .agg(
+            error=("max_abs_error_um", "max"),
+            rms=("rms_error_um", "max"),
+            cover=("band_cover", "mean"),
+            width=("mean_band_width_um", "max"),
+        )
+        .reset_index()
+    )
+    linear = each[each.estimator == "linear"].set_index(["calibration", "case", "plant"]).error
+    found = []
+    for (calibration, case, estimator), part in each.groupby(GROUPS, sort=False):
+        beside = part.set_index(["calibration", "case", "plant"]).error
+        both = pd.concat([beside, linear], axis=1, join="inner", keys=["own", "linear"])
+        banded = part.cover.notna().any()
+        found.append(
+            {
+                "calibration": calibration,
+                "case": case,
+                "estimator": estimator,
+                "plants": len(part),
+                "median_um": float(part.error.median()),
+                "p90_um": float(part.error.quantile(0.9)),
+                "largest_um": float(part.error.max()),
+                "median_rms_um": float(part.rms.median()),
+                "worse_than_linear": int((both.own > both.linear).sum()) if len(both) else None,
+                "band_cover": float(part.cover.mean()) if banded else None,
+                "band_width_um": float(part.width.median()) if banded else None,
+            }
+        )
+    return found
+
+
+def table_of(summary: Sequence[dict[str, Any]]) -> Table:
+    """Return the summary as a table for a terminal."""
+    table = Table(title="largest error along either axis over plants, µm")
+    for name in ("calibration", "case", "estimator", "plants", "median", "90 %", "largest"):
+        table.add_column(name)
+    for name in ("worse than linear", "in band", "band, µm"):
+        table.add_column(name)
+    for row in summary:
+        sizes = (f"{row[name]:.2f}" for name in ("median_um", "p90_um", "largest_um"))
+        worse = row["worse_than_linear"]
+        cover, width = row["band_cover"], row["band_width_um"]
+        table.add_row(
+            *(row["calibration"], row["case"], row["estimator"], str(row["plants"]), *sizes),
+            "–" if worse is None else str(worse),
+            "–" if cover is None else f"{100.0 * cover:.1f} %",
+            "–" if width is None else f"{width:.2f}",
+        )
+    return table

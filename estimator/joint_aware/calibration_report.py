@@ -1,0 +1,82 @@
+"""The report of a calibration: what was found, what the runs say of it, which run would tell more.
+
+Everything is plain numbers and text, ready for a JSON file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from estimator.joint_aware.calibration import JointAwareCalibration, report
+from estimator.joint_aware.identifiability import (
+    PREDICTION_ONLY,
+    further_runs,
+    profiles,
+)
+from estimator.joint_aware.parameters import NEW_CONDENSATION
+from estimator.joint_aware.physics_fit import Fit
+
+#: Searches that come this near to the best cost, in halves of a squared standard deviation, agree.
+AGREE = 0.5
+
+
+def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
+    """Return `report` and beside it what takes further marches.
+
+    Returns
+    -------
+    dict
+        What `report` says; offsets_K and noise_K of the sensors; prediction_only: parameters that
+        the prior decides; starts: cost above the best and the distance from the fit, in standard
+        deviations, of every search; profiles: factor and cost above the fit of each point;
+        further_runs: standard deviation of every parameter and of the displacement in a day, um,
+        root mean square, without and with each; condensation: which parameters reuse one.
+    """
+    machine, runs, fit = calibrated.machine, calibrated.runs, calibrated.fit
+    sensors = calibrated.model.sensors
+    after = np.sqrt(np.diag(fit.covariance))
+    names = [one.name for one in fit.parameters]
+    return report(fit) | {
+        "offsets_K": dict(zip(sensors, fit.offset.tolist(), strict=True)),
+        "noise_K": dict(zip(sensors, fit.noise.tolist(), strict=True)),
+        "prediction_only": [
+            name
+            for name, share in zip(names, after / fit.spread, strict=True)
+            if share > PREDICTION_ONLY
+        ],
+        "starts": _starts(fit),
+        "profiles": [
+            {
+                "parameter": one.parameter,
+                "factor": one.factor.tolist(),
+                "cost_above_fit": one.cost.tolist(),
+            }
+            for one in profiles(machine, runs, fit)
+        ],
+        "further_runs": [
+            {
+                "run": one.name,
+                "std": dict(zip(names, one.deviation.tolist(), strict=True)),
+                "day_std_um": dict(zip(machine.axes, (1e6 * one.day).tolist(), strict=True)),
+            }
+            for one in further_runs(machine, runs, fit)
+        ],
+        "condensation": {"reuse_one": names, "need_a_new_one": list(NEW_CONDENSATION)},
+    }
+
+
+def _starts(fit: Fit) -> list[dict[str, Any]]:
+    if not fit.starts:
+        return []
+    best = min(one.cost for one in fit.starts)
+    known = np.linalg.cholesky(np.linalg.inv(fit.covariance)).T
+    return [
+        {
+            "cost_above_best": one.cost - best,
+            "distance": float(np.linalg.norm(known @ (one.found - fit.logarithms))),
+            "agrees": bool(one.cost - best <= AGREE),
+        }
+        for one in fit.starts
+    ]

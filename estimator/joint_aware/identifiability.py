@@ -1,0 +1,193 @@
+"""What calibration runs say of a machine's parameters, what they do not, and what would.
+
+Profiles: half the sum of squares with one parameter held beside its fitted value and the others
+fitted anew. Further runs: the covariance of the parameters with the information that a run would
+add, its Jacobian being that of the fitted machine, so that no new data is needed; carried to the
+displacement of a day of random heat. There the remainder takes back what a parameter changes in
+proportion to the heat in the calibration runs. Everything on coarse marches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.misfit import (
+    MOST_SAMPLES,
+    Problem,
+    Run,
+    coarser,
+    errors,
+    fit_linear,
+    make_problem,
+    residuals,
+)
+from estimator.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
+from estimator.joint_aware.random_heat import random_levels
+from estimator.joint_aware.reduced_machine import ReducedMachine
+
+#: Points of a profile, in standard deviations from the fit, and how often the others are improved.
+POINTS, IMPROVED = (-2.0, -1.0, 0.0, 1.0, 2.0), 2
+#: A parameter whose uncertainty is still this part of what it was before is the prior's.
+PREDICTION_ONLY = 0.7
+#: Candidate runs: heated for some time and then left alone for some time, s.
+CANDIDATES = {
+    "cool-down of 4 h": (2100.0, 12300.0),
+    "step of 4 h": (14400.0, 0.0),
+    "step of 35 min": (2100.0, 0.0),
+}
+#: The day, s, its steps, and the seed of its heat.
+DAY, DAY_STEPS, SEED = 8 * 3600.0, 480, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """One parameter held, the others fitted.
+
+    Attributes
+    ----------
+    parameter : str
+    factor : ndarray, shape (points,)
+        On the case's value.
+    cost : ndarray, shape (points,)
+        Half the sum of squares above that of the fit.
+    """
+
+    parameter: str
+    factor: Array
+    cost: Array
+
+
+def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Profile]:
+    """Return the profile of every fitted parameter."""
+    problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    at_fit = fit.logarithms / fit.spread
+    # Where the coarse march has its residuals, the fit has those of the machine's own.
+    defect = fit.residuals - residuals(problem, fit.parameters, fit.logarithms)
+    deviation = np.sqrt(np.diag(fit.covariance)) / fit.spread
+
+    def at(scaled: Array) -> Array:
+        found = defect + residuals(problem, fit.parameters, fit.spread * scaled)
+        return np.concatenate([found, scaled])
+
+    whole = np.vstack([fit.jacobian, np.eye(at_fit.size)])
+    least = at(at_fit)
+    found = []
+    for k, one in enumerate(fit.parameters):
+        others = np.arange(at_fit.size) != k
+        improve = np.linalg.pinv(whole[:, others])
+        values, costs = [], []
+        for point in POINTS:
+            scaled = at_fit.copy()
+            scaled[k] += point * deviation[k]
+            # The valley's floor by the tangent, then by Newton's method with a tangent that stays.
+            scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
+            now = at(scaled)
+            for _ in range(IMPROVED):
+                trial = scaled.copy()
+                trial[others] -= improve @ now
+                after = at(trial)
+                if after @ after >= now @ now:
+                    break
+                scaled, now = trial, after
+            values.append(float(np.exp(fit.spread[k] * scaled[k])))
+            costs.append(0.5 * float(now @ now - least @ least))
+        found.append(Profile(one.name, np.array(values), np.array(costs)))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class FurtherRun:
+    """What one more run would tell.
+
+    Attributes
+    ----------
+    name : str
+        Of the run; "none" for what is known without.
+    deviation : ndarray, shape (k,)
+        Standard deviation of the logarithms of the factors.
+    day : ndarray, shape (axes,)
+        Standard deviation of the displacement in the day, root mean square, m.
+    """
+
+    name: str
+    deviation: Array
+    day: Array
+
+
+def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
+    """Return what is known of the parameters and of a day, without and with each further run."""
+    heat = max(float(np.abs(run.inputs[:, :-1] / machine.power).max()) for run in runs)
+    day = _planned(
+        machine, random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size), DAY
+    )
+    moved = _day_sensitivity(machine, runs, day, fit)
+    found = []
+    planned = (
+        {"none": None}
+        | {name: _heated(machine, heat, *lasts) for name, lasts in CANDIDATES.items()}
+        | {"day of 8 h": day}
+    )
+    for name, run in planned.items():
+        information = np.eye(fit.spread.size) + fit.jacobian.T @ fit.jacobian
+        if run is not None:
+            added = _jacobian(make_problem(machine, [run]), fit)
+            information = information + added.T @ added
+        covariance = np.linalg.inv(information)
+        variance = np.einsum("nak,kl,nal->na", moved, covariance, moved)
+        found.append(
+            FurtherRun(
+                name,
+                fit.spread * np.sqrt(np.diag(covariance)),
+                np.sqrt(variance.mean(axis=0)),
+            )
+        )
+    return found
+
+
+def _planned(machine: ReducedMachine, heat: Array, length: float) -> Run:
+    """A run that has not been made: its readings are zero."""
+    step = length / len(heat)
+    times = np.linspace(step, length, MOST_SAMPLES)
+    return Run(
+        inputs=np.column_stack([heat * machine.power, np.zeros(len(heat))]),
+        times=times,
+        temperature=np.zeros((times.size, len(machine.sensors))),
+        displacement=np.zeros((times.size, len(machine.axes))),
+        length=step,
+    )
+
+
+def _heated(machine: ReducedMachine, heat: float, on: float, off: float) -> Run:
+    length = on + off
+    times = length / SEARCH_STEPS * np.arange(1, SEARCH_STEPS + 1)
+    level = np.where(times <= on, heat, 0.0)
+    return _planned(machine, np.tile(level[:, None], (1, machine.power.size)), length)
+
+
+def _steps(fit: Fit) -> Array:
+    """Logarithms beside the fit, one parameter moved in each row, (k, k)."""
+    return np.asarray(fit.logarithms + DIFFERENCE * np.diag(fit.spread))
+
+
+def _jacobian(problem: Problem, fit: Fit) -> Array:
+    here = residuals(problem, fit.parameters, fit.logarithms)
+    beside = [residuals(problem, fit.parameters, at) for at in _steps(fit)]
+    return (np.column_stack(beside) - here[:, None]) / DIFFERENCE
+
+
+def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit: Fit) -> Array:
+    """Displacement in the day per prior standard deviation of each parameter, (n, axes, k), m."""
+    known = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    planned = make_problem(machine, [day])
+
+    def moved(logarithms: Array) -> Array:
+        gains = fit_linear(known, *errors(known, fit.parameters, logarithms)).remainder
+        _, physics = errors(planned, fit.parameters, logarithms)
+        return np.asarray(planned.states @ gains.displacement.T - physics)
+
+    here = moved(fit.logarithms)
+    return np.stack([(moved(at) - here) / DIFFERENCE for at in _steps(fit)], axis=2)

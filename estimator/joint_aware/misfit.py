@@ -1,0 +1,282 @@
+"""What calibration runs have more than a machine: its temperatures and displacements, whitened.
+
+A sensor's error in a run is that of the physics, f(theta), less what the remainder and a constant
+offset of the sensor explain: both enter linearly, with normal priors, and are eliminated by ridge
+regression (`remainder.Ridge`). A displacement has no offset: it is zero at rest by definition.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.parameters import Parameter, factors_of, with_factors
+from estimator.joint_aware.physics import Physics, make_physics, simulate_known
+from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_basis, on_basis
+from estimator.joint_aware.remainder import (
+    REACH,
+    SHARE,
+    Remainder,
+    Ridge,
+    make_ridge,
+    relaxation_rates,
+    relaxed,
+)
+
+#: Samples of a run that count, at most.
+MOST_SAMPLES = 120
+#: What the model is not trusted to, for every sample: temperature, K, and displacement, m. A model
+#: errs alike from sample to sample, so that a whole run tells little more than one of them would:
+#: these are errors of 0.03 K and 0.14 um that last for a run.
+TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
+#: ... and of the remainder, which is there to follow what is left sample by sample.
+REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
+#: Prior standard deviation of a sensor's offset, K.
+OFFSET = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One calibration run on the steps of the march.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (n, s + 1)
+        Heat of each source by the case, W, and the ambient, K, at the end of each step.
+    times : ndarray, shape (k,)
+        Samples that count, s.
+    temperature : ndarray, shape (k, p)
+        K.
+    displacement : ndarray, shape (k, axes)
+        m.
+    length : float
+        Of a step, s.
+    """
+
+    inputs: Array
+    times: Array
+    temperature: Array
+    displacement: Array
+    length: float
+
+
+def coarser(run: Run, steps: int) -> Run:
+    """Return a run in so many steps at most, each with the mean of its inputs."""
+    factor = math.ceil(len(run.inputs) / steps)
+    count = math.ceil(len(run.inputs) / factor)
+    padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
+    means = padded.reshape(count, factor, -1).mean(axis=1)
+    return replace(run, inputs=means, length=factor * run.length)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Calibration runs of a machine, ready to be compared with it.
+
+    Attributes
+    ----------
+    machine : ReducedMachine
+        As its case says.
+    runs : sequence of Run
+        From rest.
+    rates : ndarray, shape (q,)
+        Of the remainder, 1/s.
+    states : ndarray, shape (n, s q)
+        Relaxations of the heat at the samples of all runs.
+    shape : ndarray, shape (s q,)
+        1 where a gain is fitted, 0 where the runs are too short for it.
+    temperature : tuple of Channel
+        Sensor by sensor; the last column of each is its offset.
+    displacement : tuple of Channel
+        Axis by axis.
+    """
+
+    machine: ReducedMachine
+    runs: Sequence[Run]
+    rates: Array
+    states: Array
+    shape: Array
+    temperature: tuple[Channel, ...]
+    displacement: tuple[Channel, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A measured channel of all runs, one after another.
+
+    Attributes
+    ----------
+    ridge : Ridge
+        Of what explains it linearly.
+    tau : float
+        Prior standard deviation of a gain, K or m; zero for a channel that does not move.
+    """
+
+    ridge: Ridge
+    tau: float
+
+    def whitened(self, errors: Array, sigma: float) -> Array:
+        """Return what is not explained of errors (n,), in units of sigma."""
+        return self.ridge.whitened(errors, sigma, self.tau) if self.tau else np.zeros(0)
+
+    def gains(self, errors: Array, sigma: float) -> tuple[Array, Array]:
+        """Return the gains that explain errors (n,), and what is left of these."""
+        if not self.tau:
+            return np.zeros(self.ridge.shape.size), errors
+        return self.ridge.gains(errors, sigma, self.tau)
+
+
+def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
+    """Return the calibration problem of a machine and its runs."""
+    rates = relaxation_rates()
+    sources = machine.power.size
+    states = np.vstack(
+        [
+            sampled(relaxed(run.inputs[:, :sources] / machine.power, rates, run.length), run)
+            for run in runs
+        ]
+    )
+    level = max(float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
+    longest = max(run.length * len(run.inputs) for run in runs)
+    shape = np.tile((1.0 / rates <= REACH * longest).astype(float), sources)
+    moved = make_ridge(states, shape)
+    constant = np.column_stack([states, np.ones(len(states))])
+
+    def taus(values: Sequence[Array]) -> Array:
+        return SHARE / level * np.max([np.abs(one).max(axis=0) for one in values], axis=0)
+
+    return Problem(
+        machine,
+        runs,
+        rates,
+        states,
+        shape,
+        tuple(
+            Channel(make_ridge(constant, np.append(shape, OFFSET / tau if tau else 0.0)), tau)
+            for tau in taus([run.temperature for run in runs])
+        ),
+        tuple(Channel(moved, tau) for tau in taus([run.displacement for run in runs])),
+    )
+
+
+def sampled(values: Array, run: Run) -> Array:
+    """Return values (n, c) after each step from rest at the times that count, (k, c)."""
+    grid = run.length * np.arange(len(values) + 1)
+    whole = np.vstack([np.zeros(values.shape[1]), values])
+    return np.column_stack([np.interp(run.times, grid, column) for column in whole.T])
+
+
+def errors(
+    problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array
+) -> tuple[Array, Array]:
+    """Return what the runs have more than the machine: temperature (k, p), displacement (k, axes).
+
+    Parameters
+    ----------
+    problem : Problem
+        The runs.
+    parameters : tuple of Parameter
+        That differ from the case.
+    logarithms : ndarray, shape (parameters,)
+        Of their factors.
+
+    Raises
+    ------
+    ConvergenceError
+        The machine cannot be marched through the runs.
+    """
+    physics = physics_with(problem.machine, factors_of(parameters, logarithms))
+    temperature, displacement = [], []
+    for run in problem.runs:
+        sensed, moved = simulate_known(physics, run.inputs, run.length)
+        temperature.append(run.temperature - sampled(sensed, run))
+        displacement.append(run.displacement - sampled(moved, run))
+    return np.vstack(temperature), np.vstack(displacement)
+
+
+def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
+    """Return the physics of a machine with other parameters, for one run or a few.
+
+    The modes hold the joint as the case has it, whatever its parameters: a march does not depend on
+    what they hold, and so they are turned anew for another film or conduction alone.
+    """
+    by = {"film": 1.0, "conduction": 1.0, "capacity": 1.0} | factors
+    rates, basis = _basis(machine, by["film"], by["conduction"])
+    other = with_factors(machine, factors)
+    modes = on_basis(other, rates / by["capacity"], basis / math.sqrt(by["capacity"]))
+    return make_physics(modes, other.joints, machine.at_preload)
+
+
+@lru_cache(maxsize=4)
+def _basis(machine: ReducedMachine, film: float, conduction: float) -> tuple[Array, Array]:
+    other = with_factors(machine, {"film": film, "conduction": conduction})
+    return diagonal_basis(other, machine.at_preload)
+
+
+def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array) -> Array:
+    """Return all that neither the parameters nor what is linear explains, in units of sigma."""
+    temperature, displacement = errors(problem, parameters, logarithms)
+    return np.concatenate(
+        [
+            *(
+                channel.whitened(column, TEMPERATURE_SIGMA)
+                for channel, column in zip(problem.temperature, temperature.T, strict=True)
+            ),
+            *(
+                channel.whitened(column, DISPLACEMENT_SIGMA)
+                for channel, column in zip(problem.displacement, displacement.T, strict=True)
+            ),
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """What is linear, fitted at some parameters, and what is left then.
+
+    Attributes
+    ----------
+    remainder : Remainder
+    offset : ndarray, shape (p,)
+        Of every sensor, K.
+    temperature : ndarray, shape (k, p)
+        Left, K.
+    displacement : ndarray, shape (k, axes)
+        Left, m.
+    """
+
+    remainder: Remainder
+    offset: Array
+    temperature: Array
+    displacement: Array
+
+
+def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Linear:
+    """Return the remainder and the offsets that explain `errors`, and what they leave."""
+    sensed = [
+        channel.gains(column, REMAINDER_TEMPERATURE)
+        for channel, column in zip(problem.temperature, temperature.T, strict=True)
+    ]
+    moved = [
+        channel.gains(column, REMAINDER_DISPLACEMENT)
+        for channel, column in zip(problem.displacement, displacement.T, strict=True)
+    ]
+    gains = np.array([one for one, _ in sensed])
+    return Linear(
+        Remainder(problem.rates, gains[:, :-1], np.array([one for one, _ in moved])),
+        gains[:, -1],
+        np.column_stack([left for _, left in sensed]),
+        np.column_stack([left for _, left in moved]),
+    )
+
+
+def reading_noise(problem: Problem, left: Array) -> Array:
+    """Return the standard deviation (p,), K, of what changes from sample to sample in `left`."""
+    at = np.cumsum([len(run.times) for run in problem.runs])[:-1]
+    changes = np.concatenate([np.diff(part, axis=0) for part in np.split(left, at)])
+    return np.asarray(np.sqrt(0.5 * np.mean(changes**2, axis=0)))

@@ -1,0 +1,37 @@
+"""Heat of a working day: one level after another, each for some minutes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from artefacts.arrays import Array
+
+#: How long a level lasts, s.
+LASTS = (300.0, 2400.0)
+
+
+def random_levels(
+    seed: int | np.random.Generator, length: float, step: float, highest: float, sources: int
+) -> Array:
+    """Return the heat of every source at the end of each step, shape (n, s).
+
+    Parameters
+    ----------
+    seed : int or Generator
+        The same seed gives the same day.
+    length, step : float
+        s.
+    highest : float
+        Of the levels, relative to the reference; they are even from zero on.
+    sources : int
+        Each has levels of its own.
+    """
+    rng = np.random.default_rng(seed)
+    found = np.zeros((round(length / step), sources))
+    for source in range(sources):
+        at = 0
+        while at < len(found):
+            lasts = max(1, round(rng.uniform(*LASTS) / step))
+            found[at : at + lasts, source] = rng.uniform(0.0, highest)
+            at += lasts
+    return found
