@@ -46,6 +46,8 @@ IMPROBABLE = 1e-6
 GRAIN, SEEN = 0.005, 10.0
 #: ... or if the model says that it should have moved by so many of its steps, or of its noise.
 STEPS = 4.0
+#: The step of a display that has shown none yet, K.
+UNKNOWN = 0.25
 #: Repetition that a channel is given at first, and the samples over which its habit is learnt.
 HABIT, LEARNT = 0.5, 50.0
 #: Changes below this are rounding, K.
@@ -167,7 +169,8 @@ def judge_sample(
     trusted = present & ~odd & ~doubted
     contradicted = _contradicted(innovation, explain, trusted)
     credible = present & ~odd
-    lost = _mostly(contradicted | (credible & doubted), credible) and bool(contradicted.any())
+    first = not np.isfinite(watch.read).any()
+    lost = bool(contradicted.any()) and _mostly(contradicted | doubted, credible, first)
     if lost:
         faulty = odd
         doubted = doubted & ~credible
@@ -209,7 +212,8 @@ def _stuck(watch: Watch, time: float, predicted: Array, noise: Array) -> Flags:
         return np.asarray(repeated)
     unlike = watch.repeats * np.log(np.maximum(watch.habit, 1e-300)) < math.log(IMPROBABLE)
     fine = (watch.finest < noise) | (watch.grain > GRAIN)
-    moved = np.abs(predicted - watch.expected) > STEPS * np.fmax(watch.finest, noise)
+    finest = np.where(np.isnan(watch.finest), UNKNOWN, watch.finest)
+    moved = np.abs(predicted - watch.expected) > STEPS * np.maximum(finest, noise)
     return np.asarray(repeated & ((unlike & fine) | moved))
 
 
@@ -234,6 +238,11 @@ def _contradicted(innovation: Array, explain: Explain, trusted: Flags) -> Flags:
     return found
 
 
-def _mostly(contradicted: Flags, credible: Flags) -> bool:
-    """Whether more than half of the channels, and more than one, contradict."""
-    return bool(contradicted.sum() > max(1.0, 0.5 * credible.sum()))
+def _mostly(doubtful: Flags, credible: Flags, first: bool) -> bool:
+    """Whether more than half of the channels, and more than one, are doubtful.
+
+    At the first sample more than one is enough: a machine that is not as it was said to be is
+    likelier then than two faults at once.
+    """
+    most = 1.0 if first else max(1.0, 0.5 * credible.sum())
+    return bool((doubtful & credible).sum() > most)

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from observed import SENSORS, errors, estimates, observed_data, observer, run, step
 from typer.testing import CliRunner
 
 from artefacts.errors import InputError
 from artefacts.response import write_response
-from estimator.interface import Status, follow
+from estimator.interface import Status
 from estimator.joint_aware import open_band as open_band_module
 from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.calibration import JointAwareCalibration, calibrated_range, report
+from estimator.joint_aware.calibration import JointAwareCalibration, report
 from estimator.joint_aware.calibration_report import whole_report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
@@ -37,20 +38,15 @@ from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_
 from estimator.joint_aware.saved_state import load_state, save_state
 from fesim.case.schema import JointSection, case_from_data
 from fesim.setup.machine import set_up
-from fesim.simulate import simulate
 from thermojoint.cli.app import app
 
 MICRO = 1e-6
-SENSORS = ("s", "b", "T1", "T2")
 
 
 @pytest.fixture(scope="module")
 def data(coarse_data):
     """The coarse machine on its reduced model, with a sensor on the source."""
-    found = copy.deepcopy(coarse_data)
-    found["march"] |= {"thermal": "reduced", "duration_min": 10.0}
-    found["probes"]["s"] = {"position_mm": [550.0, 700.0, 100.0], "body": "column"}
-    return found
+    return observed_data(coarse_data)
 
 
 @pytest.fixture(scope="module")
@@ -63,24 +59,6 @@ def machine(data, setup):
     return reduce_machine(case_from_data(data, "case", Path()), setup, SENSORS)
 
 
-def run(data, setup, heat, minutes=10.0):
-    given = copy.deepcopy(data)
-    given["heat_input"] = heat
-    given["march"]["duration_min"] = minutes
-    return simulate(case_from_data(given, "case", Path()), setup=setup).response
-
-
-def step(level):
-    return {"kind": "step", "level": level}
-
-
-def observer(machine, responses):
-    """No parameter changed; its own responses leave nothing for the remainder."""
-    machine = along(machine, ["x", "y"])
-    fit = fit_physics(machine, [run_in(one, machine, "step") for one in responses.values()], [])
-    return JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
-
-
 @pytest.fixture(scope="module")
 def estimator(data, setup, machine):
     return observer(machine, {"step 2": run(data, setup, step(2.0))})
@@ -89,17 +67,6 @@ def estimator(data, setup, machine):
 @pytest.fixture(scope="module")
 def response(data, setup):
     return run(data, setup, {"kind": "triangle", "peak": 2.0, "duration_min": 6.0})
-
-
-def estimates(estimator, samples, state=None):
-    """The state at the end and the estimates."""
-    found = list(follow(estimator, samples, estimator.initial_state() if state is None else state))
-    return found[-1][0], [estimate for _, estimate in found]
-
-
-def errors(estimator, response, found):
-    actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
-    return np.array([estimate.displacement for estimate in found]) - actual
 
 
 def test_the_machine_without_its_mesh_marches_as_the_simulator(data, setup, machine):

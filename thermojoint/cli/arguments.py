@@ -160,3 +160,18 @@ def output(path: Path) -> Iterator[TextIO]:
         return
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         yield file
+
+
+def only_for(what: str, given: Mapping[str, object]) -> None:
+    """Refuse options that go with something else.
+
+    Parameters
+    ----------
+    what : str
+        What they go with.
+    given : mapping
+        Option to its value, None or False if it was not given.
+    """
+    for option, value in given.items():
+        if value is not None and value is not False:
+            raise InputError(f"{option}: goes with {what}; leave it out")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -17,6 +18,28 @@ if TYPE_CHECKING:
     from estimator.joint_aware.estimator import JointAware
 
 Sample = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Start:
+    """How an estimator begins, and what it reads beside its temperatures.
+
+    Attributes
+    ----------
+    resume : Path, optional
+        A saved state.
+    warm : bool
+        Nothing is known of the machine's past.
+    touches : Path, optional
+        Readings of the displacement, CSV.
+    touch_noise_um : float, optional
+        Their standard deviation, µm.
+    """
+
+    resume: Path | None = None
+    warm: bool = False
+    touches: Path | None = None
+    touch_noise_um: float | None = None
 
 
 def calibrate(
@@ -65,20 +88,35 @@ def opened(
     source: TextIO | None,
     response: xr.Dataset | None,
     where: str,
-    resume: Path | None,
+    start: Start,
 ) -> tuple[JointAware, Array, Iterable[Sample]]:
     """Return the estimator, the state to go on from, and the samples of a log or a response."""
     from estimator.joint_aware.log import read_log
     from estimator.joint_aware.readings import samples_in
     from estimator.joint_aware.starting import started
+    from estimator.touches import read_touches, with_touches
 
-    estimator, state = started(model, resume)
+    if start.resume and start.warm:
+        raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
+    if start.touch_noise_um is not None and start.touches is None:
+        raise InputError("--reading-noise-um: goes with --readings; leave it out")
+    estimator, state = started(model, start.resume)
+    if start.warm:
+        state = estimator.warm_state()
+    if start.touch_noise_um is not None:
+        noise = arguments.positive("--reading-noise-um", start.touch_noise_um)
+        estimator = replace(estimator, touch_noise=1e-6 * noise)
     names = estimator.model.sensors
+    samples: Iterable[Sample]
     if source is not None:
-        return estimator, state, read_log(source, names, where)
-    if response is None:
+        samples = read_log(source, names, where)
+    elif response is not None:
+        samples = samples_in(response, names)
+    else:
         raise InputError(f"{where}: no log and no response; give one of them")
-    return estimator, state, samples_in(response, names)
+    if start.touches is not None:
+        samples = with_touches(samples, *read_touches(start.touches, estimator.axes))
+    return estimator, state, samples
 
 
 def save(estimator: JointAware, path: Path, state: Array) -> None:

@@ -90,15 +90,10 @@ def calibrate(
     pairs = [arguments.level_and_file(text) for text in given]
     inputs = [reference, *(path for _, path in pairs)]
     if kind is Kind.JOINT_AWARE:
-        for option, given_too in (("--distances-mm", distances), ("--baselines", baselines)):
-            if given_too is not None:
-                raise InputError(f"{option}: goes with --kind fchs; leave it out")
+        arguments.only_for("--kind fchs", {"--distances-mm": distances, "--baselines": baselines})
         joint_aware.calibrate(case, inputs, out, report_file)
         return
-    if case is not None:
-        raise InputError("--case: goes with --kind joint-aware; leave it out")
-    if report_file is not None:
-        raise InputError("--report: goes with --kind joint-aware; leave it out")
+    arguments.only_for("--kind joint-aware", {"--case": case, "--report": report_file})
     arguments.check_outputs(
         {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
     )
@@ -173,6 +168,17 @@ def estimate(
     resume: Annotated[
         Path | None, typer.Option("--continue", help="Go on from a saved state (JSON).")
     ] = None,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Nothing is known of the machine's past (joint-aware).")
+    ] = False,
+    touches: Annotated[
+        Path | None,
+        typer.Option("--readings", help="CSV of displacements read now and then (joint-aware)."),
+    ] = None,
+    touch_noise: Annotated[
+        float | None,
+        typer.Option("--reading-noise-um", help="Standard deviation of these; default: 0.5."),
+    ] = None,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
@@ -182,6 +188,10 @@ def estimate(
     empty cells are missing readings.
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
+
+    A touch probe's readings (columns time_s, x_um, y_um) correct a joint-aware estimate.
+
+    Example: [bold]thermojoint estimate model.h5 log.csv --readings probe.csv --out e.csv[/bold]
 
     With --out -, the state is saved also where a bad row or a signal ends the run.
 
@@ -200,17 +210,22 @@ def estimate(
             "--out": (out, file_kinds.ESTIMATE),
             "--save-state": (save, file_kinds.ESTIMATOR_STATE),
         },
-        [model, temperatures],
+        [model, temperatures, touches],
     )
     length = arguments.positive("--run-length-min", run_length)
     where = arguments.shown(temperatures)
     with arguments.opened(temperatures) as source:
         if is_observer(model):
             response = read_response(temperatures) if source is None else None
-            observer, state, readings = joint_aware.opened(model, source, response, where, resume)
+            start = joint_aware.Start(resume, warm, touches, touch_noise)
+            observer, state, readings = joint_aware.opened(model, source, response, where, start)
             keep = partial(joint_aware.save, observer, save) if save else None
             _write_estimates(observer, state, readings, out, keep)
         else:
+            arguments.only_for(
+                "a joint-aware model",
+                {"--warm": warm, "--readings": touches, "--reading-noise-um": touch_noise},
+            )
             table = model_in(model)
             samples: Iterator[Sample]
             if source is None:

@@ -1,0 +1,55 @@
+"""A coarse machine on its reduced model and its observer, for the tests of the latter."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+
+from estimator.interface import follow
+from estimator.joint_aware.assembling import make_observer
+from estimator.joint_aware.calibration import calibrated_range
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.physics_fit import fit_physics
+from estimator.joint_aware.readings import run_in
+from estimator.joint_aware.reduced_machine import along
+from fesim.case.schema import case_from_data
+from fesim.simulate import simulate
+
+SENSORS = ("s", "b", "T1", "T2")
+
+
+def observed_data(coarse_data):
+    """The coarse machine with a sensor on the source, as data of a case."""
+    found = copy.deepcopy(coarse_data)
+    found["march"] |= {"thermal": "reduced", "duration_min": 10.0}
+    found["probes"]["s"] = {"position_mm": [550.0, 700.0, 100.0], "body": "column"}
+    return found
+
+
+def run(data, setup, heat, minutes=10.0):
+    given = copy.deepcopy(data)
+    given["heat_input"] = heat
+    given["march"]["duration_min"] = minutes
+    return simulate(case_from_data(given, "case", Path()), setup=setup).response
+
+
+def step(level):
+    return {"kind": "step", "level": level}
+
+
+def observer(machine, responses):
+    """No parameter changed; its own responses leave nothing for the remainder."""
+    machine = along(machine, ["x", "y"])
+    fit = fit_physics(machine, [run_in(one, machine, "step") for one in responses.values()], [])
+    return JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
+
+
+def estimates(estimator, samples, state=None):
+    """The state at the end and the estimates."""
+    found = list(follow(estimator, samples, estimator.initial_state() if state is None else state))
+    return found[-1][0], [estimate for _, estimate in found]
+
+
+def errors(estimator, response, found):
+    actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
+    return np.array([estimate.displacement for estimate in found]) - actual

@@ -1,0 +1,168 @@
+"""An observer whose sensors lie, that starts on a warm machine, or is told the displacement."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from observed import SENSORS, errors, estimates, observed_data, observer, run, step
+from typer.testing import CliRunner
+
+from artefacts.errors import InputError
+from artefacts.response import write_response
+from estimator.interface import Status
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.reduced_machine import reduce_machine
+from estimator.touches import read_touches, with_touches
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.cli.app import app
+
+MICRO = 1e-6
+ONSET = 60  # sample at which a fault begins
+
+
+@pytest.fixture(scope="module")
+def case(coarse_data):
+    return observed_data(coarse_data)
+
+
+@pytest.fixture(scope="module")
+def setup(case):
+    return set_up(case_from_data(case, "case", Path()))
+
+
+@pytest.fixture(scope="module")
+def estimator(case, setup):
+    machine = reduce_machine(case_from_data(case, "case", Path()), setup, SENSORS)
+    return observer(machine, {"step 2": run(case, setup, step(2.0))})
+
+
+@pytest.fixture(scope="module")
+def response(case, setup):
+    return run(case, setup, step(1.5))
+
+
+def faulty(response, sensor, change, until=None):
+    """Samples of which a sensor's readings, from `ONSET` on, are something else."""
+    samples = np.array(list(samples_in(response, SENSORS)))
+    part = slice(ONSET, until)
+    samples[part, 1 + sensor] = change(samples[part, 1 + sensor])
+    return samples.tolist()
+
+
+FAULTS = {
+    "stuck": lambda values: np.full_like(values, values[0]),
+    "5 K more": lambda values: values + 5.0,
+    "5 K less": lambda values: values - 5.0,
+    "broken": lambda values: np.full_like(values, -220.0),
+    "fahrenheit": lambda values: 1.8 * values + 32.0 + 0.8 * 20.0,
+    "away": lambda values: np.full_like(values, np.nan),
+    "spikes": lambda values: values + 30.0 * (np.arange(values.size) % 15 == 0),
+}
+
+
+@pytest.mark.parametrize("sensor", range(4), ids=SENSORS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_sensor_of_four_that_lies_is_named_and_survived(estimator, response, fault, sensor):
+    _, found = estimates(estimator, faulty(response, sensor, FAULTS[fault]))
+    name = SENSORS[sensor]
+    named = [one.time for one in found if name in (*one.distrusted, *one.missing)]
+    assert named
+    assert named[0] - found[ONSET].time <= 60.0
+    assert not any({*one.distrusted, *one.missing} - {name} for one in found)
+    wrong = np.abs(errors(estimator, response, found))
+    bands = np.array([one.band for one in found])
+    assert np.all(wrong <= np.maximum(1.0 * MICRO, bands))
+    assert name in found[-1].words or fault == "spikes"
+
+
+def test_a_lost_sensor_widens_the_band(estimator, response):
+    _, healthy = estimates(estimator, list(samples_in(response, SENSORS)))
+    _, found = estimates(estimator, faulty(response, 0, FAULTS["broken"]))
+    assert np.all(found[-1].band > 2.0 * healthy[-1].band)
+    assert Status.SENSOR_DISTRUSTED in found[-1].status
+
+
+def test_the_heat_that_is_switched_on_at_once_is_no_fault(estimator, case, setup):
+    response = run(case, setup, step(3.0), 4.0)
+    _, found = estimates(estimator, samples_in(response, SENSORS))
+    assert not any(one.distrusted for one in found)
+
+
+def test_a_start_on_a_warm_machine_is_noticed(estimator, response):
+    """It was said to be cold: most readings contradict, and the past is taken to be unknown."""
+    samples = list(samples_in(response, SENSORS))[150:]
+    _, found = estimates(estimator, samples)
+    assert Status.UNSETTLED in found[0].status
+    assert not any(one.distrusted for one in found)
+    wrong = np.abs(errors(estimator, response.isel(time=slice(150, None)), found))
+    assert np.all(wrong <= np.array([one.band for one in found]))
+
+
+def touched(response, estimator, every, shift=0.0):
+    """Samples with readings of the displacement now and then."""
+    actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy() + shift
+    times = response["time"].to_numpy()
+    return with_touches(samples_in(response, SENSORS), times[every::every], actual[every::every])
+
+
+def test_a_reading_of_the_displacement_corrects_a_warm_start(estimator, response):
+    late = response.isel(time=slice(100, None))
+    start = estimator.warm_state()
+    _, alone = estimates(estimator, samples_in(late, SENSORS), start)
+    _, told = estimates(estimator, touched(late, estimator, 20), start)
+    before, after = (np.abs(errors(estimator, late, one))[20:60].max() for one in (alone, told))
+    assert after < 0.5 * before
+    assert np.all(told[20].band < 0.5 * alone[20].band)
+
+
+def test_a_reading_that_contradicts_everything_is_refused(estimator, response):
+    _, alone = estimates(estimator, samples_in(response, SENSORS))
+    _, told = estimates(estimator, touched(response, estimator, 100, shift=500.0 * MICRO))
+    assert Status.DISPLACEMENT_REFUSED in told[100].status
+    assert told[100].displacement == pytest.approx(alone[100].displacement, rel=1e-9)
+
+
+def test_readings_between_two_samples_go_with_the_later_one():
+    samples = [(0.0, 1.0), (2.0, 1.0), (4.0, 1.0)]
+    times, values = np.array([-1.0, 1.0, 1.5]), np.array([[9.0, 9.0], [1.0, np.nan], [2.0, 3.0]])
+    found = np.array(list(with_touches(samples, times, values)))
+    assert np.isnan(found[[0, 2], 2:]).all()
+    assert np.array_equal(found[1, 2:], [2.0, 3.0])
+
+
+def test_readings_name_their_axes(tmp_path):
+    path = tmp_path / "probe.csv"
+    path.write_text("time_s,y_um\n60,12.5\n120,13\n")
+    times, values = read_touches(path, ("x", "y"))
+    assert times == pytest.approx([60.0, 120.0], rel=1e-12)
+    assert np.isnan(values[:, 0]).all()
+    assert values[:, 1] == pytest.approx([12.5e-6, 13e-6], rel=1e-12)
+    path.write_text("time_s,z_um\n60,12.5\n")
+    with pytest.raises(InputError, match=r"name its columns x_um, y_um"):
+        read_touches(path, ("x", "y"))
+    path.write_text("time_s,x_degC\n60,12.5\n")
+    with pytest.raises(InputError, match=r"x_degC is a temperature"):
+        read_touches(path, ("x", "y"))
+
+
+def test_the_command_starts_warm_and_takes_readings(estimator, response, tmp_path):
+    model, late, out = tmp_path / "model.h5", tmp_path / "late.nc", tmp_path / "out.csv"
+    write_observer(estimator.model, model)
+    write_response(response.isel(time=slice(100, 160)), late)
+    probe = tmp_path / "probe.csv"
+    actual = 1e6 * response["displacement"].sel(axis="x").to_numpy()
+    probe.write_text(f"time_s,x_um\n240,{actual[120]:.4f}\n")
+    common = ["estimate", str(model), str(late), "--out", str(out)]
+    given = [*common, "--warm", "--readings", str(probe), "--reading-noise-um", "0.2"]
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == 0, result.output
+    rows = out.read_text().splitlines()
+    assert "unsettled" in rows[1]
+    at = rows[0].split(",").index("total_x_um")
+    assert float(rows[21].split(",")[at]) == pytest.approx(actual[120], abs=1.0)
+    out.unlink()
+    result = CliRunner().invoke(app, [*common, "--reading-noise-um", "0.2"])
+    assert "--reading-noise-um" in str(result.exception)
+    assert not out.exists()

@@ -1,0 +1,143 @@
+"""Which readings are not believed: channels judged by themselves, without any machine."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.sensor_faults import GATE, MODEL_ERROR, RETURN, fresh, judge_sample
+
+NOISE = np.full(4, 0.03)
+LIMITS = (np.full(4, -60.0), np.full(4, 200.0))
+STEP = 2.0
+
+
+def nothing_explained(innovation, _):
+    """No heat that could change."""
+    return innovation, 1e-3 * np.eye(4)
+
+
+def followed(rows, predicted, step=STEP):
+    """The verdict on every row of readings, with what the model says beside it."""
+    watch, found = fresh(4), []
+    for k, (row, said) in enumerate(zip(rows, predicted, strict=True)):
+        verdict = judge_sample(watch, step * k, row, said, nothing_explained, NOISE, LIMITS)
+        watch = verdict.watch
+        found.append(verdict)
+    return found
+
+
+def healthy(count=100, seed=0):
+    """A machine that warms up, as a model knows it, and its noisy readings."""
+    rng = np.random.default_rng(seed)
+    said = np.outer(np.linspace(0.0, 20.0, count), [1.0, 0.5, 0.2, 0.1])
+    return said + 0.03 * rng.normal(size=said.shape), said
+
+
+def believed(found):
+    return np.array([one.believed for one in found])
+
+
+def test_healthy_channels_are_all_believed():
+    assert believed(followed(*healthy())).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "within"),
+    [
+        (lambda values: np.full_like(values, -220.0), 0),
+        (lambda values: values + 5.0, 0),
+        (lambda values: values - 5.0, 0),
+        (lambda values: values + 273.15, 0),
+        (lambda values: np.full_like(values, values[0]), 15),
+    ],
+    ids=["broken wire", "5 K more", "5 K less", "kelvin for degrees", "stuck"],
+)
+def test_a_channel_that_lies_is_left_out_alone_and_soon(change, within):
+    rows, said = healthy()
+    rows[50:, 1] = change(rows[50:, 1])
+    found = believed(followed(rows, said))
+    assert not found[50 + within :, 1].any()
+    assert found[:, [0, 2, 3]].all()
+
+
+def test_a_channel_comes_back_some_time_after_its_last_fault():
+    rows, said = healthy()
+    rows[40, 2] += 30.0
+    found = believed(followed(rows, said))
+    away = round(RETURN / STEP)
+    # The way back is as hasty as the way out.
+    assert not found[40 : 41 + away, 2].any()
+    assert found[42 + away :, 2].all()
+
+
+def test_an_empty_channel_is_not_believed_and_shows_no_fault():
+    rows, said = healthy()
+    rows[30:60, 3] = np.nan
+    found = believed(followed(rows, said))
+    assert not found[30:60, 3].any()
+    assert found[60:].all()
+
+
+def test_a_coarse_display_that_repeats_itself_is_not_stuck():
+    rows, said = healthy(300)
+    coarse = np.round(rows / 0.5) * 0.5
+    assert believed(followed(coarse, said)).all()
+
+
+def test_a_coarse_display_that_stands_still_is_left_out_once_the_model_has_moved_on():
+    rows, said = healthy(300)
+    coarse = np.round(rows / 0.5) * 0.5
+    coarse[100:, 0] = coarse[100, 0]
+    assert not believed(followed(coarse, said))[150:, 0].any()
+
+
+def test_where_most_contradict_it_is_the_model_that_is_lost():
+    rows, said = healthy()
+    found = followed(rows + 8.0, said)
+    assert found[0].lost
+    assert found[0].believed.all()
+    one = rows.copy()
+    one[:, 0] += 8.0
+    assert not followed(one, said)[0].lost
+
+
+def test_what_a_change_of_the_heat_explains_is_no_fault():
+    rows, said = (values[:3] for values in healthy())
+
+    def heat(innovation, _):
+        """The first channel alone stands on a source, and the source may do anything."""
+        rest = innovation.copy()
+        rest[0] = 0.0
+        return rest, 1e-3 * np.eye(4)
+
+    rows[1, 0] += 4.0
+    watch = followed(rows[:1], said[:1])[0].watch
+    verdict = judge_sample(watch, STEP, rows[1], said[1], heat, NOISE, LIMITS)
+    assert verdict.believed.all()
+    verdict = judge_sample(watch, STEP, rows[1], said[1], nothing_explained, NOISE, LIMITS)
+    assert not verdict.believed[0]
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_no_small_innovation_is_a_fault(departures):
+    """Whatever the covariance says of itself: a model is not perfect."""
+    small = GATE * MODEL_ERROR / 2.0 * np.array(departures)
+    watch = fresh(4)
+    verdict = judge_sample(watch, 0.0, small, np.zeros(4), nothing_explained, NOISE, LIMITS)
+    assert verdict.believed.all()
+
+
+@given(
+    st.lists(
+        st.lists(st.one_of(st.floats(-500.0, 500.0), st.just(np.nan)), min_size=4, max_size=4),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_whatever_comes_a_verdict_is_given_and_the_watch_stays_sound(rows):
+    said = np.zeros((len(rows), 4))
+    for row, verdict in zip(rows, followed(np.array(rows), said), strict=True):
+        assert not (verdict.believed & np.isnan(row)).any()
+        assert np.isin(verdict.watch.distrusted, (0.0, 1.0)).all()
+        assert ((verdict.watch.habit >= 0.0) & (verdict.watch.habit <= 1.0)).all()
