@@ -12,7 +12,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.response import axes_of, columns_of, probes_of
-from estimator.rows import Row
+from estimator.rows import MICRO, Row
 from estimator.superposition import held_heat, superposed
 from models import blocks
 from models.assembly import Assembly, assemble
@@ -21,8 +21,6 @@ from models.sensors import readings
 
 if TYPE_CHECKING:
     import xarray as xr
-
-MICRO = 1e6
 
 
 def assembled_for(model: Model, times: Array) -> Assembly:

@@ -21,10 +21,8 @@ from estimator.baselines.starting import regressions
 from estimator.block_errors import assembled_for, block_errors
 from estimator.fchs.stream import Signals, run
 from estimator.interface import follow
-from estimator.joint_aware import judging
-from estimator.joint_aware.estimator import JointAware
 from estimator.noise import joint_noise
-from estimator.rows import Row
+from estimator.rows import MICRO, Row, figures_of
 from estimator.superposition import superposed
 from models.baselines import Baselines
 from models.parameters import Model
@@ -33,9 +31,10 @@ from models.sensors import readings, rises, roles_in
 if TYPE_CHECKING:
     import xarray as xr
 
+    from estimator.joint_aware.estimator import JointAware
+
 #: Their order everywhere.
 ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", "joint-aware")
-_MICRO = 1e6
 
 
 @dataclass(frozen=True)
@@ -154,8 +153,8 @@ def validate(
         linear = superposed(reference, response, "displacement")[:, order]
     counted = seen.times >= seen.times[0] + settled_s
     peaks = {
-        "peak_total_um": np.abs(actual[counted]).max(axis=0) * _MICRO,
-        "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * _MICRO,
+        "peak_total_um": np.abs(actual[counted]).max(axis=0) * MICRO,
+        "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MICRO,
     }
     told = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
     claims = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
@@ -170,7 +169,7 @@ def validate(
     rows: list[Row] = []
     for name, error in errors.items():
         band = bands[name][counted] if name in bands else None
-        figures = judging.figures_of(error[counted], band)
+        figures = figures_of(error[counted], band)
         rows += [
             {"case": case, "estimator": name, "axis": axis}
             | {key: float(values[k]) for key, values in (peaks | figures).items()}
@@ -180,7 +179,7 @@ def validate(
         {
             "case": case,
             "estimator": name,
-            "max_abs_error_um": float(np.linalg.norm(error[counted], axis=1).max() * _MICRO),
+            "max_abs_error_um": float(np.linalg.norm(error[counted], axis=1).max() * MICRO),
         }
         for name, error in errors.items()
     ]
@@ -210,13 +209,16 @@ def _observed(
     state: Array,
 ) -> tuple[Array, Array]:
     """Return the displacement and half its band, (k, axes), m, of an observer."""
+    # Here, not above: nobody who judges no observer waits for its compiler.
+    from estimator.joint_aware.judging import followed
+
     for axis in axes:
         if axis not in observer.axes:
             raise unknown_name("axis", axis, observer.axes, observer.kind)
     order = [observer.axes.index(axis) for axis in axes]
     nothing = np.zeros(response.sizes["time"])
     added = np.column_stack([noise.get(name, nothing) for name in observer.model.sensors])
-    found = judging.followed(response, observer, added, state)
+    found = followed(response, observer, added, state)
     return (
         np.array([one.displacement for one in found])[:, order],
         np.array([one.band for one in found])[:, order],

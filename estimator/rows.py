@@ -1,8 +1,41 @@
-"""One line of a table of errors: what was judged, and figures; None where one is not known."""
+"""One line of a table of errors: what was judged, and figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-#: E.g. case, estimator, axis, max_abs_error_um.
+import numpy as np
+
+from artefacts.arrays import Array
+
+#: E.g. case, estimator, axis, max_abs_error_um; None where a figure is not known.
 Row = Mapping[str, str | float | None]
+
+#: µm in a metre.
+MICRO = 1e6
+
+
+def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
+    """Return figures of a run, each of shape (axes,).
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, axes)
+        Estimated less actual displacement, m.
+    band : ndarray, shape (k, axes), optional
+        Half the width of 95 %, m.
+
+    Returns
+    -------
+    dict
+        max_abs_error_um, rms_error_um; with a band band_cover (part of the samples inside it) and
+        mean_band_um.
+    """
+    found = {
+        "max_abs_error_um": np.abs(error).max(axis=0) * MICRO,
+        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * MICRO,
+    }
+    if band is not None:
+        found["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
+        found["mean_band_um"] = band.mean(axis=0) * MICRO
+    return found

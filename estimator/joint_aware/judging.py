@@ -10,8 +10,7 @@ from artefacts.response import columns_of
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
-
-_MICRO = 1e6
+from estimator.rows import MICRO, figures_of
 
 
 def followed(
@@ -46,32 +45,6 @@ def followed(
     return [estimate for _, estimate in follow(estimator, table.tolist(), start)]
 
 
-def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
-    """Return figures of a run, each of shape (axes,).
-
-    Parameters
-    ----------
-    error : ndarray, shape (k, axes)
-        Estimated less actual displacement, m.
-    band : ndarray, shape (k, axes), optional
-        Half the width of 95 %, m.
-
-    Returns
-    -------
-    dict
-        max_abs_error_um, rms_error_um; with a band band_cover (part of the samples inside it) and
-        mean_band_um.
-    """
-    found = {
-        "max_abs_error_um": np.abs(error).max(axis=0) * _MICRO,
-        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * _MICRO,
-    }
-    if band is not None:
-        found["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
-        found["mean_band_um"] = band.mean(axis=0) * _MICRO
-    return found
-
-
 def judge(
     case: str,
     response: xr.Dataset,
@@ -94,7 +67,7 @@ def judge(
     Returns
     -------
     rows : list of dict
-        For each axis: case, estimator, axis, peak_total_um, and `figures_of`.
+        For each axis: case, estimator, axis, peak_total_um, and `estimator.rows.figures_of`.
     estimates : list of Estimate
         The whole run.
 
@@ -109,7 +82,7 @@ def judge(
     actual = columns_of(response, "displacement", estimator.axes)[counted]
     error = np.array([one.displacement for one in found])[counted] - actual
     band = np.array([one.band for one in found])[counted]
-    figures = {"peak_total_um": np.abs(actual).max(axis=0) * _MICRO} | figures_of(error, band)
+    figures = {"peak_total_um": np.abs(actual).max(axis=0) * MICRO} | figures_of(error, band)
     rows: list[dict[str, str | float]] = [
         {"case": case, "estimator": estimator.kind, "axis": axis}
         | {name: float(values[k]) for name, values in figures.items()}

@@ -377,11 +377,13 @@ def reproduce(
     """
     from fesim.case.schema import read_case
     from thermojoint.cli import console, plausibility
-    from thermojoint.paper.reproduce import reproduce as run_all
 
     arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
+    # After the case: a mistake in it is told before the libraries are loaded.
+    from thermojoint.paper.reproduce import reproduce as run_all
+
     console.warn(plausibility.of_case(given, str(case or "reference machine")))
     run_all(given, out)
     console.wrote(out)
