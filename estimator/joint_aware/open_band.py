@@ -46,7 +46,7 @@ from estimator.joint_aware.remainder import Remainder, make_ridge, relaxed
 #: Drawn machines; the seed of them and of the histories.
 DRAWS, SEED = 8, 1
 #: The histories: length of the random one and steps, s.
-DURATION, STEP = 8 * 3600.0, 10.0
+DURATION, STEP = 8 * 3600.0, 20.0
 #: Their highest level, relative to the largest heat calibrated.
 BEYOND = 1.5
 #: Gains that the data do not show are as large as those that they do, but at least this part of
