@@ -19,13 +19,13 @@ from estimator.joint_aware.parameters import Parameter, factors_of, with_factors
 from estimator.joint_aware.physics import Physics, make_physics, simulate_known
 from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_basis, on_basis
 from estimator.joint_aware.remainder import (
-    REACH,
     SHARE,
     Remainder,
     Ridge,
     make_ridge,
     relaxation_rates,
     relaxed,
+    told_by,
 )
 
 #: Samples of a run that count, at most.
@@ -143,7 +143,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     )
     level = max(float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
     longest = max(run.length * len(run.inputs) for run in runs)
-    shape = np.tile((1.0 / rates <= REACH * longest).astype(float), sources)
+    shape = np.tile(told_by(rates, longest), sources)
     moved = make_ridge(states, shape)
     constant = np.column_stack([states, np.ones(len(states))])
 

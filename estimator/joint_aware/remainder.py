@@ -13,10 +13,12 @@ import numpy as np
 
 from artefacts.arrays import Array
 
-#: Relaxation times from the first to the last, s, evenly in their logarithm, and one beyond.
-FASTEST, SLOWEST, COUNT, BEYOND = 8.0, 6000.0, 9, 24000.0
+#: Relaxation times from the first to the last, s, evenly in their logarithm.
+FASTEST, SLOWEST, COUNT = 8.0, 6000.0, 9
+#: ... and of one without a gain, which tells the band how long the machine has been warm, s. With a
+#: gain it took a cool-down's difference of meshes for a drift, and was 2 um off in a day.
+BEYOND = 24000.0
 #: Longest relaxation time that has a gain, relative to the longest run: none tells what is slower.
-#: Its relaxation still tells the band of how long the machine has been warm.
 REACH = 3.0
 #: Prior standard deviation of a gain, as a part of the channel's largest value per heat input.
 SHARE = 0.05
@@ -44,6 +46,12 @@ class Remainder:
 def relaxation_rates() -> Array:
     """Return rho, 1/s, shape (COUNT + 1,)."""
     return 1.0 / np.append(np.geomspace(FASTEST, SLOWEST, COUNT), BEYOND)
+
+
+def told_by(rates: Array, longest: float) -> Array:
+    """Return 1 for rates (q,), 1/s, that have a gain with runs up to `longest` (s), else 0."""
+    slowest = min(SLOWEST, REACH * longest)
+    return (rates * slowest >= 1.0 - 1e-9).astype(float)
 
 
 def relaxed(heat: Array, rates: Array, length: float) -> Array:
