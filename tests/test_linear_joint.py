@@ -17,6 +17,7 @@ from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from thermojoint.paper.observers import fitted_text
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +79,13 @@ def test_a_model_of_an_unknown_kind_is_refused(calibrated, tmp_path):
     write_observer(replace(calibrated.model, kind="oracle"), tmp_path / "model.h5")
     with pytest.raises(InputError, match="not a whole joint-aware model"):
         read_observer(tmp_path / "model.h5")
+
+
+def test_the_report_says_what_became_of_every_parameter(machine, responses):
+    found = calibrate_linear_joint(machine, responses, fitted=["film", "heat"])
+    lines = fitted_text(JointAware(found.model)).splitlines()
+    assert [line.split()[0] for line in lines] == ["heat", "film"]
+    assert all("of the case's value, uncertain by" in line for line in lines)
 
 
 def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):

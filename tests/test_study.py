@@ -177,6 +177,7 @@ def test_the_report_is_one_page_that_loads_nothing(results):
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)", page)
     assert "Table 1" in page
     assert "gap residual" in page
+    assert "uncertain by" in page
 
 
 def test_the_estimator_sees_temperatures_only(model, responses):

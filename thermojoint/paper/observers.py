@@ -109,3 +109,12 @@ def observers_of(
         write_text(folder / f"{name}.json", text + "\n")
         found.append(JointAware(calibrated.model))
     return found
+
+
+def fitted_text(observer: JointAware) -> str:
+    """Return what the calibration made of the machine's parameters, a line for each."""
+    lines = [
+        f"{name:<18} {factor:.3f} of the case's value, uncertain by {100.0 * spread:.0f} %"
+        for name, (factor, spread) in observer.model.factors.items()
+    ]
+    return "\n".join(lines)

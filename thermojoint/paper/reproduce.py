@@ -36,7 +36,7 @@ from thermojoint.paper.long_runs import (
     warm_part,
     without_nonlinear,
 )
-from thermojoint.paper.observers import observers_of
+from thermojoint.paper.observers import fitted_text, observers_of
 from thermojoint.paper.report import ReportData, write_report
 from thermojoint.paper.summary import compare_schemes, convergence, pressure_share
 from thermojoint.paper.tables import printed_tables, tables_json
@@ -130,7 +130,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             },
             share=pressure_share(responses[inputs.PRESSURE]),
             placement="" if calibrated.placement is None else str(calibrated.placement),
-            fits=provenance.reports,
+            fits=provenance.reports | {one.kind: fitted_text(one) for one in observers},
             pictures=pictures,
             case=case.model_dump_json(indent=2),
         )
