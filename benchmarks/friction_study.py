@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("friction", nargs="*", type=float, default=COEFFICIENTS)
     parser.add_argument("--blocks", action="store_true", help="print the block errors, too")
     options = parser.parse_args()
-    reference = read_case(Path(str(files("thermojoint").joinpath("cases/reference.toml"))))
+    reference = read_case(Path(str(files("thermojoint").joinpath("cases/equal_heights.toml"))))
     console = Console(width=110)
     for friction in options.friction:
         knee = reference.joints["knee"].model_copy(update={"friction_coefficient": friction})

@@ -56,8 +56,8 @@ WARM, SETTLED = 4 * 3600.0, 1200.0
 
 
 def machine_data(height: float, sizes: tuple[float, float]) -> dict:
-    """Return the reference case on a mesh, bracket and source top at a height (mm)."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    """Return the equal-heights case on a mesh, bracket and source top at a height (mm)."""
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
     data = tomllib.loads(text)
     data["structure"] |= {"element_size_mm": sizes[0], "joint_element_size_mm": sizes[1]}
     data["structure"]["dimensions_mm"] = {

@@ -1,4 +1,4 @@
-"""Mesh convergence of the reference machine: displacement, its nonlinear part, peak pressure.
+"""Mesh convergence of the equal-heights machine: displacement, its nonlinear part, peak pressure.
 
 Each mesh halves the element size of the last, everywhere and near the joint. The limit is
 extrapolated from the three finest (Richardson, with the observed order); the error of a mesh is its
@@ -80,7 +80,7 @@ def limit(values: list[float]) -> tuple[float, float]:
 def main() -> None:
     """Run the meshes and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--case", type=Path, help="case file; default: the reference machine")
+    parser.add_argument("--case", type=Path, help="case file; default: the equal-heights machine")
     # Fewer than three have no limit.
     parser.add_argument(
         "--meshes",
@@ -90,7 +90,7 @@ def main() -> None:
         help="how many, coarsest first",
     )
     options = parser.parse_args()
-    reference = Path(str(files("thermojoint").joinpath("cases/reference.toml")))
+    reference = Path(str(files("thermojoint").joinpath("cases/equal_heights.toml")))
     case = read_case(options.case or reference).model_copy(update={"candidates": []})
     nose = ProbeSection(position_mm=(600.0, 1050.0, 250.0), body="column")
     case = case.model_copy(update={"probes": {"nose": nose}})

@@ -60,8 +60,8 @@ class Differences:
 
 def case_of(mesh: str, contacts: int) -> Case:
     """The reference case on another mesh, with other contact elements, of the full order."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
-    data = parse_case(text, "reference.toml", Path()).model_dump()
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
+    data = parse_case(text, "equal_heights.toml", Path()).model_dump()
     size, joint_size = MESHES[mesh]
     data["structure"] |= {"element_size_mm": size, "joint_element_size_mm": joint_size}
     data["joints"]["knee"] |= dict(zip(("along", "across"), CONTACTS[contacts], strict=True))

@@ -82,7 +82,7 @@ def drawn_structure(rng: np.random.Generator, flange: bool) -> Data:
     if flange:
         data: Data = tomllib.loads((FLANGE / "case.toml").read_text("utf-8"))
     else:
-        text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+        text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
         data = tomllib.loads(text)
         top = float(rng.uniform(400.0, 750.0))
         data["structure"] = {

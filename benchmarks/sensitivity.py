@@ -1,7 +1,7 @@
-"""What each reading of the paper does to the displacement of the reference machine.
+"""What each reading of the paper does to the displacement of the equal-heights machine.
 
-Every variant is the reference case file with one edit. Printed: total displacement at the end of
-the step at heat input 3, and its nonlinear part.
+Every variant is the equal-heights case file with one edit. Printed: total displacement at the end
+of the step at heat input 3, and its nonlinear part.
 
     python benchmarks/sensitivity.py            # about 3 minutes
 """
@@ -60,7 +60,7 @@ def edited(data: dict, edits: dict[str, object]) -> dict:
 
 def main() -> None:
     """Run the variants and print the table."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
     data = tomllib.loads(text)
     data["candidates"] = []
     data["probes"] = {"nose": {"position_mm": [600.0, 1050.0, 250.0], "body": "column"}}

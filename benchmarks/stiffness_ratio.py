@@ -1,6 +1,6 @@
 """What the tolerance of the gap equations means where one body is much stiffer than the other.
 
-Run: ``python benchmarks/stiffness_ratio.py``. The reference machine with elements of 100 mm and
+Run: ``python benchmarks/stiffness_ratio.py``. The equal-heights machine with elements of 100 mm and
 twice the heat, its column stiffer and stiffer. Prints the table of docs/march.md: what an accepted
 residual can mean at most in the last state, for the gaps and for the pressures, and by how much
 pressures and displacement really differ from a march that is far more strict.
@@ -30,7 +30,7 @@ STRICT = 1e-3 * TOLERANCE
 
 def machine(ratio: float) -> tuple[CondensedMachine, Inputs]:
     """Return the machine whose column is `ratio` times as stiff, and its inputs."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
     data = tomllib.loads(text)
     data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
     data["candidates"] = []

@@ -15,7 +15,7 @@ PROBES = "".join(
 
 def case_text(minutes):
     """The coarse machine for some minutes, as TOML."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
     text = re.sub(r"joint_element_size_mm.*", "", text).replace("size_mm = 50.0", "size_mm = 100.0")
     text = text.replace("duration_min = 35.0", f'duration_min = {minutes}\nthermal = "full"')
     return text[: text.index("# The sensors a, b")] + PROBES

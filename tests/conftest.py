@@ -46,8 +46,10 @@ os.environ["THERMOJOINT_CACHE"] = "off"
 
 @pytest.fixture(scope="session")
 def coarse_data():
-    """The reference case, coarse and one minute long, as nested dictionaries: copy to edit."""
-    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
+    """The equal-heights case, coarse and one minute long, as nested dictionaries: copy to edit."""
+    data = tomllib.loads(
+        files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
+    )
     data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
     data["march"] |= {"duration_min": 1.0, "thermal": "full"}
     data["candidates"] = []
@@ -62,7 +64,7 @@ def coarse_data():
 
 @pytest.fixture(scope="session")
 def coarse_case(coarse_data):
-    """The coarse reference case."""
+    """The coarse case."""
     return case_from_data(coarse_data, "coarse case", Path())
 
 

@@ -9,13 +9,14 @@ import subprocess
 import sys
 import tomllib
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 from in_process import undisturbed
-from reference_case import CASE, lasting
+from reference_case import lasting
 
 from artefacts.response import read_response, write_response
 from models.model_file import Provenance, read_model, write_model
@@ -621,5 +622,6 @@ def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
     code, _, _ = command("reproduce", "--out", tmp_path / "results")
     assert code == 0
     [(case, _)] = seen
-    assert case.title == tomllib.loads(CASE)["title"]
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    assert case.title == tomllib.loads(text)["title"]
     assert case.march.duration_min == 35.0

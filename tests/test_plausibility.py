@@ -83,6 +83,7 @@ def test_an_implausible_value_gets_one_line_with_the_unit_that_was_meant(place, 
     "path",
     [
         "thermojoint/cases/reference.toml",
+        "thermojoint/cases/equal_heights.toml",
         *("examples/bolted_flange/case.toml", "examples/two_rods/case.toml"),
         *("examples/batch/machine.toml", "examples/clamp/clamp.toml"),
     ],

@@ -126,8 +126,10 @@ def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
 
 
 def machine(size: float = 100.0, **changes: Any) -> Case:
-    """The reference machine with elements of `size` (mm), heat input 3, 30 steps of 2 s."""
-    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
+    """The equal-heights machine with elements of `size` (mm), heat input 3, 30 steps of 2 s."""
+    data = tomllib.loads(
+        files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
+    )
     data["structure"] = {"kind": "box_milling_machine", "element_size_mm": size}
     data["candidates"] = []
     data["probes"] = {

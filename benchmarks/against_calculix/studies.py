@@ -35,7 +35,7 @@ TIGHT = 1e-5
 STEADY = {"march__step_s": 1e8, "march__duration_min": 40e8 / 60.0}
 #: 30 steps of a minute, for the coarse machine: the heat has passed through its elements.
 LONG = {"march__step_s": 60.0, "march__duration_min": 30.0}
-#: Twice the contact elements of the reference machine each way.
+#: Twice the contact elements of the equal-heights machine each way.
 MORE_CONTACTS = {"joints__knee__along": 18, "joints__knee__across": 6}
 #: Of a run, s.
 TIMEOUT = 1800.0
@@ -159,7 +159,7 @@ def two_rods(folder: Path) -> Iterator[Comparison]:
 
 
 def coarse_machine(folder: Path, *, fine: bool) -> Iterator[Comparison]:
-    """The reference machine at heat input 3.
+    """The equal-heights machine at heat input 3.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Cases per minute of `thermojoint batch`, against calling `simulate` for one case after another.
 
-200 cases of the coarse reference machine, a Latin hypercube over heat input, friction and
+200 cases of the coarse equal-heights machine, a Latin hypercube over heat input, friction and
 roughness. Both sides may keep condensations on the disk, as they do unless told otherwise; the loop
 finds its condensation there from the second case on. It is measured on some cases spread over the
 study, before and after the batches, and scaled.

@@ -57,7 +57,7 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
             "calibration",
             *times,
             "s",
-            f"Tables 1-3 of the reference machine from three response files, sensors named, "
+            f"Tables 1-3 of the equal-heights machine from three response files, sensors named, "
             "against the same fits with finite differences in place of their gradients (none are "
             f"computed in vain); their rms errors agree to {apart:.0e}; median of {repeats}",
         )

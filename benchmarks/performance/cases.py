@@ -25,17 +25,17 @@ REFERENCE = "step-1.0"
 
 
 def reference_text() -> str:
-    """Return the case file of the reference machine."""
-    return files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    """Return the case file of the equal-heights machine."""
+    return files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
 
 
 def reference_machine() -> Case:
-    """Return the reference machine with all its possible sensors, as `thermojoint reproduce`."""
-    return parse_case(reference_text(), "reference.toml", Path())
+    """Return the equal-heights machine with all its possible sensors."""
+    return parse_case(reference_text(), "equal_heights.toml", Path())
 
 
 def reference_case(level: float = 3.0) -> Case:
-    """Return the reference machine with two sensors instead of its 238 candidates."""
+    """Return the equal-heights machine with two sensors instead of its 238 candidates."""
     return with_two_sensors(reference_machine(), level)
 
 
@@ -50,13 +50,13 @@ def with_two_sensors(case: Case, level: float) -> Case:
 
 
 def coarse_text() -> str:
-    """Return the case file of the reference machine on elements of 100 mm."""
+    """Return the case file of the equal-heights machine on elements of 100 mm."""
     text = re.sub(r"joint_element_size_mm.*", "", reference_text())
     return text.replace("size_mm = 50.0", "size_mm = 100.0")
 
 
 def coarse_case() -> Case:
-    """Return the reference machine on elements of 100 mm, with two sensors."""
+    """Return the equal-heights machine on elements of 100 mm, with two sensors."""
     return with_two_sensors(parse_case(coarse_text(), "coarse.toml", Path()), 3.0)
 
 
@@ -106,10 +106,10 @@ def others(responses: dict[str, xr.Dataset]) -> dict[float, xr.Dataset]:
 
 @cache
 def calibrated() -> tuple[chain.Calibrated, dict[str, xr.Dataset]]:
-    """Return the calibrated reference machine, and the responses with their sensors named."""
+    """Return the calibrated equal-heights machine, and the responses with their sensors named."""
     responses = calibration_responses()
     found = chain.calibrate_responses(responses[REFERENCE], others(responses))
     if found.placement is None:
-        raise InputError("benchmarks: the reference machine names its sensors; remove [probes]")
+        raise InputError("benchmarks: the equal-heights machine names its sensors; remove [probes]")
     roles = found.placement.roles
     return found, {name: with_roles(response, roles) for name, response in responses.items()}

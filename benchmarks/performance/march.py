@@ -128,7 +128,7 @@ def rows() -> Iterator[Row | Skipped]:
         theirs,
         ratio,
         "s",
-        f"{STEPS} coupled steps of the reference machine, {case.march.thermal} thermal model, "
+        f"{STEPS} coupled steps of the equal-heights machine, {case.march.thermal} thermal model, "
         "set-up included, against assembling and factorising in every step with the same library, "
         "all nodes and a solver for unsymmetric matrices (the tangent of a joint that slides), "
         f"measured on {MEASURED} steps and scaled; pressures differ by {difference:.1e} Pa at the "

@@ -51,7 +51,7 @@ def errors(full: xr.Dataset, reduced: xr.Dataset) -> Errors:
 
 
 def rows(repeats: int = REPEATS) -> Iterator[Row]:
-    """Yield the rows of the reduced model on the reference machine with all its candidates."""
+    """Yield the rows of the reduced model on the equal-heights machine with all its candidates."""
     case = reference_machine()
     full_case = case.model_copy(update={"march": case.march.model_copy(update={"thermal": "full"})})
     setups: dict[str, Setup] = {}
@@ -67,8 +67,8 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
         "reduced-set-up",
         *times,
         "s",
-        f"set-up of the reference machine with the reduced model ({size}) against the full one, "
-        f"nothing kept from before; median of {repeats}",
+        f"set-up of the equal-heights machine with the reduced model ({size}) against the full "
+        f"one, nothing kept from before; median of {repeats}",
     )
     yield from marches(case, reduced, full, repeats)
     yield kept(case, repeats)
@@ -124,6 +124,6 @@ def kept(case: Case, repeats: int) -> Row:
             "set-up-kept",
             *paired(ours, other, repeats),
             "s",
-            "set-up of the reference machine with its condensation on the disk from an earlier "
+            "set-up of the equal-heights machine with its condensation on the disk from an earlier "
             f"run against an empty folder; median of {repeats}",
         )

@@ -40,7 +40,7 @@ class Measured:
 
 
 def rows() -> Iterator[Row]:
-    """Yield the rows of the estimator, with the calibrated reference machine."""
+    """Yield the rows of the estimator, with the calibrated equal-heights machine."""
     found, responses = calibrated()
     model, response = found.model, responses["step-2.0"]
     seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
