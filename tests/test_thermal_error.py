@@ -1,7 +1,8 @@
 """The benchmark of thermal error: frozen data, what a score is, an outsider's method."""
 
 import json
-import textwrap
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from benchmarks.thermal_error.methods import METHODS, method_named
 from benchmarks.thermal_error.methods.logs import held, responses
 from benchmarks.thermal_error.scoring import NotApplicable, score
 
+PAGE = Path(__file__).parents[1] / "docs" / "thermal-error-benchmark.md"
 REGRESSIONS = ("mlr", "ridge", "arx")
 
 
@@ -228,20 +230,13 @@ def test_the_best_method_stands_first(task):
     assert "0 %" in lines[3]
 
 
-def test_an_outsiders_method_is_scored_from_its_own_folder(small, tmp_path, monkeypatch, capsys):
+def test_an_outsiders_method_as_on_the_page_is_scored_from_its_own_folder(
+    small, tmp_path, monkeypatch, capsys
+):
     (tmp_path / "outsider").mkdir()
     (tmp_path / "outsider" / "__init__.py").write_text("")
-    (tmp_path / "outsider" / "mine.py").write_text(
-        textwrap.dedent(
-            """
-            import numpy as np
-
-            def predict(training, test):
-                rise = test.at("a_degC") - test.at("ambient_degC")
-                return {name: -1e-6 * np.nan_to_num(rise) for name in training.of("length")}
-            """
-        )
-    )
+    (mine,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
+    (tmp_path / "outsider" / "mine.py").write_text(mine)
     monkeypatch.chdir(tmp_path)
     chosen = ["--data", str(small), "--plant", "reference", "--out", "mine"]
     methods = ["--method", "outsider.mine:predict", "--method", "none"]

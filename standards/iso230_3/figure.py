@@ -26,8 +26,8 @@ SHOWN: dict[Quantity, tuple[float, str, str]] = {
 }
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 _STYLES = ("-", "--", "-.", ":")
-#: Distance of the arrows of two channels, relative to the length of the record.
-_APART = 0.03
+#: What is shown before and after the test, relative to its length.
+_BEFORE, _AFTER = 0.1, 0.5
 
 
 def figure_of(record: Record, evaluation: Evaluation) -> Figure:
@@ -53,12 +53,16 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     figure = Figure(figsize=(8.5, 1.0 + 2.6 * len(groups)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0])
+    first, last = _shown(record, evaluation)
+    inside = (record.times >= first) & (record.times <= last)
     for panel, (quantity, channels) in zip(panels, groups, strict=True):
-        _draw(panel, record.times, quantity, channels)
+        shown = {name: values[inside] for name, values in channels.items()}
+        _draw(panel, record.times[inside], quantity, shown)
         _mark_periods(panel, evaluation)
         if quantity != "temperature":
             marked = [one for one in evaluation.parameters if one.quantity == quantity]
-            _mark_ranges(panel, list(channels), marked, float(np.ptp(record.times)))
+            _mark_ranges(panel, list(channels), marked)
+    panels[-1].set_xlim(first / 3600.0, last / 3600.0)
     panels[-1].set_xlabel("time (h)")
     return figure
 
@@ -71,6 +75,14 @@ def as_svg(figure: Figure) -> bytes:
     with mpl.rc_context({"svg.hashsalt": "iso230-3"}):
         figure.savefig(target, format="svg", metadata={"Date": None})
     return target.getvalue()
+
+
+def _shown(record: Record, evaluation: Evaluation) -> tuple[float, float]:
+    """Return from when to when a figure goes, s: the test and a part of what is around it."""
+    begin, end = evaluation.period
+    first = max(float(record.times[0]), begin - _BEFORE * evaluation.period.length)
+    last = min(float(record.times[-1]), end + _AFTER * evaluation.period.length)
+    return first, last
 
 
 def _draw(panel: Axes, times: Array, quantity: Quantity, channels: Mapping[str, Array]) -> None:
@@ -99,15 +111,14 @@ def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
         panel.axvline(moment / 3600.0, color="0.4", linewidth=0.8, linestyle=":")
 
 
-def _mark_ranges(
-    panel: Axes, channels: list[str], parameters: list[Parameter], length: float
-) -> None:
-    """Draw an arrow from the lowest to the highest value, beside the end of the period."""
+def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) -> None:
+    """Draw an arrow from the lowest to the highest value of a period, side by side within it."""
     for one in parameters:
         k = channels.index(one.channel)
         factor = SHOWN[one.quantity][0]
         found = one.extremes
-        at = (one.period.end - _APART * length * (k + 1)) / 3600.0
+        apart = one.period.length / (len(channels) + 1)
+        at = (one.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
         low, high = factor * found.low, factor * found.high
         arrow = {
             "arrowstyle": "<->",

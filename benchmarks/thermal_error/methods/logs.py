@@ -11,9 +11,12 @@ from artefacts.arrays import Array
 from artefacts.log import Log
 from artefacts.response import make_response
 from benchmarks.thermal_error.drives import heat_input
+from benchmarks.thermal_error.plants import PLACES
 from benchmarks.thermal_error.scoring import NotApplicable
 
 AMBIENT = "ambient"
+#: Heat of each source at the reference step, W.
+REFERENCE_POWER_W = 295.0
 #: A reading of the log is at its level within this part of it.
 _STEADY = 1e-6
 _RPM = 30.0 / np.pi
@@ -82,7 +85,9 @@ def responses(log: Log, sensors: tuple[str, ...]) -> Iterator[tuple[float | None
             "temperature": held(rises),
             "displacement": moved,
             "ambient": room,
+            "probe_position": 1e-3 * np.array([PLACES[name][1] for name in sensors]),
         }
         bases = [run.columns[run.index(name)].base for name in names]
-        coords = {"time": run.times, "probe": list(sensors), "axis": bases}
-        yield level if is_step else None, make_response(values, coords)
+        coords = {"time": run.times, "probe": list(sensors), "axis": bases, "space": list("xyz")}
+        power = {"reference_power_W": REFERENCE_POWER_W}
+        yield level if is_step else None, make_response(values, coords, power)

@@ -9,11 +9,11 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.log import Log
 from benchmarks.thermal_error.methods.logs import responses, sensor_rises
-from benchmarks.thermal_error.plants import model_case
+from benchmarks.thermal_error.plants import AXES, model_case
 from estimator.interface import follow
 from estimator.joint_aware.calibration import calibrate_machine
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.reduced_machine import ReducedMachine, reduce_machine
+from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.setup.machine import set_up
 
 SENSORS = ("a", "b", "T1", "T2")
@@ -37,7 +37,7 @@ def joint_aware(training: Log, test: Log) -> dict[str, Array]:
 @lru_cache(maxsize=1)
 def _machine() -> ReducedMachine:
     case = model_case()
-    return reduce_machine(case, set_up(case), SENSORS)
+    return along(reduce_machine(case, set_up(case), SENSORS), list(AXES))
 
 
 @lru_cache(maxsize=1)
