@@ -17,9 +17,10 @@ from benchmarks.thermal_error import drives, freezing, leaderboard, making, plan
 from benchmarks.thermal_error.faults import FAULTS, SENSOR
 from benchmarks.thermal_error.methods import METHODS, method_named
 from benchmarks.thermal_error.methods.logs import held, responses
-from benchmarks.thermal_error.scoring import NotApplicable, score
+from benchmarks.thermal_error.scoring import NotApplicable, Score, score
 
 PAGE = Path(__file__).parents[1] / "docs" / "thermal-error-benchmark.md"
+KEPT = Path(leaderboard.__file__).with_name("leaderboard.json")
 REGRESSIONS = ("mlr", "ridge", "arx")
 
 
@@ -228,6 +229,14 @@ def test_the_best_method_stands_first(task):
     lines = leaderboard.as_markdown(rows).splitlines()
     assert lines[2].startswith("| ridge")
     assert "0 %" in lines[3]
+
+
+def test_the_page_shows_the_leaderboard_of_the_scores_that_are_kept():
+    kept = json.loads(KEPT.read_text("utf-8"))["scores"]
+    table = leaderboard.as_markdown([Score(**row) for row in kept])
+    assert table in PAGE.read_text("utf-8")
+    assert table == KEPT.with_suffix(".md").read_text("utf-8")
+    assert {row["method"] for row in kept} == set(METHODS)
 
 
 def test_an_outsiders_method_as_on_the_page_is_scored_from_its_own_folder(

@@ -12,6 +12,8 @@ import numpy as np
 from artefacts.files import write_text
 from benchmarks.thermal_error.scoring import Score
 
+#: How the tasks of measured machines begin.
+MEASURED = "measured"
 SCHEMA = {"schema": "thermojoint-thermal-error-benchmark", "schema_version": 1}
 
 
@@ -28,11 +30,17 @@ def as_json(scores: Iterable[Score], not_applicable: Iterable[tuple[str, str, st
 
 
 def as_markdown(scores: Sequence[Score]) -> str:
-    """Return a table: a row for each method, a column for each task, RMS in µm by channel.
+    """Return a table for the simulated and one for the measured machines.
 
-    The last column is the part removed of the uncompensated RMS, mean over tasks and channels; a
-    method that cannot do a task has a dash there and is ranked by those that it can do.
+    A row for each method, a column for each task, RMS in µm by channel. The last column is the part
+    removed of the uncompensated RMS, mean over tasks and channels, by which the rows are ranked.
     """
+    measured = [one for one in scores if one.task.startswith(MEASURED)]
+    simulated = [one for one in scores if not one.task.startswith(MEASURED)]
+    return "\n".join(_table(part) for part in (simulated, measured) if part)
+
+
+def _table(scores: Sequence[Score]) -> str:
     tasks = list(dict.fromkeys(one.task for one in scores))
     methods = sorted({one.method for one in scores}, key=lambda name: -_removed(scores, name))
     lines = [

@@ -1,4 +1,4 @@
-"""The simulated machines: the reference, and machines drawn around it that no model has seen."""
+"""The simulated machines: the reference, and two around it whose values no model is told."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ PLANT_MM, MODEL_MM = (40.0, 20.0), (50.0, 25.0)
 #: Rms of a thermometer's noise, K, and of a displacement sensor's, m.
 NOISE_K, NOISE_M = 0.02, 50e-9
 
-#: Case path to value: drawn once, uniformly within 25 % of the reference's; then frozen here.
+#: Case path to value: 6 to 20 % off the reference's, either way; the data are frozen with them.
 PLANTS: dict[str, dict[str, float]] = {
     "reference": {},
-    "drawn-1": {
+    "varied-1": {
         "joints.knee.friction_coefficient": 0.36,
         "joints.knee.preload_MPa": 3.72,
         "joints.knee.roughness_um": 1.47,
@@ -45,7 +45,7 @@ PLANTS: dict[str, dict[str, float]] = {
         "materials.cast_iron.youngs_modulus_GPa": 112.0,
         "convection_W_m2K.exterior": 7.1,
     },
-    "drawn-2": {
+    "varied-2": {
         "joints.knee.friction_coefficient": 0.24,
         "joints.knee.preload_MPa": 5.08,
         "joints.knee.roughness_um": 1.02,
