@@ -271,6 +271,14 @@ def test_a_log_is_evaluated_in_the_names_that_are_given(log):
     assert record.temperatures["nose"][0] == pytest.approx(20.0)
 
 
+def test_a_clock_that_tells_the_date_is_counted_from_the_first_sample(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("timestamp,x_um\n2024-03-01T22:00:00,1\n2024-03-02T00:30:00,4\n")
+    evaluation = evaluate(Protocol.SPINDLE, log_record(read_log([path])))
+    assert evaluation.period == pytest.approx((0.0, 2.5 * HOUR))
+    assert by_symbol(evaluation)["d(x)60"] == pytest.approx(1.2e-6, rel=1e-9, abs=0)
+
+
 def test_a_column_of_another_quantity_is_refused(log):
     with pytest.raises(InputError, match="'n_rpm' is a speed, not a length"):
         log_record(read_log([log]), {"X1": "n_rpm"})

@@ -92,7 +92,7 @@ def log_record(
     temperatures: list[str] | None = None,
     speed: str | None = None,
 ) -> Record:
-    """Return the record of a machine's log.
+    """Return the record of a machine's log; its time is counted from the first sample.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def log_record(
     if speed is None and len(speeds) == 1:
         speed = speeds[0]
     return Record(
-        times=log.times,
+        times=log.times - log.times[0],
         displacements={name: _column(log, column, "length") for name, column in wanted.items()},
         temperatures={
             log.columns[log.index(name)].base: _celsius(log, name)
