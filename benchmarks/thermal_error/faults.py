@@ -10,7 +10,7 @@ from artefacts.arrays import Array
 
 Columns = dict[str, Array]
 
-#: The sensor that fails: the one nearest to the source that is not on it would be too kind.
+#: The sensor that fails: the one nearest to the source, on which most methods lean.
 SENSOR = "a_degC"
 #: When it fails, and when a passing fault is over, as parts of the run.
 FROM, TO = 0.4, 0.6
