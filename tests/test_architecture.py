@@ -17,6 +17,7 @@ ARROWS = {
     "verification": {"artefacts", "meshes", "fesim"},
     "calibrate": {"artefacts", "models"},
     "estimator": {"artefacts", "models", "fesim"},
+    "standards": {"artefacts"},
     "thermojoint": {
         "artefacts",
         "meshes",
@@ -25,6 +26,7 @@ ARROWS = {
         "verification",
         "calibrate",
         "estimator",
+        "standards",
     },
 }
 

@@ -204,7 +204,7 @@ def test_wrong_usage_ends_with_2(command, arguments):
     "name",
     [
         *("simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"),
-        *("verify", "mesh", "inspect"),
+        *("verify", "mesh", "inspect", "iso230-3"),
     ],
 )
 def test_every_command_has_help_with_an_example(command, name):
@@ -238,7 +238,15 @@ def test_every_option_that_a_message_advises_exists():
         "--version",
         "--help",
     }
-    for package in ("artefacts", "calibrate", "estimator", "fesim", "meshes", "thermojoint"):
+    for package in (
+        "artefacts",
+        "calibrate",
+        "estimator",
+        "fesim",
+        "meshes",
+        "standards",
+        "thermojoint",
+    ):
         for path in (Path(cli.__file__).parents[1] / package).rglob("*.py"):
             advised = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", path.read_text("utf-8")))
             assert advised <= known, path

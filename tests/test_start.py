@@ -30,7 +30,14 @@ def loaded(*arguments):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["simulate", "--help"], ["reproduce", "--help"]]
+    "arguments",
+    [
+        ["--help"],
+        ["--version"],
+        ["simulate", "--help"],
+        ["reproduce", "--help"],
+        ["iso230-3", "--help"],
+    ],
 )
 def test_help_and_version_load_none_of_the_libraries(arguments):
     assert not loaded(*arguments) & HEAVY

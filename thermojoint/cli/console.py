@@ -123,6 +123,18 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     console.print(f"Paper: {paper_values.CITATION}.")
 
 
+def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
+    """Print the parameters of a thermal test after ISO 230-3."""
+    table = Table()
+    table.add_column("parameter")
+    for name in ("value", "unit", "from (min)", "to (min)"):
+        table.add_column(name, justify="left" if name == "unit" else "right")
+    for row in content["parameters"]:
+        ends = (f"{row[key] / 60.0:.1f}" for key in ("begin_s", "end_s"))
+        table.add_row(row["symbol"], number(row["value"]), row["unit"], *ends)
+    _titled(console, title, table)
+
+
 def show_validation(console: Console, rows: Sequence[Row]) -> None:
     """Print the errors of the estimators, from temperatures alone."""
     from thermojoint.paper.verdict import paper_claim

@@ -92,6 +92,11 @@ def _is_estimate(path: Path) -> bool:
     return header.startswith(b"time_s,") and header.endswith(b",status")
 
 
+def _is_test_report(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b'content="thermojoint iso230-3"' in file.read(1 << 10)
+
+
 def _is_picture(path: Path) -> bool:
     with path.open("rb") as file:
         start, rest = file.read(16), file.read(1 << 16)
@@ -117,6 +122,8 @@ ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
 VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
+TEST_REPORT = Kind("a report of a thermal test", _is_test_report)
+TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.

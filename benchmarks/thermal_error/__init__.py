@@ -1,0 +1,1 @@
+"""An open benchmark of nonlinear thermal error: data, splits, scores, a leaderboard."""

@@ -1,0 +1,68 @@
+"""The leaderboard: every method on every task, as JSON and as a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from artefacts.files import write_text
+from benchmarks.thermal_error.scoring import Score
+
+#: How the tasks of measured machines begin.
+MEASURED = "measured"
+SCHEMA = {"schema": "thermojoint-thermal-error-benchmark", "schema_version": 1}
+
+
+def as_json(scores: Iterable[Score], not_applicable: Iterable[tuple[str, str, str]]) -> str:
+    """Return all scores and what could not be scored (task, method, reason)."""
+    content = SCHEMA | {
+        "scores": [asdict(one) for one in scores],
+        "not_applicable": [
+            {"task": task, "method": method, "reason": reason}
+            for task, method, reason in not_applicable
+        ],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def as_markdown(scores: Sequence[Score]) -> str:
+    """Return a table for the simulated and one for the measured machines.
+
+    A row for each method, a column for each task, RMS in µm by channel. The last column is the part
+    removed of the uncompensated RMS, mean over tasks and channels, by which the rows are ranked.
+    """
+    measured = [one for one in scores if one.task.startswith(MEASURED)]
+    simulated = [one for one in scores if not one.task.startswith(MEASURED)]
+    return "\n".join(_table(part) for part in (simulated, measured) if part)
+
+
+def _table(scores: Sequence[Score]) -> str:
+    tasks = list(dict.fromkeys(one.task for one in scores))
+    methods = sorted({one.method for one in scores}, key=lambda name: -_removed(scores, name))
+    lines = [
+        "| method | " + " | ".join(tasks) + " | removed, mean |",
+        "|---|" + "---|" * (len(tasks) + 1),
+    ]
+    for method in methods:
+        cells = []
+        for task in tasks:
+            found = [one for one in scores if (one.task, one.method) == (task, method)]
+            cells.append(" / ".join(f"{one.rms_um:.3g}" for one in found) or "-")
+        lines.append(f"| {method} | {' | '.join(cells)} | {100 * _removed(scores, method):.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def write(
+    scores: Sequence[Score], not_applicable: Sequence[tuple[str, str, str]], out: Path
+) -> None:
+    """Write ``out``.json and the table beside it as ``out``.md."""
+    write_text(out.with_suffix(".json"), as_json(scores, not_applicable))
+    write_text(out.with_suffix(".md"), as_markdown(scores))
+
+
+def _removed(scores: Sequence[Score], method: str) -> float:
+    return float(np.mean([one.removed for one in scores if one.method == method]))

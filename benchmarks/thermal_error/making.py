@@ -1,0 +1,110 @@
+"""The benchmark's data, simulated anew and compared with the frozen hashes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.files import write_text
+from benchmarks.thermal_error import drives, freezing
+from benchmarks.thermal_error.faults import FAULTS
+from benchmarks.thermal_error.plants import PLANTS, driven, set_up_plant
+
+#: Hash and borders of every file, kept in the repository.
+FROZEN = Path(__file__).with_name("frozen.json")
+#: Levels of the steps that calibrate; seeds of the days that train and that test.
+LEVELS = (0.5, 1.0, 2.0)
+TRAIN_DAY, TEST_DAY = 11, 12
+#: Only this machine is tested with faults.
+FAULTY = "reference"
+
+Columns = dict[str, Array]
+
+
+def runs_of(plant: str) -> Iterator[tuple[str, Columns]]:
+    """Yield name and columns of every file of a plant: its steps, its days, its faults."""
+    data, setup = set_up_plant(plant)
+    number = list(PLANTS).index(plant)
+    for k, level in enumerate(LEVELS):
+        yield (
+            f"{plant}-train-step-{level:g}",
+            driven(data, setup, drives.step(level), 10 * number + k),
+        )
+    for k, (name, seed) in enumerate((("train-day", TRAIN_DAY), ("test-day", TEST_DAY)), start=5):
+        columns = driven(data, setup, drives.day(seed), 10 * number + k)
+        yield f"{plant}-{name}", columns
+    if plant == FAULTY:
+        for fault, put in FAULTS.items():
+            yield f"{plant}-test-{fault}", put(columns)
+
+
+def make(
+    folder: Path, say: Callable[[str], None], plants: tuple[str, ...] = tuple(PLANTS)
+) -> list[str]:
+    """Write every file and return the names of those that are not the frozen ones.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets one CSV for each file.
+    say : callable
+        Told of every file.
+    plants : tuple of str
+        Of which machines.
+    """
+    frozen = read_frozen()
+    other = []
+    for plant in plants:
+        for name, columns in runs_of(plant):
+            if name not in frozen:
+                raise InputError(f"{name}: not among the frozen data; run with --freeze")
+            text = freezing.as_csv(columns, frozen[name]["borders"])
+            write_text(folder / f"{name}.csv", text)
+            same = freezing.digest(text) == frozen[name]["sha256"]
+            say(f"{name}: {'as frozen' if same else 'DIFFERS from the frozen data'}")
+            other += [] if same else [name]
+    return other
+
+
+def freeze(folder: Path, say: Callable[[str], None]) -> None:
+    """Write every file, and freeze hashes and borders: for those who keep the benchmark."""
+    frozen: dict[str, Any] = {}
+    for plant in PLANTS:
+        for name, columns in runs_of(plant):
+            gaps = {
+                column: freezing.widest_gap(values, freezing.grid_of(column))
+                for column, values in columns.items()
+            }
+            borders = {column: middle for column, (middle, _) in gaps.items()}
+            text = freezing.as_csv(columns, borders)
+            write_text(folder / f"{name}.csv", text)
+            frozen[name] = {"sha256": freezing.digest(text), "borders": borders}
+            least = min(gap / freezing.grid_of(column) for column, (_, gap) in gaps.items())
+            say(f"{name}: frozen, {least:.1e} of a grid cell between any value and a border")
+    write_text(FROZEN, json.dumps(frozen, indent=1) + "\n")
+
+
+def read_frozen() -> Mapping[str, Any]:
+    """Return name of a file to its hash and the borders of its columns."""
+    return dict(json.loads(FROZEN.read_text("utf-8"))) if FROZEN.is_file() else {}
+
+
+def check(folder: Path, name: str) -> Path:
+    """Return the path of a file of the benchmark, if it is the frozen one.
+
+    Raises
+    ------
+    InputError
+        It is missing, or differs.
+    """
+    path = folder / f"{name}.csv"
+    remedy = f"make the data: python -m benchmarks.thermal_error make --data {folder}"
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; {remedy}")
+    if freezing.digest(path.read_text("utf-8")) != read_frozen()[name]["sha256"]:
+        raise InputError(f"{path}: is not the frozen file of this benchmark; {remedy}")
+    return path

@@ -1,0 +1,43 @@
+"""The methods of the leaderboard: name to a function of a training log and a test log."""
+
+from __future__ import annotations
+
+from pkgutil import resolve_name
+
+from artefacts.errors import InputError
+from benchmarks.thermal_error.scoring import Method
+
+#: Name to module:function, loaded when it is asked for.
+METHODS = {
+    "none": "benchmarks.thermal_error.methods.regressions:nothing",
+    "mlr": "benchmarks.thermal_error.methods.regressions:multiple_linear",
+    "ridge": "benchmarks.thermal_error.methods.regressions:ridge",
+    "arx": "benchmarks.thermal_error.methods.regressions:autoregression",
+    "linear": "benchmarks.thermal_error.methods.generalised:linear",
+    "fchs": "benchmarks.thermal_error.methods.generalised:fchs",
+    "joint-aware": "benchmarks.thermal_error.methods.machine_physics:joint_aware",
+}
+
+
+def method_named(text: str) -> tuple[str, Method]:
+    """Return name and function of a method: one of `METHODS`, or ``package.module:function``.
+
+    Raises
+    ------
+    InputError
+        There is no such name, module or function.
+    """
+    place = METHODS.get(text, text)
+    if ":" not in place:
+        raise InputError(
+            f"--method {text}: known are {', '.join(METHODS)}; or give package.module:function"
+        )
+    try:
+        found = resolve_name(place)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"--method {text}: cannot be loaded ({error}); is it on the path?"
+        ) from error
+    if not callable(found):
+        raise InputError(f"--method {text}: is no function; give one of (training, test)")
+    return text, found

@@ -1,0 +1,64 @@
+"""The paper's estimator and its linear part, calibrated from the steps of a log."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.log import Log
+from benchmarks.thermal_error.methods.logs import held, responses, sensor_rises
+from benchmarks.thermal_error.scoring import NotApplicable
+from calibrate.chain import calibrate_responses
+from estimator.fchs.stream import Signals, run
+from models.assembly import Assembly, assemble
+from models.sensors import ROLES
+
+#: From the fictitious sources, at the contact elements nearest to T1 and T2, to those sensors, m.
+DISTANCES = ((0.0274, 0.2402), (0.2346, 0.0301))
+
+
+def linear(training: Log, test: Log) -> dict[str, Array]:
+    """Eq. 8 alone."""
+    assembly = _assembled(training)
+    return _by_column(training, assembly, _followed(assembly, test).linear)
+
+
+def fchs(training: Log, test: Log) -> dict[str, Array]:
+    """The paper's estimator: Eqs. 1 to 18."""
+    assembly = _assembled(training)
+    return _by_column(training, assembly, _followed(assembly, test).total)
+
+
+@lru_cache(maxsize=1)
+def _assembled(training: Log) -> Assembly:
+    steps = {
+        level: response.drop_vars("ambient")
+        for level, response in responses(training, ROLES)
+        if level is not None
+    }
+    if 1.0 not in steps or len(steps) < 3:
+        raise NotApplicable("log: no steps from rest at three levels, one of them the reference")
+    reference = steps.pop(1.0)
+    model = calibrate_responses(reference, steps, DISTANCES).model
+    times = reference["time"].to_numpy()
+    return assemble(model, float(times[1] - times[0]), 8 * 3600.0)
+
+
+def _followed(assembly: Assembly, test: Log) -> Signals:
+    rises, room = sensor_rises(test, ROLES)
+    above = held(rises) - room[:, None]
+    signals, _ = run(assembly, test.times, above[:, 0] - above[:, 1], above[:, 2:])
+    return signals
+
+
+def _by_column(training: Log, assembly: Assembly, values: Array) -> dict[str, Array]:
+    """Return values by the log's names; an axis that the calibration found still is zero."""
+    known = {axis: np.asarray(values)[:, k] for k, axis in enumerate(assembly.axes)}
+    nothing = np.zeros(len(values))
+    return {
+        column.name: known.get(column.base, nothing)
+        for column in training.columns
+        if column.quantity == "length"
+    }

@@ -1,0 +1,93 @@
+"""What several methods need of a log: temperatures without holes, runs from rest as responses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from artefacts.arrays import Array
+from artefacts.log import Log
+from artefacts.response import make_response
+from benchmarks.thermal_error.drives import heat_input
+from benchmarks.thermal_error.plants import PLACES
+from benchmarks.thermal_error.scoring import NotApplicable
+
+AMBIENT = "ambient"
+#: Heat of each source at the reference step, W.
+REFERENCE_POWER_W = 295.0
+#: A reading of the log is at its level within this part of it.
+_STEADY = 1e-6
+_RPM = 30.0 / np.pi
+
+
+def held(values: Array) -> Array:
+    """Return columns with the last reading in place of one that is missing, shape (k, p).
+
+    What is missing at the start stays missing: whoever looks back only cannot know it.
+    """
+    there = np.isfinite(values)
+    rows = np.where(there, np.arange(len(values))[:, None], 0)
+    last = np.maximum.accumulate(rows, axis=0)
+    return np.asarray(np.take_along_axis(values, last, axis=0))
+
+
+def temperatures(log: Log) -> Array:
+    """Return every temperature of a log, K, without holes, shape (k, p)."""
+    return held(np.stack([log.at(name) for name in log.of("temperature")], axis=1))
+
+
+def displacements(log: Log) -> tuple[tuple[str, ...], Array]:
+    """Return the columns of displacement and their values, m, shape (k, c)."""
+    names = log.of("length")
+    return names, np.stack([log.at(name) for name in names], axis=1)
+
+
+def levels(log: Log) -> Array:
+    """Return the heat input of every sample, by the benchmark's law of the speed, shape (k,)."""
+    speeds = log.of("speed")
+    if len(speeds) != 1 or log.columns[log.index(speeds[0])].base != "spindle":
+        raise NotApplicable("log: no spindle's speed of which the heat is known")
+    return heat_input(_RPM * log.at(speeds[0]))
+
+
+def sensor_rises(log: Log, sensors: tuple[str, ...]) -> tuple[Array, Array]:
+    """Return rises of sensors above the initial ambient, and of the ambient, K.
+
+    Raises
+    ------
+    NotApplicable
+        The log has no such sensors.
+    """
+    bases = {column.base for column in log.columns}
+    missing = {*sensors, AMBIENT} - bases
+    if missing:
+        raise NotApplicable(f"log: no sensor {', '.join(sorted(missing))}")
+    room = log.at(AMBIENT)
+    read = np.stack([log.at(name) for name in sensors], axis=1)
+    return read - room[0], room - room[0]
+
+
+def responses(log: Log, sensors: tuple[str, ...]) -> Iterator[tuple[float | None, xr.Dataset]]:
+    """Yield every run of a log as a response, with its level if it is a step in a still room."""
+    for run in log.runs():
+        rises, room = sensor_rises(run, sensors)
+        heat = levels(run)
+        names, moved = displacements(run)
+        level = float(np.round(heat[-1], 3))
+        is_step = level > 0.0 and not room.any()
+        is_step = is_step and bool((np.abs(heat[1:] - heat[-1]) < _STEADY).all())
+        if is_step:
+            heat = np.where(run.times > 0.0, level, 0.0)
+        values = {
+            "heat_input": heat,
+            "temperature": held(rises),
+            "displacement": moved,
+            "ambient": room,
+            "probe_position": 1e-3 * np.array([PLACES[name][1] for name in sensors]),
+        }
+        bases = [run.columns[run.index(name)].base for name in names]
+        coords = {"time": run.times, "probe": list(sensors), "axis": bases, "space": list("xyz")}
+        power = {"reference_power_W": REFERENCE_POWER_W}
+        yield level if is_step else None, make_response(values, coords, power)

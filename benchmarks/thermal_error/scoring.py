@@ -1,0 +1,121 @@
+"""The score of a method: free-running errors on runs it has not seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.log import Log
+from benchmarks.thermal_error.tasks import Task, actual, without_displacement
+
+#: Column of displacement to what is predicted, m, shape (k,); or (k, 2), where the second column
+#: is half of the width in which the displacement lies with 95 %.
+Predictions = Mapping[str, Array]
+#: From a training log and a test log without displacement.
+Method = Callable[[Log, Log], Predictions]
+
+#: Two predictions of one moment may differ by this, m.
+SAME = 1e-9
+#: A method is run again on this part of the test, to see that it does not look ahead.
+HEARD = 0.5
+
+
+class NotApplicable(InputError):
+    """The method needs what this log does not have."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of one method on one channel of one task.
+
+    Attributes
+    ----------
+    task, method, channel : str
+    rms_um, max_um : float
+        Of the error, µm.
+    removed : float
+        1 - rms of the error / rms of the displacement itself.
+    cover : float or None
+        Part of the samples inside the band, where the method gives one.
+    seconds : float
+        Learning and predicting, once.
+    """
+
+    task: str
+    method: str
+    channel: str
+    rms_um: float
+    max_um: float
+    removed: float
+    cover: float | None
+    seconds: float
+
+
+def score(task: Task, name: str, method: Method) -> list[Score]:
+    """Run a method on a task and judge it.
+
+    Parameters
+    ----------
+    task : Task
+    name : str
+        Of the method.
+    method : callable
+
+    Raises
+    ------
+    InputError
+        The predictions lack a channel, have another shape, are not finite or change if the future
+        is withheld.
+    NotApplicable
+        The method cannot learn from this log.
+    """
+    test = without_displacement(task.test)
+    begun = time.perf_counter()
+    told = method(task.training, test)
+    taken = time.perf_counter() - begun
+    heard = round(HEARD * len(test.times))
+    again = method(task.training, test.part(slice(0, heard)))
+    found = []
+    for channel, true in actual(task).items():
+        claim, band = _checked(told, channel, len(test.times), name)
+        past, _ = _checked(again, channel, heard, name)
+        if np.abs(past - claim[:heard]).max() > SAME:
+            raise InputError(f"{name}: {channel} changes if the future is withheld; look back only")
+        there = np.isfinite(true)
+        error = np.abs(claim - true)[there]
+        still = float(np.sqrt(np.mean(true[there] ** 2)))
+        rms = float(np.sqrt(np.mean(error**2)))
+        found.append(
+            Score(
+                task=task.name,
+                method=name,
+                channel=channel,
+                rms_um=1e6 * rms,
+                max_um=1e6 * float(error.max()),
+                removed=1.0 - rms / still,
+                cover=None if band is None else float(np.mean(error <= band[there])),
+                seconds=taken,
+            )
+        )
+    return found
+
+
+def _checked(told: Predictions, channel: str, count: int, name: str) -> tuple[Array, Array | None]:
+    """Return claim and band of a channel."""
+    if channel not in told:
+        raise InputError(f"{name}: predicts no {channel!r}; give every length of the training log")
+    values = np.asarray(told[channel], dtype=float)
+    if values.shape not in ((count,), (count, 2)):
+        raise InputError(
+            f"{name}: {channel} has shape {values.shape}, the test has {count} samples; give "
+            f"({count},) or, with a band, ({count}, 2)"
+        )
+    claim, band = (values, None) if values.ndim == 1 else (values[:, 0], values[:, 1])
+    if not np.isfinite(claim).all():
+        raise InputError(f"{name}: {channel} is not finite everywhere; predict every sample")
+    return claim, band

@@ -1,0 +1,104 @@
+"""The tasks: what a method learns from, and the unseen runs it is judged on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from artefacts.errors import InputError
+from artefacts.log import Log
+from artefacts.log_file import read_log
+from benchmarks.thermal_error.faults import FAULTS
+from benchmarks.thermal_error.making import FAULTY, LEVELS, check
+from benchmarks.thermal_error.plants import PLANTS
+
+#: The measured machine: 23 h of a spindle test at 15 s, CAIVIAC/FL_THERMAL on GitHub,
+#: data/data.xlsx, MIT licence: the first half of its rows, columns renamed, rounded to 4 decimals.
+MEASURED_SHA256 = "549cd09de09fab254f90109b51975eebf27b5c848a9f4eec1589b3825ba639cf"
+#: Where its log is split: a method learns on one side and is judged on the other.
+SPLIT = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One row of the leaderboard for each method.
+
+    Attributes
+    ----------
+    name : str
+    training : Log
+        With everything.
+    test : Log
+        With everything; a method is given `without_displacement(test)`.
+    """
+
+    name: str
+    training: Log
+    test: Log
+
+
+def without_displacement(log: Log) -> Log:
+    """Return a log without its lengths."""
+    kept = [k for k, column in enumerate(log.columns) if column.quantity != "length"]
+    columns = tuple(log.columns[k] for k in kept)
+    return replace(log, columns=columns, values=log.values[:, kept])
+
+
+def simulated(folder: Path, plants: tuple[str, ...] = tuple(PLANTS)) -> Iterator[Task]:
+    """Yield the tasks of the simulated machines: an unseen day, and the same day with faults.
+
+    Parameters
+    ----------
+    folder : Path
+        Where `making.make` wrote the data.
+    plants : tuple of str
+        Of which machines.
+
+    Raises
+    ------
+    InputError
+        A file is missing or is not the frozen one.
+    """
+    for plant in plants:
+        names = [f"{plant}-train-step-{level:g}" for level in LEVELS] + [f"{plant}-train-day"]
+        training = read_log([check(folder, name) for name in names])
+        tests = ["day", *(FAULTS if plant == FAULTY else ())]
+        for name in tests:
+            test = read_log([check(folder, f"{plant}-test-{name}")])
+            yield Task(f"{plant}, {name}", training, test)
+
+
+def measured(path: Path) -> Iterator[Task]:
+    """Yield the tasks of the measured machine: learn the first 60 %, then the last 60 %.
+
+    Raises
+    ------
+    InputError
+        It is not the file of this benchmark.
+    """
+    found = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "no file"
+    if found != MEASURED_SHA256:
+        raise InputError(
+            f"{path}: is not the measured log of this benchmark (SHA-256 {found[:12]}...); see "
+            "docs/thermal-error-benchmark.md for where it comes from"
+        )
+    log = read_log([path])
+    yield from splits(log, "measured")
+
+
+def splits(log: Log, name: str) -> Iterator[Task]:
+    """Yield both tasks of a log that is split in time, never shuffled."""
+    count = len(log.times)
+    first = round(SPLIT * count)
+    yield Task(f"{name}, last 40 %", log.part(slice(0, first)), log.part(slice(first, count)))
+    begin = count - first
+    yield Task(f"{name}, first 40 %", log.part(slice(begin, count)), log.part(slice(0, begin)))
+
+
+def actual(task: Task) -> dict[str, np.ndarray]:
+    """Return column to displacement of the test, m, shape (k,)."""
+    return {name: task.test.at(name) for name in task.test.of("length")}

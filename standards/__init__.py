@@ -1,0 +1,1 @@
+"""Tests of machine tools that a standard describes: what a record of one says, in its terms."""

@@ -1,0 +1,1 @@
+"""ISO 230-3, thermal effects: environment, rotating spindle, moving linear axes."""

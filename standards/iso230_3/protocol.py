@@ -1,0 +1,25 @@
+"""The tests by name; nothing is loaded for them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Protocol(StrEnum):
+    """The tests that are evaluated."""
+
+    ETVE = "etve"
+    SPINDLE = "spindle"
+    LINEAR_AXIS = "linear-axis"
+
+    @property
+    def heading(self) -> str:
+        """What the test is called."""
+        return _TITLES[self]
+
+
+_TITLES = {
+    Protocol.ETVE: "Environmental temperature variation error (ETVE)",
+    Protocol.SPINDLE: "Thermal distortion caused by a rotating spindle",
+    Protocol.LINEAR_AXIS: "Thermal distortion caused by a moving linear axis",
+}

@@ -1,0 +1,340 @@
+"""The thermal tests of ISO 230-3: their parameters, their cases, their command."""
+
+import json
+import sys
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from in_process import undisturbed
+
+from artefacts.errors import InputError
+from artefacts.log_file import read_log
+from artefacts.response import write_response
+from fesim.case.schema import parse_case
+from fesim.simulate import simulate
+from standards.iso230_3.evaluation import evaluate
+from standards.iso230_3.extremes import extremes
+from standards.iso230_3.parameters import distortion, unsettled
+from standards.iso230_3.period import Period, running
+from standards.iso230_3.protocol import Protocol
+from standards.iso230_3.record import Record, log_record, response_record, with_second, with_tilts
+from standards.iso230_3.report import parameters_json, report_html
+from thermojoint.cli import main as cli
+
+CASES = files("thermojoint").joinpath("cases")
+NAMES = ("etve", "spindle", "spindle_rear", "spectrum", "linear_axis", "linear_axis_far")
+HOUR = 3600.0
+
+signals = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=20).map(np.array)
+
+
+def warm_up(step=30.0, rest=2 * HOUR, tau=HOUR, final=100e-6):
+    """Four hours of running after half an hour of standstill, then rest: a first-order machine."""
+    begin, end = 0.5 * HOUR, 4.5 * HOUR
+    times = np.arange(0.0, end + rest + step, step)
+    on = np.clip(times, begin, end) - begin
+    grown = final * -np.expm1(-on / tau) * np.exp(-np.maximum(times - end, 0.0) / tau)
+    drive = ((times > begin) & (times <= end)).astype(float)
+    return Record(times, {"X": grown, "X2": 0.4 * grown}, {"nose": 20.0 + 1e5 * grown}, {}, drive)
+
+
+def by_symbol(evaluation):
+    return {one.symbol: one.value for one in evaluation.parameters}
+
+
+def test_a_first_order_machine_has_the_parameters_of_its_exponential():
+    found = by_symbol(evaluate(Protocol.SPINDLE, warm_up()))
+    assert found["d(X)60"] == pytest.approx(100e-6 * (1 - np.exp(-1)), rel=1e-9, abs=0)
+    assert found["d(X)t"] == pytest.approx(100e-6 * (1 - np.exp(-4)), rel=1e-9, abs=0)
+    assert found["ΔT(nose)60"] == pytest.approx(10 * (1 - np.exp(-1)), rel=1e-9)
+
+
+def test_the_running_period_is_from_the_first_to_the_last_motion():
+    record = warm_up()
+    period = evaluate(Protocol.SPINDLE, record).period
+    assert period == pytest.approx((0.5 * HOUR, 4.5 * HOUR))
+    stops = record.drive * (np.sin(record.times / 300.0) > -0.5)
+    assert running(record.times, stops).begin == period.begin
+
+
+def test_what_still_moves_at_the_end_is_told_relative_to_the_first_hour():
+    record = warm_up()
+    period = Period(0.5 * HOUR, 4.5 * HOUR)
+    assert unsettled(record, period)["X"] == pytest.approx(np.exp(-3), rel=1e-9)
+
+
+@given(signals, st.floats(-1e3, 1e3))
+def test_a_range_does_not_know_where_a_sensor_was_zeroed(values, offset):
+    times = np.arange(values.size, dtype=float)
+    one, other = (extremes(times, v, 0.0, times[-1], "x") for v in (values, values + offset))
+    assert other.range == pytest.approx(one.range, rel=1e-9, abs=1e-9)
+
+
+@given(signals, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_longer_period_has_no_smaller_range(values, one, other):
+    times = np.arange(values.size, dtype=float)
+    short, long = sorted((one * times[-1], other * times[-1]))
+    if short > 0.0:
+        inside = extremes(times, values, 0.0, short, "x").range
+        assert inside <= extremes(times, values, 0.0, long, "x").range + 1e-9
+
+
+@given(signals, st.data())
+def test_samples_on_the_straight_lines_between_samples_change_nothing(values, data):
+    times = np.arange(values.size, dtype=float)
+    begin, end = sorted(data.draw(st.tuples(*2 * [st.floats(0.0, times[-1])])))
+    fine = np.union1d(times, np.linspace(0.0, times[-1], 50))
+    coarse = extremes(times, values, begin, end, "x").range
+    assert extremes(fine, np.interp(fine, times, values), begin, end, "x").range == pytest.approx(
+        coarse, rel=1e-9, abs=1e-9
+    )
+
+
+def test_missing_readings_inside_are_bridged_and_at_the_ends_refused():
+    record = warm_up()
+    holed = record.displacements["X"].copy()
+    holed[100:130] = np.nan
+    period = Period(0.5 * HOUR, 4.5 * HOUR)
+    full, less = (
+        extremes(record.times, v, *period, "X") for v in (record.displacements["X"], holed)
+    )
+    assert less.range == pytest.approx(full.range)
+    holed[:200] = np.nan
+    with pytest.raises(InputError, match=r"X: read over .* give a longer record"):
+        extremes(record.times, holed, *period, "X")
+
+
+def test_a_rigid_turn_is_its_tilt_whatever_the_distance():
+    angle, shift = np.linspace(0.0, 2e-4, 50), np.linspace(0.0, 5e-5, 50)
+    times = np.linspace(0.0, 2 * HOUR, 50)
+    for distance in (0.1, 0.6):
+        record = Record(times, {"X1": shift + angle * distance, "X2": shift}, {})
+        found = by_symbol(
+            evaluate(Protocol.SPINDLE, with_tilts(record, {"B": ("X1", "X2")}, distance))
+        )
+        assert found["d(B)t"] == pytest.approx(2e-4, rel=1e-9, abs=0)
+
+
+def test_the_environment_is_taken_over_the_whole_record():
+    times = np.linspace(0.0, 24 * HOUR, 289)
+    day = np.sin(2 * np.pi * times / (24 * HOUR))
+    record = Record(times, {"Z": 8e-6 * day}, {"room": 20 + 3 * day}, drive=np.zeros(times.size))
+    found = by_symbol(evaluate(Protocol.ETVE, record))
+    assert found["ETVE(Z)"] == pytest.approx(16e-6, rel=1e-3, abs=0)
+    assert found["ΔT(room)"] == pytest.approx(6.0, rel=1e-3)
+    with pytest.raises(InputError, match="whole record"):
+        evaluate(Protocol.ETVE, record, begin=0.0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ((0.5 * HOUR, HOUR), "first 60 min"),
+        ((3 * HOUR, HOUR), "within it"),
+        ((0.0, 99 * HOUR), "within it"),
+    ],
+)
+def test_a_period_that_cannot_be_evaluated_is_refused(ends, said):
+    with pytest.raises(InputError, match=said):
+        evaluate(Protocol.SPINDLE, warm_up(), *ends)
+
+
+def test_a_machine_that_never_turns_ran_no_test():
+    record = warm_up()
+    with pytest.raises(InputError, match="zero throughout"):
+        running(record.times, 0.0 * record.drive)
+
+
+def test_a_second_point_is_of_the_same_run():
+    record = warm_up()
+    both = with_second(Record(record.times, {"y": record.displacements["X"]}, {}), record)
+    assert list(both.displacements) == ["y", "X2", "X22"]
+    with pytest.raises(InputError, match="other times"):
+        with_second(record, warm_up(step=60.0))
+    with pytest.raises(InputError, match="already"):
+        with_second(record, record)
+
+
+def test_every_range_of_the_report_is_in_the_json_with_its_unit():
+    record = with_tilts(warm_up(), {"B": ("X", "X2")}, 0.15)
+    evaluation = evaluate(Protocol.SPINDLE, record)
+    content = json.loads(json.dumps(parameters_json(evaluation, "log.csv")))
+    units = {row["symbol"]: row["unit"] for row in content["parameters"]}
+    assert units["d(X)60"] == "µm"
+    assert units["d(B)t"] == "µm/m"
+    assert units["ΔT(nose)t"] == "K"
+    page = report_html(record, evaluation, "<b>log</b>")
+    assert all(symbol in page for symbol in units)
+    assert "&lt;b&gt;log" in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+# --- the cases
+
+
+def machine(data):
+    return {
+        key: data[key]
+        for key in ("structure", "materials", "bodies", "joints", "supports", "convection_W_m2K")
+    }
+
+
+def case_data(name):
+    return tomllib.loads(CASES.joinpath(f"iso230_3_{name}.toml").read_text("utf-8"))
+
+
+def test_all_tests_are_run_on_the_reference_machine():
+    """But for its mesh."""
+    reference = machine(tomllib.loads(CASES.joinpath("reference.toml").read_text("utf-8")))
+    sizes = {"element_size_mm": 50.0, "joint_element_size_mm": 25.0}
+    reference["structure"] |= sizes
+    for name in NAMES:
+        assert machine(case_data(name)) == reference
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_case_of_a_test_gives_the_parameters_of_that_test(name):
+    """On a coarse mesh, in long steps, the first hours of it."""
+    text = CASES.joinpath(f"iso230_3_{name}.toml").read_text("utf-8")
+    case = parse_case(text, name, Path(str(CASES)))
+    coarse = {"element_size_mm": 100.0, "joint_element_size_mm": 100.0}
+    march = {"step_s": 60.0, "duration_min": 300.0, "thermal": "full"}
+    case = case.model_copy(
+        update={
+            "structure": case.structure.model_copy(update=coarse),
+            "march": case.march.model_copy(update=march),
+        }
+    )
+    record = response_record(simulate(case).response)
+    protocol = Protocol.ETVE if name == "etve" else Protocol.SPINDLE
+    found = by_symbol(evaluate(protocol, record))
+    if protocol is Protocol.ETVE:
+        assert found["ΔT(ambient)"] > 1.0
+        assert 0.5e-6 < found["ETVE(y)"] < 50e-6
+    else:
+        assert 5e-6 < found["d(y)60"] <= found["d(y)t"] < 500e-6
+    # Along z nothing moves: it is the normal of the plane of symmetry.
+    assert set(record.displacements) == {"x", "y"}
+
+
+# --- logs and the command
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Evaluate a record by the command line; gives exit code and standard error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", "iso230-3", *map(str, arguments)])
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
+        return int(stop.value.code or 0), capsys.readouterr().err
+
+    return run
+
+
+def refused(command, *arguments):
+    code, err = command(*arguments)
+    assert (code, err.count("\n")) == (2, 1)
+    return err
+
+
+@pytest.fixture
+def log(tmp_path):
+    record = warm_up()
+    rows = zip(
+        record.times,
+        3000 * record.drive,
+        1e6 * record.displacements["X"],
+        1e6 * record.displacements["X2"],
+        record.temperatures["nose"],
+        strict=True,
+    )
+    path = tmp_path / "warm_up.csv"
+    path.write_text(
+        "time_s,n_rpm,front_um,back_um,nose_degC\n"
+        + "".join(",".join(f"{value:.6f}" for value in row) + "\n" for row in rows)
+    )
+    return path
+
+
+def test_a_log_is_evaluated_in_the_names_that_are_given(log):
+    record = log_record(read_log([log]), {"X1": "front_um", "X2": "back"})
+    found = by_symbol(evaluate(Protocol.SPINDLE, record))
+    assert found["d(X1)t"] == pytest.approx(100e-6 * (1 - np.exp(-4)), rel=1e-4, abs=0)
+    assert found["d(X2)60"] == pytest.approx(40e-6 * (1 - np.exp(-1)), rel=1e-4, abs=0)
+    assert record.temperatures["nose"][0] == pytest.approx(20.0)
+
+
+def test_a_clock_that_tells_the_date_is_counted_from_the_first_sample(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("timestamp,x_um\n2024-03-01T22:00:00,1\n2024-03-02T00:30:00,4\n")
+    evaluation = evaluate(Protocol.SPINDLE, log_record(read_log([path])))
+    assert evaluation.period == pytest.approx((0.0, 2.5 * HOUR))
+    assert by_symbol(evaluation)["d(x)60"] == pytest.approx(1.2e-6, rel=1e-9, abs=0)
+
+
+def test_a_column_of_another_quantity_is_refused(log):
+    with pytest.raises(InputError, match="'n_rpm' is a speed, not a length"):
+        log_record(read_log([log]), {"X1": "n_rpm"})
+
+
+def test_the_command_writes_the_report_and_the_parameters(command, log, tmp_path):
+    page, content = tmp_path / "page.html", tmp_path / "found.json"
+    channels = ["--displacement", "X1=front_um", "--displacement", "X2=back_um"]
+    tilts = ["--tilt", "B=X1,X2", "--distance-mm", "150"]
+    written = ["--out", str(page), "--parameters", str(content)]
+    for _ in range(2):  # its own files it replaces
+        assert command(log, "--test", "spindle", *channels, *tilts, *written)[0] == 0
+    rows = {row["symbol"]: row for row in json.loads(content.read_text("utf-8"))["parameters"]}
+    assert rows["d(B)60"]["value"] == pytest.approx(400 * (1 - np.exp(-1)), rel=1e-4)
+    assert rows["d(B)60"]["begin_s"] == pytest.approx(0.5 * HOUR)
+    assert "d(B)60" in page.read_text("utf-8")
+
+
+def test_the_command_takes_a_response(command, coarse_response, tmp_path):
+    """Which is one minute long: too short for a test with motion, long enough for the other."""
+    path = tmp_path / "response.nc"
+    write_response(coarse_response, path)
+    assert command(path, "--test", "etve", "--parameters", tmp_path / "etve.json")[0] == 0
+    assert "first 60 min" in refused(command, path, "--test", "spindle")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--displacement", "sideways_um"], "no column named 'sideways_um'"),
+        (["--tilt", "B=front,back"], "give both or neither"),
+        (["--tilt", "B=front", "--distance-mm", "100"], "NAME=FIRST,SECOND"),
+        (["--tilt", "B=front,bac", "--distance-mm", "100"], "did you mean 'back'"),
+        (["--tilt", "B=front,back", "--distance-mm", "0"], "positive length"),
+        (["--column", "n_rpm"], "equals sign"),
+        (["--speed", "nose_degC", "--begin-min", "-5"], "within it"),
+    ],
+)
+def test_what_is_wrong_on_the_command_line_is_said_in_one_line(
+    command, log, tmp_path, options, said
+):
+    out = tmp_path / "page.html"
+    message = refused(command, log, "--test", "spindle", *options, "--out", out)
+    assert said in message
+    assert not out.exists()
+
+
+def test_the_log_itself_is_never_overwritten(command, log):
+    before = log.read_bytes()
+    assert "an input" in refused(command, log, "--test", "spindle", "--out", log)
+    assert log.read_bytes() == before
+
+
+def test_the_distortion_of_a_period_ends_with_the_period():
+    record = warm_up()
+    short = distortion(record, Period(0.5 * HOUR, 1.5 * HOUR))
+    assert {one.symbol: one.value for one in short}["d(X)t"] == pytest.approx(
+        {one.symbol: one.value for one in short}["d(X)60"]
+    )

@@ -1,0 +1,139 @@
+"""The command for the thermal tests of ISO 230-3."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from artefacts.errors import InputError
+from standards.iso230_3.protocol import Protocol
+from thermojoint.cli import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from standards.iso230_3.record import Record
+
+
+def iso230_3(
+    given: Annotated[
+        Path, typer.Argument(metavar="RECORD", help="Log of the test (CSV), or a response (.nc).")
+    ],
+    test: Annotated[Protocol, typer.Option(help="Which test was recorded.")],
+    out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="Parameters to write (JSON).")] = None,
+    displacement: Annotated[
+        list[str] | None,
+        typer.Option(help="Column or axis to evaluate, also NAME=COLUMN; default: all."),
+    ] = None,
+    temperature: Annotated[
+        list[str] | None,
+        typer.Option(help="Column or probe; default: all of a log, the first six of a response."),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(help="Column of a log that is 0 at standstill; default: the one in rpm."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Rename a column of a log, its unit at the end: 'Temp 1=T1_degC'."),
+    ] = None,
+    second: Annotated[
+        Path | None,
+        typer.Option(help="The same run, read at a second point: its channels get a 2 behind."),
+    ] = None,
+    tilt: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=FIRST,SECOND: (first - second) / distance, e.g. B=X1,X2."),
+    ] = None,
+    distance: Annotated[
+        float | None, typer.Option("--distance-mm", help="Between the points of every tilt.")
+    ] = None,
+    begin: Annotated[
+        float | None, typer.Option("--begin-min", help="Start of the running period in the record.")
+    ] = None,
+    end: Annotated[float | None, typer.Option("--end-min", help="Its end.")] = None,
+) -> None:
+    """Evaluate a thermal test after ISO 230-3: environment, spindle, or linear axis.
+
+    Example: [bold]thermojoint iso230-3 warm_up.csv --test spindle --displacement X1=disp1_um
+    --displacement X2=disp3_um --tilt B=X1,X2 --distance-mm 150 --out report.html[/bold]
+
+    Example: [bold]thermojoint iso230-3 etve.nc --test etve --out etve.html --parameters
+    etve.json[/bold]
+    """
+    from standards.iso230_3 import record as records
+    from standards.iso230_3 import report
+    from standards.iso230_3.evaluation import evaluate
+    from thermojoint.cli import console
+
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.TEST_REPORT),
+            "--parameters": (parameters, file_kinds.TEST_PARAMETERS),
+        },
+        [given, second],
+    )
+    pairs = dict(_pair(text) for text in tilt or [])
+    if bool(pairs) != (distance is not None):
+        raise InputError("--tilt and --distance-mm: give both or neither")
+    renamed = dict(_named("--column", text) for text in column or [])
+    channels = dict(_channel(text) for text in displacement) if displacement else None
+    record = _record(given, renamed, channels, temperature, speed)
+    facts = []
+    if second is not None:
+        beside = _record(second, renamed, channels, temperature, speed)
+        record = records.with_second(record, beside)
+        facts.append(("second point", second.name))
+    if distance is not None:
+        record = records.with_tilts(record, pairs, 1e-3 * distance)
+        facts += [(f"tilt {name}", f"({one} - {two}) / l") for name, (one, two) in pairs.items()]
+        facts.append(("distance l", f"{distance:g} mm"))
+    ends = [None if one is None else 60.0 * one for one in (begin, end)]
+    found = evaluate(test, record, *ends)
+    if out:
+        report.write_report(report.report_html(record, found, given.name, facts), out)
+    content = report.parameters_json(found, given.name)
+    if parameters:
+        report.write_parameters(content, parameters)
+    console.show_test(console.out(), test.heading, content)
+    console.wrote(out, parameters)
+
+
+def _record(
+    path: Path,
+    renamed: dict[str, str],
+    channels: dict[str, str] | None,
+    temperatures: list[str] | None,
+    speed: str | None,
+) -> Record:
+    from standards.iso230_3.record import log_record, response_record
+
+    if path.suffix == ".nc":
+        from artefacts.response import read_response
+
+        if renamed or speed:
+            raise InputError(f"{path}: --column and --speed go with a log; leave them out")
+        return response_record(read_response(path), channels, temperatures)
+    from artefacts.log_file import read_log
+
+    return log_record(read_log([path], renamed), channels, temperatures, speed)
+
+
+def _named(option: str, text: str) -> tuple[str, str]:
+    first, _, second = text.partition("=")
+    if not first or not second:
+        raise InputError(f"{option} {text}: write it with an equals sign between two names")
+    return first, second
+
+
+def _channel(text: str) -> tuple[str, str]:
+    return _named("--displacement", text) if "=" in text else (text, text)
+
+
+def _pair(text: str) -> tuple[str, tuple[str, str]]:
+    name, both = _named("--tilt", text)
+    first, _, second = both.partition(",")
+    if not first or not second:
+        raise InputError(f"--tilt {text}: write NAME=FIRST,SECOND, two displacement channels")
+    return name, (first.strip(), second.strip())
