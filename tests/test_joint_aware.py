@@ -394,6 +394,7 @@ def test_a_further_run_leaves_less_unknown(machine, plant, fit):
     for one in others:
         assert np.all(one.deviation <= none.deviation)
         assert np.all(one.day <= none.day)
+        assert one.deviation.min() < 0.9 * none.deviation.min()
 
 
 def test_the_whole_report_is_plain_numbers(machine, plant, fit):

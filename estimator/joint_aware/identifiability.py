@@ -10,7 +10,7 @@ proportion to the heat in the calibration runs. Everything on coarse marches.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +23,12 @@ from estimator.joint_aware.misfit import (
     errors,
     fit_linear,
     make_problem,
+    physics_with,
     residuals,
+    sampled,
 )
+from estimator.joint_aware.parameters import factors_of
+from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
 from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import ReducedMachine
@@ -121,14 +125,13 @@ class FurtherRun:
 def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
     """Return what is known of the parameters and of a day, without and with each further run."""
     heat = max(float(np.abs(run.inputs[:, :-1] / machine.power).max()) for run in runs)
-    day = _planned(
-        machine, random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size), DAY
-    )
+    levels = random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size)
+    day = _planned(machine, fit, levels, DAY)
     moved = _day_sensitivity(machine, runs, day, fit)
     found = []
     planned = (
         {"none": None}
-        | {name: _heated(machine, heat, *lasts) for name, lasts in CANDIDATES.items()}
+        | {name: _heated(machine, fit, heat, *lasts) for name, lasts in CANDIDATES.items()}
         | {"day of 8 h": day}
     )
     for name, run in planned.items():
@@ -148,24 +151,23 @@ def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list
     return found
 
 
-def _planned(machine: ReducedMachine, heat: Array, length: float) -> Run:
-    """A run that has not been made: its readings are zero."""
+def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> Run:
+    """A run that has not been made, as the fitted machine answers it."""
     step = length / len(heat)
+    inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
+    physics = physics_with(machine, factors_of(fit.parameters, fit.logarithms))
     times = np.linspace(step, length, MOST_SAMPLES)
-    return Run(
-        inputs=np.column_stack([heat * machine.power, np.zeros(len(heat))]),
-        times=times,
-        temperature=np.zeros((times.size, len(machine.sensors))),
-        displacement=np.zeros((times.size, len(machine.axes))),
-        length=step,
-    )
+    nothing = np.zeros((times.size, 0))
+    run = Run(inputs, times, nothing, nothing, step)
+    sensed, moved = (sampled(one, run) for one in simulate_known(physics, inputs, step))
+    return replace(run, temperature=sensed, displacement=moved)
 
 
-def _heated(machine: ReducedMachine, heat: float, on: float, off: float) -> Run:
+def _heated(machine: ReducedMachine, fit: Fit, heat: float, on: float, off: float) -> Run:
     length = on + off
     times = length / SEARCH_STEPS * np.arange(1, SEARCH_STEPS + 1)
     level = np.where(times <= on, heat, 0.0)
-    return _planned(machine, np.tile(level[:, None], (1, machine.power.size)), length)
+    return _planned(machine, fit, np.tile(level[:, None], (1, machine.power.size)), length)
 
 
 def _steps(fit: Fit) -> Array:

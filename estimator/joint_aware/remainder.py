@@ -16,7 +16,7 @@ from artefacts.arrays import Array
 #: Relaxation times from the first to the last, s, evenly in their logarithm.
 FASTEST, SLOWEST, COUNT = 8.0, 6000.0, 9
 #: ... and of one without a gain, which tells the band how long the machine has been warm, s. With a
-#: gain it took a cool-down's difference of meshes for a drift, and was 2 um off in a day.
+#: gain it takes a difference of meshes in a cool-down for a drift.
 BEYOND = 24000.0
 #: Longest relaxation time that has a gain, relative to the longest run: none tells what is slower.
 REACH = 3.0
