@@ -69,6 +69,14 @@ def baselines(calibration):
     return fit_baselines(list(calibration.values()))
 
 
+def test_baselines_take_runs_of_other_lengths(calibration):
+    whole, half, _ = calibration.values()
+    short = half.isel(time=slice(0, half.sizes["time"] // 2))
+    fitted = fit_baselines([whole, short])
+    assert fitted.span.duration_s == pytest.approx(float(whole["time"][-1]))
+    assert fitted.span.heat == pytest.approx((0.0, 1.0))
+
+
 @pytest.fixture(scope="module")
 def estimators(model, baselines):
     assembly = assemble(model, STEP, 7200.0)

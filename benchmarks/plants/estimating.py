@@ -10,14 +10,17 @@ import xarray as xr
 
 from artefacts.arrays import Array
 from artefacts.response import columns_of
-from calibrate.baselines import baselines_of
+from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
+from estimator.baselines.none import Nothing
+from estimator.baselines.starting import regressions
 from estimator.interface import follow
 from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.judge import validate
+from models.sensors import rises
 
 REFERENCE = "step-1.0"
 
@@ -81,22 +84,43 @@ def observing(estimator: JointAware) -> Judge:
     return judge
 
 
-def from_steps(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
-    """Calibrate FCHS, its linear part and the regressions, all of which know no machine.
+def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Calibrate FCHS and its linear part by the steps among the responses.
 
-    FCHS is calibrated by the steps alone; the regressions by every response.
+    Raises
+    ------
+    ThermojointError
+        The sensors give no stable estimator on this plant.
     """
     steps = {name: one for name, one in responses.items() if name.startswith("step-")}
     others = {float(one["heat_input"][-1]): one for name, one in steps.items() if name != REFERENCE}
     calibrated = calibrate_responses(steps[REFERENCE], others)
-    baselines = baselines_of(calibrated, list(responses.values()))
     axes = tuple(calibrated.model.linear.deformation)
 
     def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
         # They know of no warm start: the run begins at rest for them.
         del warm
-        judged = validate("", response, calibrated.model, baselines=baselines)
-        return {name: Errors(axes, error, None) for name, error in judged.errors.items()}
+        judged = validate("", response, calibrated.model).errors
+        return {name: Errors(axes, judged[name], None) for name in ("linear", "fchs")}
+
+    return Calibrated(judge, {})
+
+
+def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Fit the regressions to every response; beside them stands no compensation at all."""
+    fitted = regressions(fit_baselines(list(responses.values())), machine.step)
+
+    def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
+        del warm
+        rows = np.column_stack((response["time"].to_numpy(), rises(response))).tolist()
+        found = {}
+        for one in (Nothing(machine.axes), *fitted):
+            samples = [row[: 1 + len(one.channels)] for row in rows]
+            told = [each for _, each in follow(one, samples, one.initial_state())]
+            actual = columns_of(response, "displacement", one.axes)
+            error = np.array([each.displacement for each in told]) - actual
+            found[one.kind] = Errors(one.axes, error, None)
+        return found
 
     return Calibrated(judge, {})
 
@@ -104,5 +128,6 @@ def from_steps(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> 
 #: What is calibrated with a plant's responses; another estimator is one more entry.
 ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calibrated]] = {
     "joint-aware": joint_aware,
-    "from steps": from_steps,
+    "fchs": fchs,
+    "baselines": baselines,
 }
