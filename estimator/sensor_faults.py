@@ -30,9 +30,9 @@ Explain = Callable[[Array, NDArray[np.int64]], tuple[Array, Array]]
 
 #: Standard deviations of an innovation beyond which a reading is contradicted.
 GATE = 5.0
-#: What a healthy reading may be off by for want of a perfect model, K: no innovation below
-#: GATE * MODEL_ERROR counts, however sure the model is of itself.
-MODEL_ERROR = 0.2
+#: What a healthy reading may be off by for want of a perfect model, K, and a part of what the model
+#: says beside: no innovation below GATE of it counts, however sure the model is of itself.
+MODEL_ERROR, MODEL_SHARE = 0.2, 0.01
 #: A distrusted channel is believed again after this long without a fault, s.
 RETURN = 30.0
 #: No thermometer in a machine changes faster than this, K/s, beyond a jump of `JUMP`, K.
@@ -164,10 +164,10 @@ def judge_sample(
     with np.errstate(invalid="ignore"):
         impossible = (readings < limits[0]) | (readings > limits[1])
         hasty = np.abs(readings - watch.last) > RATE * (time - watch.read) + JUMP
-        near = np.abs(innovation) <= GATE * MODEL_ERROR
+        near = np.abs(innovation) <= GATE * model_error(predicted)
     odd = present & (impossible | hasty | _stuck(seen, time, predicted, noise))
     trusted = present & ~odd & ~doubted
-    contradicted = _contradicted(innovation, explain, trusted)
+    contradicted = _contradicted(innovation, model_error(predicted), explain, trusted)
     credible = present & ~odd
     first = not np.isfinite(watch.read).any()
     lost = bool(contradicted.any()) and _mostly(contradicted | doubted, credible, first)
@@ -180,6 +180,11 @@ def judge_sample(
     distrusted = faulty | (doubted & (~present | (time - fault < RETURN)))
     after = seen._replace(distrusted=distrusted.astype(float), fault=fault)
     return Verdict(present & ~distrusted, lost, after)
+
+
+def model_error(predicted: Array) -> Array:
+    """Return what healthy readings may be off by for want of a perfect model, K, shape (n,)."""
+    return np.asarray(MODEL_ERROR + MODEL_SHARE * np.abs(predicted))
 
 
 def _seen(watch: Watch, time: float, readings: Array, predicted: Array) -> Watch:
@@ -217,7 +222,7 @@ def _stuck(watch: Watch, time: float, predicted: Array, noise: Array) -> Flags:
     return np.asarray(repeated & ((unlike & fine) | moved))
 
 
-def _contradicted(innovation: Array, explain: Explain, trusted: Flags) -> Flags:
+def _contradicted(innovation: Array, imperfect: Array, explain: Explain, trusted: Flags) -> Flags:
     """Channels that the others and the model contradict, the worst first; shape (n,)."""
     found = np.zeros_like(trusted)
     at = np.flatnonzero(trusted)
@@ -226,7 +231,7 @@ def _contradicted(innovation: Array, explain: Explain, trusted: Flags) -> Flags:
         return found
     while at.size:
         rest, covariance = explain(innovation, at)
-        whole = covariance + MODEL_ERROR**2 * np.eye(found.size)
+        whole = covariance + np.diag(imperfect**2)
         inverse = np.linalg.inv(whole[np.ix_(at, at)])
         # What the others leave open in i is r = (S^-1 nu)_i / (S^-1)_ii, of variance 1 / (S^-1)_ii.
         relative = np.abs(inverse @ rest[at]) / np.sqrt(np.diag(inverse))

@@ -36,6 +36,8 @@ MOST_SAMPLES = 120
 TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
 #: ... and of the remainder, which is there to follow what is left sample by sample.
 REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
+#: Sensors of which the model leaves this, K, or what it leaves of the median one, are trusted alike.
+ALIKE = 0.005
 #: Prior standard deviation of a sensor's offset, K.
 OFFSET = 0.3
 
@@ -94,6 +96,8 @@ class Problem:
         Sensor by sensor; the last column of each is its offset.
     displacement : tuple of Channel
         Axis by axis.
+    trust : ndarray, shape (p,)
+        Factor on `TEMPERATURE_SIGMA` for every sensor.
     """
 
     machine: ReducedMachine
@@ -103,6 +107,7 @@ class Problem:
     shape: Array
     temperature: tuple[Channel, ...]
     displacement: tuple[Channel, ...]
+    trust: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +166,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
             for tau in taus([run.temperature for run in runs])
         ),
         tuple(Channel(moved, tau) for tau in taus([run.displacement for run in runs])),
+        np.ones(len(machine.sensors)),
     )
 
 
@@ -224,8 +230,10 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: A
     return np.concatenate(
         [
             *(
-                channel.whitened(column, TEMPERATURE_SIGMA)
-                for channel, column in zip(problem.temperature, temperature.T, strict=True)
+                channel.whitened(column, trust * TEMPERATURE_SIGMA)
+                for channel, column, trust in zip(
+                    problem.temperature, temperature.T, problem.trust, strict=True
+                )
             ),
             *(
                 channel.whitened(column, DISPLACEMENT_SIGMA)
@@ -273,6 +281,18 @@ def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Lin
         np.column_stack([left for _, left in sensed]),
         np.column_stack([left for _, left in moved]),
     )
+
+
+def trust_in(problem: Problem, left: Array) -> Array:
+    """Return the factor on sigma of every sensor for what a fit has left of them, shape (p,).
+
+    A sensor that the model cannot follow, in the contact plane or at an edge, where temperatures
+    depend on the mesh, would bend the parameters to its own errors. What it errs by in the runs,
+    without its noise, says how much it tells.
+    """
+    own = np.mean(left**2, axis=0) - reading_noise(problem, left) ** 2
+    errs = np.sqrt(np.maximum(own, 0.0))
+    return np.asarray(np.maximum(errs / max(float(np.median(errs)), ALIKE), 1.0))
 
 
 def reading_noise(problem: Problem, left: Array) -> Array:

@@ -50,10 +50,6 @@ DRAWS, SEED = 12, 1
 DURATION, STEP = 8 * 3600.0, 20.0
 #: Their highest level, relative to the largest heat calibrated.
 BEYOND = 1.5
-#: The fit trusts the model little, lest a difference of meshes move a parameter; machines drawn by
-#: this trust miss the runs by more than the fitted one does. For the draws it counts so many times:
-#: with 1 plants drawn with seed 1 err by a quarter to a half of the band, with 2 one is beyond it.
-SHARPER = 1.5
 #: Gains that the data do not show are as large as those that they do, but at least this part of
 #: what the model is not trusted to.
 LEAST_SHARE = 0.1
@@ -107,7 +103,8 @@ def open_band(
             continue
     every = np.array(found).transpose(2, 0, 1)
     features = np.vstack([one.features for one in histories])
-    weights = np.array([[_explained(features, error) for error in axis] for axis in every])
+    ends = np.cumsum([len(one.heat) for one in histories])[:-1]
+    weights = np.array([[_explained(features, error, ends) for error in axis] for axis in every])
     # Few draws leave their variance uncertain: Student's quantile in place of the normal one.
     weights *= float(student.ppf(0.975, DRAWS)) / WIDTH
     said = np.mean((weights @ features.T) ** 2, axis=1)
@@ -162,7 +159,7 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
 
 def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:
     singular, directions = fit.directions
-    along = rng.normal(size=singular.size) / np.sqrt(1.0 + (SHARPER * singular) ** 2)
+    along = rng.normal(size=singular.size) / np.sqrt(1.0 + singular**2)
     logarithms = fit.logarithms + fit.spread * (along @ directions)
     # What the parameters change in the runs, remainder and offsets take back.
     moved = [
@@ -220,13 +217,26 @@ def _errors(
     return np.array(estimates[1:]) - displacement
 
 
-def _explained(features: Array, error: Array) -> Array:
-    """Return the weights (f,) of features (n, f) that explain an error (n,), regularised."""
-    scale = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
-    found = make_ridge(features / scale, np.ones(scale.size))
+def _explained(features: Array, error: Array, ends: Array) -> Array:
+    """Return the weights (f,) of features (n, f) that explain an error (n,), regularised.
+
+    Every history, they end at `ends`, counts relative to its own largest error: else what is left
+    of a day's would be taken for an error of the first minutes.
+    """
+    least = np.finfo(float).tiny
+    scale = np.maximum(np.abs(features).max(axis=0), least)
     size = float(np.abs(error).max())
-    weights, _ = found.gains(error, ROUGH * max(size, np.finfo(float).tiny), size or 1.0)
-    return np.asarray(weights / scale)
+    if size <= 0.0:
+        return np.zeros(scale.size)
+    own = np.concatenate(
+        [
+            np.full(part.size, max(np.abs(part).max(), FLOOR * size))
+            for part in np.split(error, ends)
+        ]
+    )
+    found = make_ridge(features / scale / own[:, None] * size, np.ones(scale.size))
+    weights, _ = found.gains(error / own, ROUGH, 1.0)
+    return np.asarray(weights * size / scale)
 
 
 def _left(squares: Array, said: Array, errors: Array) -> Array:

@@ -13,7 +13,7 @@ the equations of the machine's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -29,6 +29,7 @@ from estimator.joint_aware.misfit import (
     make_problem,
     reading_noise,
     residuals,
+    trust_in,
 )
 from estimator.joint_aware.parameters import Parameter, active
 from estimator.joint_aware.reduced_machine import ReducedMachine
@@ -40,7 +41,7 @@ SEARCH_STEPS = 150
 DIFFERENCE, CLOSE = 1e-3, 1e-4
 MOST_EVALUATIONS = 20
 #: Rounds of the defect correction at most, and the change, in standard deviations, of the last.
-MOST_ROUNDS, SETTLED = 4, 0.05
+MOST_ROUNDS, SETTLED = 6, 0.05
 #: Searches beside that from the case's own values start from draws of the prior; their seed, and
 #: how far they go.
 STARTS, SEED, ROUGHLY = 3, 1, 1e-3
@@ -169,9 +170,12 @@ def fit_physics(
         evaluations += _counted(result)
     now = min(tried, key=lambda one: one.cost).found / spread
     for _ in range(MOST_ROUNDS):
+        left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
+        trust = trust_in(whole, left)
+        whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
         result = _search(problem, parameters, now, defect, CLOSE)
-        evaluations += 2 + _counted(result)
+        evaluations += 3 + _counted(result)
         before, now = now, result.x
         # In standard deviations of the parameters that the data leave.
         step = np.append(result.jac[: defect.size] @ (now - before), now - before)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from artefacts.arrays import Array
-from estimator.sensor_faults import GATE, MODEL_ERROR
+from estimator.sensor_faults import GATE
 
 #: A jump is judged after this long, s, and this many samples.
 DECIDED, SAMPLES = 12.0, 3
@@ -81,11 +81,11 @@ def suspected(
     innovation : ndarray, shape (p,)
         Of the readings that are believed, K; 0 for the others.
     deviation : ndarray, shape (p,)
-        Their standard deviation, K.
+        Their standard deviation, what the model errs by included, K.
     time, interval : float
         Of the sample and since the one before, s.
     """
-    limit = GATE * np.hypot(deviation, MODEL_ERROR)
+    limit = GATE * deviation
     relative = np.abs(innovation) / limit
     channel = int(np.argmax(relative))
     if relative[channel] <= 1.0:
@@ -101,7 +101,12 @@ def suspected(
 
 
 def judged(
-    known: Suspicion, departure: float, time: float, answer: Array, step: float
+    known: Suspicion,
+    departure: float,
+    time: float,
+    imperfect: float,
+    answer: Array,
+    step: float,
 ) -> Judgement:
     """Say what a jump was, a sample later.
 
@@ -113,6 +118,8 @@ def judged(
         The reading less what the state without it expects, K; NaN where there is none.
     time : float
         s.
+    imperfect : float
+        What the reading may be off by for want of a perfect model, K.
     answer : ndarray, shape (k,)
         The reading's answer to heat that is switched on, after 1, 2 ... steps, K/W.
     step : float
@@ -120,7 +127,7 @@ def judged(
     """
     if not math.isfinite(departure):
         return Judgement.OPEN
-    if abs(departure) <= GATE * MODEL_ERROR:
+    if abs(departure) <= GATE * imperfect:
         return Judgement.SPIKE
     elapsed = time - float(known.since)
     if elapsed < DECIDED or known.samples < SAMPLES:

@@ -2,7 +2,7 @@
 
 `sensor_faults` judges a sample by itself, `suspicion` a jump by the samples after it. Where most
 readings contradict, it is the state that is wrong: then nothing is taken to be known. Where one is
-newly distrusted, the heat is taken to be unknown, as it may have changed at that moment.
+newly distrusted that saw most of a source, that source's heat is: it may have changed just then.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from estimator.joint_aware.filter_design import compressed
 from estimator.joint_aware.observer import ANSWER, Expected, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.joint_aware.suspicion import Judgement, Suspicion
-from estimator.sensor_faults import GATE, MODEL_ERROR, Flags, Watch, judge_sample
+from estimator.sensor_faults import GATE, Flags, Watch, judge_sample, model_error
 
 #: A reading is impossible further than this beyond the calibrated ones, K; above them also by this
 #: many times their range.
@@ -119,12 +119,15 @@ def trusted(
     if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
         attempt = attempt._replace(linear=open_.linear)
         open_ = suspicion.none(expected.linear.size)
-    if (verdict.watch.distrusted > before.watch.distrusted).any():
-        attempt = _heat_unknown(observer, attempt)
+    newly = verdict.watch.distrusted > before.watch.distrusted
+    if newly.any():
+        attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
     innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
-    jumps = bool(np.abs(innovation).max() > GATE * MODEL_ERROR)
+    imperfect = model_error(rows @ attempt.linear)
+    jumps = bool((np.abs(innovation) > GATE * imperfect).any())
     if jumps and moment.steps and not np.isfinite(open_.channel):
-        deviation = np.sqrt(np.diag(observer.innovation_covariance(attempt.excess)))
+        own = np.diag(observer.innovation_covariance(attempt.excess))
+        deviation = np.sqrt(own + imperfect**2)
         elapsed = moment.steps * moment.length
         open_ = suspicion.suspected(attempt.linear, innovation, deviation, moment.time, elapsed)
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
@@ -149,11 +152,14 @@ def _followed(
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck: that takes longer to be seen.
         return known, Judgement.OPEN
-    departure = float(readings[channel] - observer.system.rows[channel] @ alone.linear)
+    said = observer.system.rows[channel] @ alone.linear
+    departure, imperfect = float(readings[channel] - said), float(model_error(said))
     # The source that the reading sees most of.
     answers = observer.onset[:, channel]
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
-    return known, suspicion.judged(known, departure, moment.time, answer, observer.model.step)
+    return known, suspicion.judged(
+        known, departure, moment.time, imperfect, answer, observer.model.step
+    )
 
 
 def _distrusting(watch: Watch, channel: int, time: float) -> Watch:
@@ -163,12 +169,18 @@ def _distrusting(watch: Watch, channel: int, time: float) -> Watch:
     return watch._replace(distrusted=distrusted, fault=fault)
 
 
-def _heat_unknown(observer: Observer, expected: Expected) -> Expected:
-    """The same with any heat of every source."""
+def _heat_unknown(
+    observer: Observer, expected: Expected, newly: Flags, believed: Flags
+) -> Expected:
+    """The same with any heat of the sources of which a lost channel saw more than all others."""
     power, scale = observer.model.power, observer.model.filter.scale
+    answers = np.abs(observer.onset[0])
+    lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
+    if not lost.any():
+        return expected
     unknown = np.zeros((observer.system.size, power.size))
     unknown[observer.system.decay.size :][: power.size] = np.diag(
-        observer.model.calibrated.heat * power
+        np.where(lost, observer.model.calibrated.heat * power, 0.0)
     )
     more = np.hstack([expected.excess, unknown])
     return expected._replace(excess=compressed(more, scale, expected.excess.shape[1]))
