@@ -30,7 +30,7 @@ from fesim.solid.condensation import ElasticCondensation
 SCHEMA_VERSION = 1
 
 #: Parts of the model that are arrays alone: attribute to class, with the arrays of each.
-_MODES = ("rates", "drive", "jump", "sensors")
+_MODES = ("rates", "drive", "jump", "sensors", "film")
 _ELASTIC = (
     "compliance",
     "thermal_gap",

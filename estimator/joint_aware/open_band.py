@@ -71,7 +71,7 @@ def open_band(
     slow = replace(machine, step=max(STEP, machine.step))
     observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
     rng = np.random.default_rng(SEED)
-    heat = _levels(rng, slow.step, BEYOND * model.calibrated.heat, machine.power.size)
+    heat = random_levels(rng, slow.step, BEYOND * model.calibrated.heat, machine.power.size)
     states = relaxed(heat, fit.remainder.rates, slow.step)
     squares = np.square(states.reshape(len(heat), machine.power.size, -1)).mean(axis=1)
     features = np.hstack([squares, squares**2])
@@ -107,8 +107,8 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
     return np.asarray(np.mean(np.square(differences), axis=0))
 
 
-def _levels(rng: np.random.Generator, step: float, highest: float, sources: int) -> Array:
-    """Heat of every source, one level after another, shape (n, s)."""
+def random_levels(rng: np.random.Generator, step: float, highest: float, sources: int) -> Array:
+    """Return the heat of every source, one level after another, shape (n, s)."""
     found = np.zeros((round(DURATION / step), sources))
     for source in range(sources):
         at = 0

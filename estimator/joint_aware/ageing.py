@@ -1,0 +1,423 @@
+"""A machine that ages: preload, friction and film as slow states beside the observer.
+
+Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
+runs one copy for each parameter with that parameter a little off, on the same readings. What the
+copies leave of the readings says how the innovations depend on the parameters, without an equation
+for it: through filter, slips and all. Innovations are averaged over `WINDOW`, as a model errs alike
+from sample to sample, and a Kalman filter on the logarithms of the parameters does the rest.
+
+Modes and gain stay those of the calibration: preload and friction are in the joint's law alone, and
+the film beyond the calibrated one is applied between two samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError, unknown_name
+from estimator.interface import Channel, Estimate, Status
+from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.parameters import joint_with_factors
+from estimator.joint_aware.reduced_machine import Joint
+
+
+@dataclass(frozen=True)
+class Slow:
+    """How the logarithm of a parameter's factor wanders: dx = -x dt / lasts + noise.
+
+    Attributes
+    ----------
+    spread : float
+        Standard deviation in the long run.
+    lasts : float
+        Time after which it has forgotten where it was, s.
+    """
+
+    spread: float
+    lasts: float
+
+
+DAY = 86400.0
+#: What can age. A preload is lost in days and comes back when somebody tightens the bolts;
+#: lubricant and wear change the friction, coolant and draught the film.
+SLOW = {
+    "preload": Slow(0.3, 10.0 * DAY),
+    "friction": Slow(0.2, 10.0 * DAY),
+    "film": Slow(0.3, 2.0 * DAY),
+}
+#: The copies' parameters are off by this, in the logarithm.
+STEP = 0.03
+#: Innovations are averaged over this time, s; then they are wrong by this, K and m.
+WINDOW, LASTING_K, LASTING_M = 600.0, 0.3, 0.5e-6
+#: Farther than this from the calibration, in the logarithm, no parameter goes.
+FARTHEST = 1.5
+#: A sample whose status says anything else does not teach.
+TEACHES = (
+    Status.BEYOND_TIME | Status.BEYOND_HEAT | Status.BEYOND_TEMPERATURE | Status.READING_MISSING
+)
+
+
+def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
+    """Refuse parameters that a machine does not have, or that do not age.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, stands twice, or the machine has no such thing.
+    """
+    for name in names:
+        if name not in SLOW:
+            raise unknown_name("ageing parameter", name, SLOW, "ageing")
+    if len(set(names)) < len(names):
+        raise InputError("ageing: a parameter is named twice; name each once")
+    frictions = [joint.section.friction_coefficient for joint in model.joints]
+    absent = {
+        "preload": not model.joints,
+        "friction": not any(frictions),
+        "film": not model.modes.film.any(),
+    }
+    for name in names:
+        if absent[name]:
+            raise InputError(f"ageing: the machine has no {name}; leave it out")
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Parts of the flat state, in this order.
+
+    time () of the last sample and begun () of the window, s; logarithms (q,) and their covariance
+    (q, q); of the window: readings that counted (p + 1,), sums of the innovations (p + 1,) and of
+    their sensitivities (p + 1, q), all in K; the observer and its copies (q + 1, n).
+    """
+
+    time: Array
+    begun: Array
+    logarithms: Array
+    covariance: Array
+    counted: Array
+    innovation: Array
+    sensitivity: Array
+    runs: Array
+
+    def flat(self) -> Array:
+        return np.concatenate([np.ravel(part) for part in vars(self).values()])
+
+
+@dataclass(frozen=True, eq=False)
+class AgeingJointAware:
+    """A joint-aware estimator whose preload, friction or film are learnt as it runs.
+
+    Attributes
+    ----------
+    observer : JointAware
+        As calibrated.
+    ageing : tuple of str
+        Names out of `SLOW`.
+    """
+
+    observer: JointAware
+    ageing: tuple[str, ...]
+    kind: Literal["joint-aware"] = "joint-aware"
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return self.observer.axes
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Those of the observer."""
+        return self.observer.channels
+
+    @property
+    def details(self) -> tuple[Channel, ...]:
+        """Those of the observer; factor on each calibrated parameter, and its uncertainty.
+
+        The uncertainty is the standard deviation of the factor's logarithm.
+        """
+        own = (Channel(f"{name}_{what}", "1") for name in self.ageing for what in ("factor", "std"))
+        return (*self.observer.details, *own)
+
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        count, rows = len(self.ageing), len(self.observer.system.rows)
+        return {
+            "time": (),
+            "begun": (),
+            "logarithms": (count,),
+            "covariance": (count, count),
+            "counted": (rows,),
+            "innovation": (rows,),
+            "sensitivity": (rows, count),
+            "runs": (count + 1, self.observer.initial_state().size),
+        }
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest that is as it was calibrated."""
+        return self._fresh(self.observer.initial_state())
+
+    def warm_state(self) -> Array:
+        """Return the state of a machine of whose past nothing is known."""
+        return self._fresh(self.observer.warm_state())
+
+    def _fresh(self, start: Array) -> Array:
+        shapes = self._shapes
+        nothing = {name: np.zeros(shape) for name, shape in shapes.items()}
+        return _State(
+            **nothing
+            | {
+                "time": np.array(np.nan),
+                "begun": np.array(np.nan),
+                "covariance": np.diag([SLOW[name].spread ** 2 for name in self.ageing]),
+                "runs": np.tile(start, (len(self.ageing) + 1, 1)),
+            }
+        ).flat()
+
+    def _unpacked(self, state: Array) -> _State:
+        at, found = 0, {}
+        for name, shape in self._shapes.items():
+            size = math.prod(shape)
+            found[name] = state[at : at + size].reshape(shape)
+            at += size
+        return _State(**found)
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample; see `estimator.interface.Estimator`.
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As `JointAware.sample`.
+        """
+        before = self._unpacked(state)
+        machines = _aged(self.observer, self.ageing, tuple(before.logarithms.tolist()))
+        taken = [
+            one.sample(run, time, values) for one, run in zip(machines, before.runs, strict=True)
+        ]
+        estimate = taken[0][1]
+        steps = np.array([(other.displacement - estimate.displacement) for _, other in taken[1:]])
+        moved = steps.T / STEP
+        length = 0.0 if math.isnan(float(before.time)) else time - float(before.time)
+        logarithms, covariance = _wandered(
+            self.ageing, before.logarithms, before.covariance, length
+        )
+        at = self._touched(values)
+        if at.any():
+            told = self._without(before, machines, time, values, at)
+            logarithms, covariance = learnt(logarithms, covariance, *told)
+        after = replace(
+            before,
+            time=np.array(time),
+            begun=before.begun if length else np.array(time),
+            logarithms=logarithms,
+            covariance=covariance,
+            runs=np.array(
+                [
+                    self._with_film(run, exponent, length)
+                    for (run, _), exponent in zip(
+                        taken, self._films(before.logarithms), strict=True
+                    )
+                ]
+            ),
+        )
+        if not estimate.status & ~TEACHES:
+            after = self._counting(after, values, length)
+        if time - float(after.begun) >= WINDOW:
+            after = _concluded(after)
+        uncertain = np.einsum("ai,ij,aj->a", moved, before.covariance, moved)
+        band = np.sqrt(estimate.band**2 + WIDTH**2 * np.maximum(uncertain, 0.0))
+        factors = np.exp(before.logarithms)
+        spreads = np.sqrt(np.diag(before.covariance))
+        own = np.column_stack([factors, spreads]).ravel()
+        return after.flat(), estimate._replace(
+            band=band, details=np.concatenate([estimate.details, own])
+        )
+
+    def _touched(self, values: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which values are readings of the displacement that came."""
+        metres = np.array([channel.unit == "m" for channel in self.channels])
+        return metres & np.isfinite(np.asarray(values, dtype=float))
+
+    def _without(
+        self,
+        before: _State,
+        machines: Sequence[JointAware],
+        time: float,
+        values: Sequence[float],
+        at: Array,
+    ) -> tuple[Array, Array, Array]:
+        """Innovations of the displacement, their sensitivities (k, q) and variances, m."""
+        read = np.asarray(values, dtype=float)
+        unread = np.where(at, np.nan, read).tolist()
+        found = [
+            one.sample(run, time, unread)[1] for one, run in zip(machines, before.runs, strict=True)
+        ]
+        axes = at[-len(self.axes) :]
+        nominal = found[0]
+        innovation = read[at] - nominal.displacement[axes]
+        sensitivity = np.array(
+            [(nominal.displacement - other.displacement)[axes] / STEP for other in found[1:]]
+        ).T
+        variance = (nominal.band[axes] / WIDTH) ** 2 + LASTING_M**2
+        return innovation, sensitivity, variance
+
+    def _films(self, logarithms: Array) -> list[float]:
+        """Logarithm of the film's factor in the observer and in each copy."""
+        if "film" not in self.ageing:
+            return [0.0] * (len(self.ageing) + 1)
+        at = self.ageing.index("film")
+        now = float(logarithms[at])
+        return [now, *(now + STEP * (k == at) for k in range(len(self.ageing)))]
+
+    def _with_film(self, run: Array, exponent: float, length: float) -> Array:
+        """A run after the convection that the film has beyond the calibrated one, for a while."""
+        if not exponent or not length:
+            return run
+        film = self._film
+        at = slice(3, 3 + film.ambient.size)
+        ambient = unpacked(run, self.observer.parts).linear[-1]
+        beyond = run[at] - ambient * film.ambient
+        kept = np.expm1(-math.expm1(exponent) * length * film.rates)
+        after = run.copy()
+        after[at] += film.turn @ (kept * (film.turn.T @ beyond))
+        return after
+
+    @cached_property
+    def _film(self) -> _Film:
+        return _film_of(self.observer.model)
+
+    def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:
+        """The window with one more sample."""
+        innovations = np.array([self._innovation(run, values, length) for run in after.runs])
+        present = np.isfinite(innovations[0])
+        slope = (innovations[1:] - innovations[0]).T / STEP
+        return replace(
+            after,
+            counted=after.counted + present,
+            innovation=after.innovation + np.where(present, innovations[0], 0.0),
+            sensitivity=after.sensitivity + np.where(present[:, None], slope, 0.0),
+        )
+
+    def _innovation(self, run: Array, values: Sequence[float], length: float) -> Array:
+        """Innovation (p + 1,) of a sample, from what its correction has left; NaN where missing.
+
+        With all of S = H P H' + R, the correction leaves R S^-1 of the innovation.
+        """
+        observer = self.observer
+        rows, steady = observer.system.rows, observer.model.filter
+        readings = np.asarray(values, dtype=float)[: len(rows)]
+        left = readings - rows @ unpacked(run, observer.parts).linear
+        here = np.flatnonzero(np.isfinite(left))
+        noise = steady.noise[here]
+        if 0.0 < length < observer.model.step:
+            noise = noise * observer.model.step / length
+        found = np.full(len(rows), np.nan)
+        share = left[here] / noise
+        found[here] = steady.innovation[np.ix_(here, here)] @ share + left[here]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Film:
+    """Convection as rates (k,) of directions, columns of `turn` (r, k); a field of 1 K, (r,)."""
+
+    rates: Array
+    turn: Array
+    ambient: Array
+
+
+def _film_of(model: ObserverModel) -> _Film:
+    rates, turn = np.linalg.eigh(model.modes.film)
+    seen = rates > 1e-6 * rates.max()
+    rates, turn = rates[seen], turn[:, seen]
+    uniform = turn @ ((turn.T @ model.modes.drive[:, -1]) / rates)
+    return _Film(rates, turn, uniform)
+
+
+@lru_cache(maxsize=32)
+def _aged(
+    observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...]
+) -> list[JointAware]:
+    """The observer and its copies at these parameters; kept, as a window has the same ones."""
+    every = [logarithms] + [
+        tuple(value + STEP * (k == one) for k, value in enumerate(logarithms))
+        for one in range(len(names))
+    ]
+    return [replace(observer, model=_with_joints(observer.model, names, one)) for one in every]
+
+
+def _with_joints(
+    model: ObserverModel, names: tuple[str, ...], logarithms: tuple[float, ...]
+) -> ObserverModel:
+    factors = {
+        name: math.exp(value)
+        for name, value in zip(names, logarithms, strict=True)
+        if name != "film"
+    }
+    joints: tuple[Joint, ...] = tuple(joint_with_factors(one, factors) for one in model.joints)
+    return replace(model, joints=joints)
+
+
+def _wandered(
+    names: Sequence[str], logarithms: Array, covariance: Array, length: float
+) -> tuple[Array, Array]:
+    """Logarithms and covariance after a while without any reading."""
+    kept = np.exp([-length / SLOW[name].lasts for name in names])
+    spread = np.array([SLOW[name].spread for name in names])
+    added = np.diag(spread**2 * (1.0 - kept**2))
+    return kept * logarithms, kept[:, None] * covariance * kept + added
+
+
+def _concluded(state: _State) -> _State:
+    """Learn from a window and begin the next one."""
+    some = state.counted > 0.0
+    count = state.counted[some]
+    logarithms, covariance = learnt(
+        state.logarithms,
+        state.covariance,
+        state.innovation[some] / count,
+        state.sensitivity[some] / count[:, None],
+        np.full(count.size, LASTING_K**2),
+    )
+    return replace(
+        state,
+        begun=state.time,
+        logarithms=logarithms,
+        covariance=covariance,
+        counted=np.zeros_like(state.counted),
+        innovation=np.zeros_like(state.innovation),
+        sensitivity=np.zeros_like(state.sensitivity),
+    )
+
+
+def learnt(
+    logarithms: Array, covariance: Array, innovation: Array, sensitivity: Array, variance: Array
+) -> tuple[Array, Array]:
+    """Return the parameters and their covariance after some innovations, by the Kalman filter.
+
+    Parameters
+    ----------
+    logarithms : ndarray, shape (q,)
+    covariance : ndarray, shape (q, q)
+    innovation : ndarray, shape (k,)
+        Reading less what was expected of it.
+    sensitivity : ndarray, shape (k, q)
+        Of the innovation.
+    variance : ndarray, shape (k,)
+        Of the reading, model error included.
+    """
+    across = -sensitivity @ covariance
+    gain = np.linalg.solve(across @ -sensitivity.T + np.diag(variance), across).T
+    found = np.clip(logarithms + gain @ innovation, -FARTHEST, FARTHEST)
+    # Joseph's form stays symmetric and positive whatever the rounding.
+    left = np.eye(logarithms.size) + gain @ sensitivity
+    return found, left @ covariance @ left.T + gain * variance @ gain.T
