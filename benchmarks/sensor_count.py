@@ -23,8 +23,6 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from pysensors import SSPOR
-from pysensors.basis import SVD
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -58,8 +56,8 @@ BOXES = (
     ([500.0, 350.0, 0.0], [600.0, 850.0, 200.0], 50.0),
     ([625.0, 350.0, 50.0], [650.0, 750.0, 125.0], 50.0),
 )
-#: Sets at random for every number.
-RANDOM = 3
+#: Sets at random of every number.
+RANDOM = 1
 
 
 def candidates_on(sizes: tuple[float, float]) -> ReducedMachine:
@@ -135,6 +133,10 @@ def sets_of(
     model: ReducedMachine, family: placement.Family, day: Array
 ) -> dict[str, list[tuple[str, ...]]]:
     """Return the sets of sensors to be judged, by how they were found."""
+    # Not at the top: other benchmarks use the machines of this one, and do without it.
+    from pysensors import SSPOR
+    from pysensors.basis import SVD
+
     names = model.sensor_names
     grown = [step.names for step in placement.place_sensors(model, MOST, family=family).steps]
     temperatures, _ = answers(model, day)

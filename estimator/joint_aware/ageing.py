@@ -4,7 +4,9 @@ Recursive prediction error (Ljung, System Identification, 1999, section 11.4). B
 runs one copy for each parameter with that parameter a little off, on the same readings. What the
 copies leave of the readings says how the innovations depend on the parameters, without an equation
 for it: through filter, slips and all. Innovations are averaged over `WINDOW`, as a model errs alike
-from sample to sample, and a Kalman filter on the logarithms of the parameters does the rest.
+from sample to sample. A Kalman filter learns from them the logarithms of the parameters, and beside
+these a bias of every sensor's innovations that lasts for hours: a model that errs for hours is no
+machine that has aged.
 
 Modes and gain stay those of the calibration: preload and friction are in the joint's law alone, and
 the film beyond the calibrated one is applied between two samples.
@@ -19,6 +21,7 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError, unknown_name
@@ -46,6 +49,8 @@ class Slow:
     lasts: float
 
 
+Flags = NDArray[np.bool_]
+
 DAY = 86400.0
 #: What can age. A preload is lost in days and comes back when somebody tightens the bolts;
 #: lubricant and wear change the friction, coolant and draught the film.
@@ -57,8 +62,10 @@ SLOW = {
 #: The copies' parameters are off by this, in the logarithm.
 STEP = 0.03
 #: Innovations are averaged over this time, s; then they are wrong by this, K and m.
-WINDOW, LASTING_K, LASTING_M = 600.0, 0.3, 0.5e-6
-#: Farther than this from the calibration, in the logarithm, no parameter goes.
+WINDOW, LASTING_K, LASTING_M = 600.0, 0.1, 0.5e-6
+#: Their bias, K.
+BIAS = Slow(0.15, 6.0 * 3600.0)
+#: Farther than this from the calibration no logarithm goes, nor a bias, K.
 FARTHEST = 1.5
 #: A sample whose status says anything else does not teach.
 TEACHES = (
@@ -77,8 +84,8 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
     for name in names:
         if name not in SLOW:
             raise unknown_name("ageing parameter", name, SLOW, "ageing")
-    if len(set(names)) < len(names):
-        raise InputError("ageing: a parameter is named twice; name each once")
+    if not names or len(set(names)) < len(names):
+        raise InputError("ageing: no parameter, or one twice; name each once")
     frictions = [joint.section.friction_coefficient for joint in model.joints]
     absent = {
         "preload": not model.joints,
@@ -94,14 +101,15 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
 class _State:
     """Parts of the flat state, in this order.
 
-    time () of the last sample and begun () of the window, s; logarithms (q,) and their covariance
-    (q, q); of the window: readings that counted (p + 1,), sums of the innovations (p + 1,) and of
-    their sensitivities (p + 1, q), all in K; the observer and its copies (q + 1, n).
+    time () of the last sample and begun () of the window, s; what is learnt, logarithms (q,) and
+    biases (p + 1,), and its covariance; of the window: readings that counted (p + 1,), sums of
+    their innovations (p + 1,) and of the sensitivities of these (p + 1, q), in K; the observer and
+    its copies (q + 1, n).
     """
 
     time: Array
     begun: Array
-    logarithms: Array
+    learnt: Array
     covariance: Array
     counted: Array
     innovation: Array
@@ -122,11 +130,25 @@ class AgeingJointAware:
         As calibrated.
     ageing : tuple of str
         Names out of `SLOW`.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, stands twice, or the machine has no such thing.
     """
 
     observer: JointAware
     ageing: tuple[str, ...]
     kind: Literal["joint-aware"] = "joint-aware"
+
+    def __post_init__(self) -> None:
+        """Check what is to age; raises as `check_ageing`."""
+        check_ageing(self.observer.model, self.ageing)
+
+    @property
+    def model(self) -> ObserverModel:
+        """That of the observer."""
+        return self.observer.model
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -153,13 +175,19 @@ class AgeingJointAware:
         return {
             "time": (),
             "begun": (),
-            "logarithms": (count,),
-            "covariance": (count, count),
+            "learnt": (count + rows,),
+            "covariance": (count + rows, count + rows),
             "counted": (rows,),
             "innovation": (rows,),
             "sensitivity": (rows, count),
             "runs": (count + 1, self.observer.initial_state().size),
         }
+
+    @property
+    def _slow(self) -> list[Slow]:
+        """What is learnt: parameters, then biases."""
+        rows = len(self.observer.system.rows)
+        return [*(SLOW[name] for name in self.ageing), *[BIAS] * rows]
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest that is as it was calibrated."""
@@ -177,7 +205,7 @@ class AgeingJointAware:
             | {
                 "time": np.array(np.nan),
                 "begun": np.array(np.nan),
-                "covariance": np.diag([SLOW[name].spread ** 2 for name in self.ageing]),
+                "covariance": np.diag([one.spread**2 for one in self._slow]),
                 "runs": np.tile(start, (len(self.ageing) + 1, 1)),
             }
         ).flat()
@@ -199,50 +227,70 @@ class AgeingJointAware:
             As `JointAware.sample`.
         """
         before = self._unpacked(state)
-        machines = _aged(self.observer, self.ageing, tuple(before.logarithms.tolist()))
+        count = len(self.ageing)
+        logarithms = before.learnt[:count]
+        machines = _aged(self.observer, self.ageing, tuple(logarithms.tolist()))
         taken = [
             one.sample(run, time, values) for one, run in zip(machines, before.runs, strict=True)
         ]
         estimate = taken[0][1]
-        steps = np.array([(other.displacement - estimate.displacement) for _, other in taken[1:]])
-        moved = steps.T / STEP
+        moved = np.array([other.displacement - estimate.displacement for _, other in taken[1:]]).T
         length = 0.0 if math.isnan(float(before.time)) else time - float(before.time)
-        logarithms, covariance = _wandered(
-            self.ageing, before.logarithms, before.covariance, length
-        )
-        at = self._touched(values)
-        if at.any():
-            told = self._without(before, machines, time, values, at)
-            logarithms, covariance = learnt(logarithms, covariance, *told)
+        films = self._films(logarithms)
         after = replace(
             before,
             time=np.array(time),
             begun=before.begun if length else np.array(time),
-            logarithms=logarithms,
-            covariance=covariance,
             runs=np.array(
                 [
-                    self._with_film(run, exponent, length)
-                    for (run, _), exponent in zip(
-                        taken, self._films(before.logarithms), strict=True
-                    )
+                    self._with_film(run, film, length)
+                    for (run, _), film in zip(taken, films, strict=True)
                 ]
             ),
         )
         if not estimate.status & ~TEACHES:
             after = self._counting(after, values, length)
+        at = self._touched(values)
+        if at.any():
+            innovation, sensitivity, variance = self._without(before, machines, time, values, at)
+            unbiased = np.zeros((len(innovation), before.learnt.size - count))
+            rows = np.hstack([-sensitivity, unbiased])
+            after = _learning(
+                after, *learnt(after.learnt, after.covariance, innovation, rows, variance)
+            )
         if time - float(after.begun) >= WINDOW:
-            after = _concluded(after)
-        uncertain = np.einsum("ai,ij,aj->a", moved, before.covariance, moved)
+            after = self._concluded(after)
+        spread = before.covariance[:count, :count]
+        uncertain = np.einsum("ai,ij,aj->a", moved, spread, moved) / STEP**2
         band = np.sqrt(estimate.band**2 + WIDTH**2 * np.maximum(uncertain, 0.0))
-        factors = np.exp(before.logarithms)
-        spreads = np.sqrt(np.diag(before.covariance))
-        own = np.column_stack([factors, spreads]).ravel()
+        own = np.column_stack([np.exp(logarithms), np.sqrt(np.diag(spread))]).ravel()
         return after.flat(), estimate._replace(
             band=band, details=np.concatenate([estimate.details, own])
         )
 
-    def _touched(self, values: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def _concluded(self, state: _State) -> _State:
+        """Learn from a window and begin the next one."""
+        some = state.counted > 0.0
+        count = state.counted[some]
+        before = _wandered(
+            self._slow, state.learnt, state.covariance, float(state.time - state.begun)
+        )
+        biases = np.eye(some.size)[some]
+        found = learnt(
+            *before,
+            state.innovation[some] / count - biases @ before[0][len(self.ageing) :],
+            np.hstack([-state.sensitivity[some] / count[:, None], biases]),
+            np.full(count.size, LASTING_K**2),
+        )
+        return replace(
+            _learning(state, *found),
+            begun=state.time,
+            counted=np.zeros_like(state.counted),
+            innovation=np.zeros_like(state.innovation),
+            sensitivity=np.zeros_like(state.sensitivity),
+        )
+
+    def _touched(self, values: Sequence[float]) -> Flags:
         """Which values are readings of the displacement that came."""
         metres = np.array([channel.unit == "m" for channel in self.channels])
         return metres & np.isfinite(np.asarray(values, dtype=float))
@@ -253,7 +301,7 @@ class AgeingJointAware:
         machines: Sequence[JointAware],
         time: float,
         values: Sequence[float],
-        at: Array,
+        at: Flags,
     ) -> tuple[Array, Array, Array]:
         """Innovations of the displacement, their sensitivities (k, q) and variances, m."""
         read = np.asarray(values, dtype=float)
@@ -368,56 +416,39 @@ def _with_joints(
 
 
 def _wandered(
-    names: Sequence[str], logarithms: Array, covariance: Array, length: float
+    slow: Sequence[Slow], found: Array, covariance: Array, length: float
 ) -> tuple[Array, Array]:
-    """Logarithms and covariance after a while without any reading."""
-    kept = np.exp([-length / SLOW[name].lasts for name in names])
-    spread = np.array([SLOW[name].spread for name in names])
-    added = np.diag(spread**2 * (1.0 - kept**2))
-    return kept * logarithms, kept[:, None] * covariance * kept + added
+    """What is learnt, and its covariance, after a while without any reading."""
+    kept = np.exp([-length / one.lasts for one in slow])
+    added = np.diag([one.spread**2 for one in slow]) * (1.0 - kept**2)
+    return kept * found, kept[:, None] * covariance * kept + added
 
 
-def _concluded(state: _State) -> _State:
-    """Learn from a window and begin the next one."""
-    some = state.counted > 0.0
-    count = state.counted[some]
-    logarithms, covariance = learnt(
-        state.logarithms,
-        state.covariance,
-        state.innovation[some] / count,
-        state.sensitivity[some] / count[:, None],
-        np.full(count.size, LASTING_K**2),
-    )
-    return replace(
-        state,
-        begun=state.time,
-        logarithms=logarithms,
-        covariance=covariance,
-        counted=np.zeros_like(state.counted),
-        innovation=np.zeros_like(state.innovation),
-        sensitivity=np.zeros_like(state.sensitivity),
-    )
+def _learning(state: _State, found: Array, covariance: Array) -> _State:
+    return replace(state, learnt=found, covariance=covariance)
 
 
 def learnt(
-    logarithms: Array, covariance: Array, innovation: Array, sensitivity: Array, variance: Array
+    found: Array, covariance: Array, innovation: Array, rows: Array, variance: Array
 ) -> tuple[Array, Array]:
-    """Return the parameters and their covariance after some innovations, by the Kalman filter.
+    """Return what is learnt and its covariance after some innovations, by the Kalman filter.
 
     Parameters
     ----------
-    logarithms : ndarray, shape (q,)
-    covariance : ndarray, shape (q, q)
+    found : ndarray, shape (n,)
+        Before.
+    covariance : ndarray, shape (n, n)
+        Before.
     innovation : ndarray, shape (k,)
         Reading less what was expected of it.
-    sensitivity : ndarray, shape (k, q)
-        Of the innovation.
+    rows : ndarray, shape (k, n)
+        What is expected more for what is learnt more.
     variance : ndarray, shape (k,)
         Of the reading, model error included.
     """
-    across = -sensitivity @ covariance
-    gain = np.linalg.solve(across @ -sensitivity.T + np.diag(variance), across).T
-    found = np.clip(logarithms + gain @ innovation, -FARTHEST, FARTHEST)
+    across = rows @ covariance
+    gain = np.linalg.solve(across @ rows.T + np.diag(variance), across).T
+    after = np.clip(found + gain @ innovation, -FARTHEST, FARTHEST)
     # Joseph's form stays symmetric and positive whatever the rounding.
-    left = np.eye(logarithms.size) + gain @ sensitivity
-    return found, left @ covariance @ left.T + gain * variance @ gain.T
+    left = np.eye(found.size) - gain @ rows
+    return after, left @ covariance @ left.T + gain * variance @ gain.T

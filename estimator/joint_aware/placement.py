@@ -163,7 +163,7 @@ def _calibration(machine: ReducedMachine, level: float) -> Run:
     """A step from rest, with what the machine itself answers."""
     count = round(CALIBRATED / machine.step)
     inputs = np.tile(np.append(level * machine.power, 0.0), (count, 1))
-    times = machine.step * np.arange(1, count + 1)
+    times: Array = machine.step * np.arange(1.0, count + 1.0)
     return Run(inputs, times, *_answers(machine, inputs), machine.step)
 
 

@@ -15,51 +15,61 @@ from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import write_text
 from artefacts.json_file import JsonKind, read_json
+from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint
 
 FILE = JsonKind(
     "thermojoint-joint-aware-state",
-    1,
+    2,
     "state",
     "saved by a joint-aware estimator",
     "start afresh",
 )
 
 
-def save_state(estimator: JointAware, state: Array, path: Path) -> None:
+def save_state(estimator: JointAware | AgeingJointAware, state: Array, path: Path) -> None:
     """Write a `state` of an estimator to `path`, whole or not at all."""
     fresh = math.isnan(float(state[0]))
     content = {
         **FILE.header,
         "model": fingerprint(estimator.model),
+        "ageing": _ageing(estimator),
         "fresh": fresh,
-        # Before the first sample the first two entries are NaN, which JSON does not know.
-        "state": state[2:].tolist() if fresh else state.tolist(),
+        # Before the first sample there are times that are NaN, which JSON does not know.
+        "state": [None if fresh and math.isnan(one) else one for one in state.tolist()],
     }
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
 
-def load_state(estimator: JointAware, path: Path) -> Array:
+def load_state(estimator: JointAware | AgeingJointAware, path: Path) -> Array:
     """Read a state that `save_state` wrote for the same model.
 
     Raises
     ------
     InputError
-        The file is missing, truncated, no such state, of another version or of another model.
+        The file is missing, truncated, no such state, of another version, of another model, or
+        learnt of other parameters.
     """
     content = read_json(path, FILE)
     if content.get("model") != fingerprint(estimator.model):
         raise InputError(
             f"{path}: state of another model; start afresh, or use the model it was saved with"
         )
+    learnt = content.get("ageing")
+    if learnt != _ageing(estimator):
+        names = ",".join(map(str, learnt)) if isinstance(learnt, list) else ""
+        raise InputError(
+            f"{path}: saved with {f'--ageing {names}' if names else 'no --ageing'}; give the same"
+        )
     values, fresh = content.get("state"), bool(content.get("fresh"))
-    size = estimator.initial_state().size - (2 if fresh else 0)
-    if (
-        not isinstance(values, list)
-        or len(values) != size
-        or not all(isinstance(one, float) and math.isfinite(one) for one in values)
-    ):
+    if not isinstance(values, list) or len(values) != estimator.initial_state().size:
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    found = np.array(values)
-    return np.concatenate([[np.nan, np.nan], found]) if fresh else found
+    read = [math.nan if fresh and one is None else one for one in values]
+    if not all(isinstance(one, float) and (fresh or math.isfinite(one)) for one in read):
+        raise InputError(f"{path}: the state's values are damaged; start afresh")
+    return np.array(read)
+
+
+def _ageing(estimator: JointAware | AgeingJointAware) -> list[str]:
+    return list(estimator.ageing) if isinstance(estimator, AgeingJointAware) else []

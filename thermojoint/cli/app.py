@@ -13,6 +13,7 @@ import typer
 
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
+from thermojoint.cli import placing
 from thermojoint.cli import simulating as simulation
 from thermojoint.pictures import fonts
 
@@ -24,6 +25,7 @@ COMMANDS = (
     models.assemble,
     models.estimate,
     models.validate,
+    placing.place,
     models.reproduce,
     structures.view,
     simulation.verify,

@@ -114,6 +114,7 @@ ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
 VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
+SENSORS = Kind("a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.

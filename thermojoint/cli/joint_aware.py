@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from artefacts.arrays import Array
+    from estimator.joint_aware.ageing import AgeingJointAware
     from estimator.joint_aware.estimator import JointAware
 
 Sample = tuple[float, ...]
@@ -53,13 +54,14 @@ def opened(
     response: xr.Dataset | None,
     where: str,
     resume: Path | None,
-) -> tuple[JointAware, Array, Iterable[Sample]]:
+    ageing: str | None = None,
+) -> tuple[JointAware | AgeingJointAware, Array, Iterable[Sample]]:
     """Return the estimator, the state to go on from, and the samples of a log or a response."""
     from estimator.joint_aware.log import read_log
     from estimator.joint_aware.readings import samples_in
     from estimator.joint_aware.starting import started
 
-    estimator, state = started(model, resume)
+    estimator, state = started(model, resume, parameters(ageing))
     names = estimator.model.sensors
     if source is not None:
         return estimator, state, read_log(source, names, where)
@@ -68,7 +70,12 @@ def opened(
     return estimator, state, samples_in(response, names)
 
 
-def save(estimator: JointAware, path: Path, state: Array) -> None:
+def parameters(ageing: str | None) -> list[str]:
+    """Return the names in ``preload,film``; an empty text is one empty name, which is refused."""
+    return [] if ageing is None else [name.strip() for name in ageing.split(",")]
+
+
+def save(estimator: JointAware | AgeingJointAware, path: Path, state: Array) -> None:
     """Write a state beside the model it belongs to."""
     from estimator.joint_aware.saved_state import save_state
 
@@ -85,11 +92,12 @@ def validate(
     """Judge an observer by responses, by its band, too."""
     from artefacts.files import write_text
     from estimator import noise
+    from estimator.joint_aware.estimator import JointAware
     from estimator.joint_aware.judging import judge
-    from estimator.joint_aware.starting import started
+    from estimator.joint_aware.model_file import read_observer
     from thermojoint.cli import console
 
-    estimator, _ = started(model)
+    estimator = JointAware(read_observer(model))
     rows = []
     for name, response in responses.items():
         added, case = None, name

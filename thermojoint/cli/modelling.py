@@ -165,6 +165,10 @@ def estimate(
     resume: Annotated[
         Path | None, typer.Option("--continue", help="Go on from a saved state (JSON).")
     ] = None,
+    ageing: Annotated[
+        str | None,
+        typer.Option(help="What a joint-aware model learns as it runs: preload,friction,film."),
+    ] = None,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
@@ -199,9 +203,13 @@ def estimate(
     with arguments.opened(temperatures) as source:
         if is_observer(model):
             response = read_response(temperatures) if source is None else None
-            observer, state, readings = joint_aware.opened(model, source, response, where, resume)
+            observer, state, readings = joint_aware.opened(
+                model, source, response, where, resume, ageing
+            )
             keep = partial(joint_aware.save, observer, save) if save else None
             _write_estimates(observer, state, readings, out, keep)
+        elif ageing is not None:
+            raise InputError("--ageing: goes with a joint-aware model; leave it out")
         else:
             table = model_in(model)
             samples: Iterator[Sample]
