@@ -27,7 +27,7 @@ from fesim.setup.machine import set_up
 from thermojoint.cli.app import app
 
 SENSORS = ("s", "b", "T1", "T2")
-STEP = 20.0
+STEP = 30.0
 HOURS = 8
 
 
@@ -127,7 +127,7 @@ def test_a_touch_probe_now_and_then_tells_what_temperatures_do_not(machine, obse
     estimator = AgeingJointAware(Touching(observer.model), ("friction",))
     rows = []
     for k, row in enumerate(samples(temperatures, inputs)):
-        read = displacement[k] if k % 90 == 89 else [np.nan, np.nan]
+        read = displacement[k] if k % 60 == 59 else [np.nan, np.nan]
         rows.append((*row, *read))
     found = [one for _, one in follow(estimator, rows, estimator.initial_state())]
     _, untouched = run(AgeingJointAware(observer, ("friction",)), temperatures, inputs)
