@@ -31,7 +31,7 @@ from artefacts.arrays import Array
 from artefacts.files import write_text
 from benchmarks.joint_aware import MODEL, PLACES, PLANT, machine_data
 from estimator.interface import follow
-from estimator.joint_aware import placement
+from estimator.joint_aware import placement, plant_family
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_model import Calibrated
@@ -70,7 +70,7 @@ def candidates_on(sizes: tuple[float, float]) -> ReducedMachine:
     case = case_from_data(data, "benchmark", Path())
     setup = set_up(case)
     machine = along(reduce_machine(case, setup, list(setup.probes)), ["x", "y"])
-    return placement.fewer_modes(replace(machine, step=STEP), shortest=STEP)
+    return plant_family.fewer_modes(replace(machine, step=STEP), shortest=STEP)
 
 
 def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
@@ -130,7 +130,7 @@ def error(
 
 
 def sets_of(
-    model: ReducedMachine, family: placement.Family, day: Array
+    model: ReducedMachine, family: plant_family.Family, day: Array
 ) -> dict[str, list[tuple[str, ...]]]:
     """Return the sets of sensors to be judged, by how they were found."""
     # Not at the top: other benchmarks use the machines of this one, and do without it.
@@ -165,7 +165,7 @@ def study() -> dict[str, Any]:
     ambient = np.cumsum(rng.normal(size=len(heat)))
     ambient *= 3.0 / np.abs(ambient).max()
     day = np.column_stack([heat * model.power, ambient])
-    family = placement.make_family(model)
+    family = plant_family.make_family(model)
     sets = sets_of(model, family, day)
     plants = [Plant(drawn(other, rng), day) for _ in range(PLANTS)]
     fits = [

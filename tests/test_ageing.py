@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from artefacts.errors import InputError
 from estimator.interface import Channel, Status, follow
-from estimator.joint_aware.ageing import AgeingJointAware, learnt
+from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
@@ -22,6 +22,7 @@ from estimator.joint_aware.physics import make_physics, simulate_known
 from estimator.joint_aware.physics_fit import Run, fit_physics
 from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from estimator.joint_aware.saved_state import load_state, save_state
+from estimator.joint_aware.slow_parameters import learnt
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.cli.app import app

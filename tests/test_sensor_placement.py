@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 from typer.testing import CliRunner
 
 from artefacts.errors import ConvergenceError, InputError
-from estimator.joint_aware import placement
+from estimator.joint_aware import placement, plant_family
 from estimator.joint_aware.physics import make_physics, simulate_known
 from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
 from fesim.case.schema import case_from_data
@@ -43,12 +43,12 @@ def whole(data):
 
 @pytest.fixture(scope="module")
 def machine(whole):
-    return placement.fewer_modes(whole)
+    return plant_family.fewer_modes(whole)
 
 
 @pytest.fixture(scope="module")
 def family(machine):
-    return placement.make_family(machine, plants=2)
+    return plant_family.make_family(machine, plants=2)
 
 
 def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):
@@ -58,7 +58,7 @@ def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):
     for one in (whole, machine):
         held = one.at_preload
         physics = make_physics(diagonal_modes(one, held), one.joints, held)
-        answers.append(simulate_known(physics, inputs, placement.STEP))
+        answers.append(simulate_known(physics, inputs, plant_family.STEP))
     for every, few in zip(*answers, strict=True):
         assert few == pytest.approx(every, abs=0.01 * np.abs(every).max())
 
@@ -111,7 +111,7 @@ def test_a_plant_like_the_model_leaves_what_the_heat_walks_between_two_readings(
     chosen = placement.place_sensors(machine, 1, family=alike).chosen.names[0]
     held = machine.at_preload
     physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), placement.STEP)
+    soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), plant_family.STEP)
     ranks = np.argsort(-soon[0])[:3]
     assert chosen in [machine.sensor_names[k] for k in ranks]
 
@@ -126,8 +126,7 @@ def test_a_choice_that_cannot_be_is_refused_in_one_line(machine, count, kept, wh
     assert "\n" not in str(caught.value)
 
 
-def test_the_command_writes_probes_that_a_case_takes(data, tmp_path, monkeypatch):
-    monkeypatch.setattr(placement, "PLANTS", 1)
+def test_the_command_writes_probes_that_a_case_takes(data, tmp_path):
     case, out = tmp_path / "machine.toml", tmp_path / "sensors.toml"
     case.write_text(as_toml(data))
     words = ["place", case, "--count", "2", "--keep", "a", "--out", out]

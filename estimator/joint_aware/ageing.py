@@ -24,77 +24,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.arrays import Array
-from artefacts.errors import InputError, unknown_name
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.film import Film, convected, film_of
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.parameters import joint_with_factors
 from estimator.joint_aware.reduced_machine import Joint
-
-
-@dataclass(frozen=True)
-class Slow:
-    """How the logarithm of a parameter's factor wanders: dx = -x dt / lasts + noise.
-
-    Attributes
-    ----------
-    spread : float
-        Standard deviation in the long run.
-    lasts : float
-        Time after which it has forgotten where it was, s.
-    """
-
-    spread: float
-    lasts: float
-
+from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
 
 Flags = NDArray[np.bool_]
 
-DAY = 86400.0
-#: What can age. A preload is lost in days and comes back when somebody tightens the bolts;
-#: lubricant and wear change the friction, coolant and draught the film.
-SLOW = {
-    "preload": Slow(0.3, 10.0 * DAY),
-    "friction": Slow(0.2, 10.0 * DAY),
-    "film": Slow(0.3, 2.0 * DAY),
-}
 #: The copies' parameters are off by this, in the logarithm.
 STEP = 0.03
 #: Innovations are averaged over this time, s; then they are wrong by this, K and m.
 WINDOW, LASTING_K, LASTING_M = 600.0, 0.1, 0.5e-6
 #: Their bias, K.
 BIAS = Slow(0.15, 6.0 * 3600.0)
-#: Farther than this from the calibration no logarithm goes, nor a bias, K.
-FARTHEST = 1.5
 #: A sample whose status says anything else does not teach.
 TEACHES = (
     Status.BEYOND_TIME | Status.BEYOND_HEAT | Status.BEYOND_TEMPERATURE | Status.READING_MISSING
 )
-
-
-def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
-    """Refuse parameters that a machine does not have, or that do not age.
-
-    Raises
-    ------
-    InputError
-        A name is unknown, stands twice, or the machine has no such thing.
-    """
-    for name in names:
-        if name not in SLOW:
-            raise unknown_name("ageing parameter", name, SLOW, "ageing")
-    if not names or len(set(names)) < len(names):
-        raise InputError("ageing: no parameter, or one twice; name each once")
-    frictions = [joint.section.friction_coefficient for joint in model.joints]
-    absent = {
-        "preload": not model.joints,
-        "friction": not any(frictions),
-        "film": not model.modes.film.any(),
-    }
-    for name in names:
-        if absent[name]:
-            raise InputError(f"ageing: the machine has no {name}; leave it out")
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +222,7 @@ class AgeingJointAware:
         """Learn from a window and begin the next one."""
         some = state.counted > 0.0
         count = state.counted[some]
-        before = _wandered(
+        before = wandered(
             self._slow, state.learnt, state.covariance, float(state.time - state.begun)
         )
         biases = np.eye(some.size)[some]
@@ -330,18 +280,15 @@ class AgeingJointAware:
         """A run after the convection that the film has beyond the calibrated one, for a while."""
         if not exponent or not length:
             return run
-        film = self._film
-        at = slice(3, 3 + film.ambient.size)
-        ambient = unpacked(run, self.observer.parts).linear[-1]
-        beyond = run[at] - ambient * film.ambient
-        kept = np.expm1(-math.expm1(exponent) * length * film.rates)
+        at = slice(3, 3 + self._film.ambient.size)
+        ambient = float(unpacked(run, self.observer.parts).linear[-1])
         after = run.copy()
-        after[at] += film.turn @ (kept * (film.turn.T @ beyond))
+        after[at] = convected(self._film, run[at], ambient, math.exp(exponent), length)
         return after
 
     @cached_property
-    def _film(self) -> _Film:
-        return _film_of(self.observer.model)
+    def _film(self) -> Film:
+        return film_of(self.observer.model.modes)
 
     def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:
         """The window with one more sample."""
@@ -374,23 +321,6 @@ class AgeingJointAware:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Film:
-    """Convection as rates (k,) of directions, columns of `turn` (r, k); a field of 1 K, (r,)."""
-
-    rates: Array
-    turn: Array
-    ambient: Array
-
-
-def _film_of(model: ObserverModel) -> _Film:
-    rates, turn = np.linalg.eigh(model.modes.film)
-    seen = rates > 1e-6 * rates.max()
-    rates, turn = rates[seen], turn[:, seen]
-    uniform = turn @ ((turn.T @ model.modes.drive[:, -1]) / rates)
-    return _Film(rates, turn, uniform)
-
-
 @lru_cache(maxsize=32)
 def _aged(
     observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...]
@@ -415,40 +345,5 @@ def _with_joints(
     return replace(model, joints=joints)
 
 
-def _wandered(
-    slow: Sequence[Slow], found: Array, covariance: Array, length: float
-) -> tuple[Array, Array]:
-    """What is learnt, and its covariance, after a while without any reading."""
-    kept = np.exp([-length / one.lasts for one in slow])
-    added = np.diag([one.spread**2 for one in slow]) * (1.0 - kept**2)
-    return kept * found, kept[:, None] * covariance * kept + added
-
-
 def _learning(state: _State, found: Array, covariance: Array) -> _State:
     return replace(state, learnt=found, covariance=covariance)
-
-
-def learnt(
-    found: Array, covariance: Array, innovation: Array, rows: Array, variance: Array
-) -> tuple[Array, Array]:
-    """Return what is learnt and its covariance after some innovations, by the Kalman filter.
-
-    Parameters
-    ----------
-    found : ndarray, shape (n,)
-        Before.
-    covariance : ndarray, shape (n, n)
-        Before.
-    innovation : ndarray, shape (k,)
-        Reading less what was expected of it.
-    rows : ndarray, shape (k, n)
-        What is expected more for what is learnt more.
-    variance : ndarray, shape (k,)
-        Of the reading, model error included.
-    """
-    across = rows @ covariance
-    gain = np.linalg.solve(across @ rows.T + np.diag(variance), across).T
-    after = np.clip(found + gain @ innovation, -FARTHEST, FARTHEST)
-    # Joseph's form stays symmetric and positive whatever the rounding.
-    left = np.eye(found.size) - gain @ rows
-    return after, left @ covariance @ left.T + gain * variance @ gain.T

@@ -35,7 +35,8 @@ def place(
     """
     from artefacts.errors import unknown_name
     from artefacts.files import write_text
-    from estimator.joint_aware.placement import fewer_modes, place_sensors
+    from estimator.joint_aware.placement import place_sensors
+    from estimator.joint_aware.plant_family import fewer_modes
     from estimator.joint_aware.reduced_machine import reduce_machine
     from fesim.case.schema import read_case
     from fesim.setup.machine import candidate_probes, set_up
