@@ -150,6 +150,16 @@ def test_the_command_refuses_to_replace_its_case(data, tmp_path):
     assert isinstance(result.exception, InputError)
 
 
+def test_a_probe_to_be_kept_that_is_not_there_is_refused_in_one_line(data, tmp_path):
+    case, out = tmp_path / "machine.toml", tmp_path / "sensors.toml"
+    case.write_text(as_toml(data))
+    words = ["place", str(case), "--keep", "nowhere", "--out", str(out)]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, InputError)
+    assert len(str(result.exception)) < 200
+    assert not out.exists()
+
+
 def as_toml(data):
     """Nested dictionaries as TOML: tables inline."""
     return "".join(f"{key} = {inline(value)}\n" for key, value in data.items())

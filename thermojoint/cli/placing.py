@@ -33,7 +33,7 @@ def place(
 
     Example: [bold]thermojoint place machine.toml --keep s --keep b --out sensors.toml[/bold]
     """
-    from artefacts.errors import unknown_name
+    from artefacts.errors import InputError
     from artefacts.files import write_text
     from estimator.joint_aware.placement import place_sensors
     from estimator.joint_aware.plant_family import fewer_modes
@@ -53,7 +53,9 @@ def place(
     names = list(dict.fromkeys([*kept, *(lattice or setup.probes)]))
     unknown = [name for name in names if name not in setup.probes]
     if unknown:
-        raise unknown_name("probe", unknown[0], setup.probes, "--keep")
+        raise InputError(
+            f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; see there"
+        )
     reduced = fewer_modes(reduce_machine(machine, setup, names))
     with console.progress_bars() as report:
         found = place_sensors(reduced, count, kept, report=report)
