@@ -51,6 +51,7 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
         ["calibrate", "--reference", "no.nc", "--input", "2=no.nc", "--out", "no.json"],
         ["reproduce", "--case", "no.toml", "--out", "no"],
         ["view", "no.toml", "--out", "no.png"],
+        ["place", "no.toml", "--out", "sensors.toml"],
         ["batch", "no.toml", "--out", "no"],
     ):
         assert not loaded(*arguments) & drawn_or_kept

@@ -60,7 +60,7 @@ def make_observer(
     system = linear_system(modes, fit.remainder, machine.power, machine.step)
     found, after = design_filter(system, modes, machine.power, machine.step, noise)
     # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
-    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * _answer(modes.rates, 3600.0, 0.0))
+    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
     relaxations = system.decay.size - modes.rates.size
     scale = np.concatenate(
         [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
@@ -118,13 +118,11 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
         for lasted in PASTS:
             for ago in (0.0, *PASTS):
                 column = np.zeros(system.size)
-                column[:count] = (
-                    strength * modes.drive[:, given] * _answer(modes.rates, lasted, ago)
-                )
+                column[:count] = strength * modes.drive[:, given] * answer(modes.rates, lasted, ago)
                 if given < sources:
                     at = slice(count + given * rates.size, count + (given + 1) * rates.size)
                     level = strength / power[given] * fit.remainder.rates
-                    column[at] = level * _answer(rates, lasted, ago)
+                    column[at] = level * answer(rates, lasted, ago)
                 if ago == 0.0:
                     column[system.decay.size + given] = strength
                 columns.append(column)
@@ -132,8 +130,8 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
     return compressed(every, scale, COLUMNS)
 
 
-def _answer(rates: Array, lasted: float, ago: float) -> Array:
-    """(1 - exp(-rate lasted)) exp(-rate ago) / rate, s."""
+def answer(rates: Array, lasted: float, ago: float) -> Array:
+    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: a heating that ended `ago`."""
     slow = rates * lasted < 1e-9
     safe = np.where(slow, 1.0, rates)
     grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)

@@ -151,7 +151,7 @@ class JointAware:
             The joint has no equilibrium that is found at these temperatures.
         """
         before = unpacked(state, self.parts)
-        readings, touched = self._separated(values)
+        readings, touched = self.separated(values)
         moment = self._moment(float(before.time), time)
         expected = self.observer.expected(before, moment.length, moment.steps)
         used = trusted(self.observer, before, expected, moment, readings, self.calibrated_readings)
@@ -199,8 +199,16 @@ class JointAware:
             distrusted=distrusted,
         )
 
-    def _separated(self, values: Sequence[float]) -> tuple[Array, Array]:
-        """Readings of the temperatures, K, and of the displacement, m; NaN where there is none."""
+    def separated(self, values: Sequence[float]) -> tuple[Array, Array]:
+        """Return the readings of the temperatures, K, and of the displacement, m.
+
+        Offsets are taken off the former; what is not there is NaN.
+
+        Raises
+        ------
+        InputError
+            The number of values is wrong.
+        """
         thermal = len(self.observer.system.rows)
         if len(values) not in (thermal, len(self.channels)):
             names = ", ".join(channel.name for channel in self.channels[:thermal])

@@ -36,7 +36,7 @@ MOST_SAMPLES = 120
 TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
 #: ... and of the remainder, which is there to follow what is left sample by sample.
 REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
-#: Sensors of which the model leaves this, K, or what it leaves of the median one, are trusted alike.
+#: Sensors of which the model leaves this, K, or as much as of the median one are trusted alike.
 ALIKE = 0.005
 #: Prior standard deviation of a sensor's offset, K.
 OFFSET = 0.3

@@ -33,7 +33,7 @@ SCHEMA_VERSION = 2
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
 #: Parts of the model that are arrays alone: attribute to class, with the arrays of each.
-_MODES = ("rates", "drive", "jump", "sensors")
+_MODES = ("rates", "drive", "jump", "sensors", "film")
 _ELASTIC = (
     "compliance",
     "thermal_gap",

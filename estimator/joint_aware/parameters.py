@@ -101,7 +101,7 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
             probe_thermal=by["expansion"] * elastic.probe_thermal,
             reference=by["modulus"] * elastic.reference,
         ),
-        joints=tuple(_joint(joint, by) for joint in machine.joints),
+        joints=tuple(joint_with_factors(joint, by) for joint in machine.joints),
     )
 
 
@@ -112,7 +112,9 @@ def factors_of(parameters: tuple[Parameter, ...], logarithms: Array) -> dict[str
     }
 
 
-def _joint(joint: Joint, by: dict[str, float]) -> Joint:
+def joint_with_factors(joint: Joint, factors: dict[str, float]) -> Joint:
+    """Return a joint with those of the `factors` (name to factor, positive) that are a joint's."""
+    by = {one.name: 1.0 for one in PARAMETERS} | factors
     section = joint.section
     power_law = section.back_burdekin
     return Joint(

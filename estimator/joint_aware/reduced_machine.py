@@ -186,6 +186,8 @@ class Modes:
         As in `ReducedMachine`.
     elastic : ElasticCondensation
         On these modes.
+    film : ndarray, shape (r, r)
+        The part of the rates, a full matrix, that is convection, 1/s.
     """
 
     rates: Array
@@ -193,6 +195,7 @@ class Modes:
     jump: Array
     sensors: Array
     elastic: ElasticCondensation
+    film: Array
 
 
 def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
@@ -234,4 +237,5 @@ def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
             thermal_gap=elastic.thermal_gap @ basis,
             probe_thermal=elastic.probe_thermal @ basis,
         ),
+        film=basis.T @ machine.convection @ basis,
     )

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from artefacts.arrays import Array
-from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.ageing import AgeingJointAware
+from estimator.joint_aware.estimator import TOUCH_NOISE, JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.joint_aware.saved_state import load_state
 
 
-def started(path: Path, resume: Path | None = None) -> tuple[JointAware, Array]:
+def started(
+    path: Path,
+    resume: Path | None = None,
+    ageing: Sequence[str] = (),
+    touch_noise: float = TOUCH_NOISE,
+) -> tuple[JointAware | AgeingJointAware, Array]:
     """Return a joint-aware estimator and the state to go on from.
 
     Parameters
@@ -19,13 +26,18 @@ def started(path: Path, resume: Path | None = None) -> tuple[JointAware, Array]:
         A joint-aware model.
     resume : Path, optional
         A saved state of an estimator of the same model.
+    ageing : sequence of str
+        Parameters that are learnt as it runs.
+    touch_noise : float
+        Standard deviation of a reading of the displacement, m.
 
     Raises
     ------
     InputError
-        A file is unusable, or the state belongs to another model.
+        A file is unusable, the state belongs to another model, or something cannot age.
     """
-    estimator = JointAware(read_observer(path))
+    observer = JointAware(read_observer(path), touch_noise)
+    estimator = AgeingJointAware(observer, tuple(ageing)) if ageing else observer
     if resume is None:
         return estimator, estimator.initial_state()
     return estimator, load_state(estimator, resume)

@@ -125,10 +125,10 @@ def trusted(
     innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
     imperfect = model_error(rows @ attempt.linear)
     jumps = bool((np.abs(innovation) > GATE * imperfect).any())
-    if jumps and moment.steps and not np.isfinite(open_.channel):
+    if jumps and not np.isfinite(open_.channel):
         own = np.diag(observer.innovation_covariance(attempt.excess))
         deviation = np.sqrt(own + imperfect**2)
-        elapsed = moment.steps * moment.length
+        elapsed = moment.steps * moment.length or observer.model.step
         open_ = suspicion.suspected(attempt.linear, innovation, deviation, moment.time, elapsed)
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
 
@@ -195,12 +195,11 @@ def _unexplained(
 ) -> tuple[Array, Array]:
     """What no possible change of the heat explains; as `sensor_faults.Explain`."""
     covariance = observer.innovation_covariance(expected.excess)
-    if not moment.steps:
-        return innovation, covariance
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
     most = ONSET * observer.model.calibrated.heat * power
     slack = SLACK * most
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
-    onset = observer.onset[min(moment.steps, ANSWER) - 1]
+    # Before the first sample a source may have been on for a step.
+    onset = observer.onset[min(max(moment.steps, 1), ANSWER) - 1]
     return suspicion.without_heat(innovation, at, covariance, onset, bounds), covariance

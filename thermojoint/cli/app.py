@@ -13,8 +13,8 @@ import typer
 
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
+from thermojoint.cli import placing, thermal_test
 from thermojoint.cli import simulating as simulation
-from thermojoint.cli import thermal_test
 from thermojoint.pictures import fonts
 
 #: In the order of the help page.
@@ -25,6 +25,7 @@ COMMANDS = (
     models.assemble,
     models.estimate,
     models.validate,
+    placing.place,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

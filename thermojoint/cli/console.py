@@ -25,11 +25,14 @@ from thermojoint.paper import paper_values
 if TYPE_CHECKING:
     import xarray as xr
 
+    from estimator.joint_aware.placement import Placement
     from estimator.rows import Row
     from thermojoint.paper.summary import Convergence, PressureShare, SchemeErrors
     from thermojoint.paper.tables import PrintedTable
     from thermojoint.paper.verdict import ErrorTable
 
+#: An axis with less than this part of the largest band does not move.
+STILL = 1e-6
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
 
@@ -194,6 +197,21 @@ def show_bands(console: Console, rows: Sequence[Mapping[str, str | float]]) -> N
             f"{100.0 * float(row['band_cover']):.0f} %",
         )
     _titled(console, "Validation from temperatures alone (µm)", table)
+
+
+def show_placement(console: Console, placement: Placement, axes: Sequence[str]) -> None:
+    """Print the band for one sensor, two and so on, along the axes that move."""
+    largest = max(float(value) for one in placement.steps for value in one.band)
+    moving = [k for k in range(len(axes)) if placement.steps[0].band[k] > STILL * largest]
+    table = Table()
+    for name in ("sensors", "one more", *(f"band {axes[k]}" for k in moving)):
+        table.add_column(name, justify="left" if name == "one more" else "right")
+    rows = [(one.names[-1], one) for one in placement.steps]
+    for name, one in [*rows, ("after exchanges", placement.chosen)]:
+        bands = [number(1e6 * float(one.band[k]), 3) for k in moving]
+        table.add_row(str(len(one.names)), name, *bands)
+    _titled(console, "Half band of 95 % (µm)", table)
+    console.print(f"Chosen: {', '.join(placement.chosen.names)}")
 
 
 def show_physics(console: Console, report: Mapping[str, Any]) -> None:

@@ -124,6 +124,7 @@ VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 TEST_REPORT = Kind("a report of a thermal test", _is_test_report)
 TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
+SENSORS = Kind("a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from artefacts.arrays import Array
+    from estimator.joint_aware.ageing import AgeingJointAware
     from estimator.joint_aware.estimator import JointAware
 
 Sample = tuple[float, ...]
@@ -34,12 +35,15 @@ class Start:
         Readings of the displacement, CSV.
     touch_noise_um : float, optional
         Their standard deviation, µm.
+    ageing : str, optional
+        What is learnt as the machine runs, ``preload,film``.
     """
 
     resume: Path | None = None
     warm: bool = False
     touches: Path | None = None
     touch_noise_um: float | None = None
+    ageing: str | None = None
 
 
 def calibrate(
@@ -89,8 +93,9 @@ def opened(
     response: xr.Dataset | None,
     where: str,
     start: Start,
-) -> tuple[JointAware, Array, Iterable[Sample]]:
+) -> tuple[JointAware | AgeingJointAware, Array, Iterable[Sample]]:
     """Return the estimator, the state to go on from, and the samples of a log or a response."""
+    from estimator.joint_aware.estimator import TOUCH_NOISE
     from estimator.joint_aware.log import read_log
     from estimator.joint_aware.readings import samples_in
     from estimator.joint_aware.starting import started
@@ -100,12 +105,12 @@ def opened(
         raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
     if start.touch_noise_um is not None and start.touches is None:
         raise InputError("--reading-noise-um: goes with --readings; leave it out")
-    estimator, state = started(model, start.resume)
+    noise = TOUCH_NOISE
+    if start.touch_noise_um is not None:
+        noise = 1e-6 * arguments.positive("--reading-noise-um", start.touch_noise_um)
+    estimator, state = started(model, start.resume, parameters(start.ageing), noise)
     if start.warm:
         state = estimator.warm_state()
-    if start.touch_noise_um is not None:
-        noise = arguments.positive("--reading-noise-um", start.touch_noise_um)
-        estimator = replace(estimator, touch_noise=1e-6 * noise)
     names = estimator.model.sensors
     samples: Iterable[Sample]
     if source is not None:
@@ -119,7 +124,12 @@ def opened(
     return estimator, state, samples
 
 
-def save(estimator: JointAware, path: Path, state: Array) -> None:
+def parameters(ageing: str | None) -> list[str]:
+    """Return the names in ``preload,film``; an empty text is one empty name, which is refused."""
+    return [] if ageing is None else [name.strip() for name in ageing.split(",")]
+
+
+def save(estimator: JointAware | AgeingJointAware, path: Path, state: Array) -> None:
     """Write a state beside the model it belongs to."""
     from estimator.joint_aware.saved_state import save_state
 
@@ -136,11 +146,12 @@ def validate(
     """Judge an observer by responses, by its band, too."""
     from artefacts.files import write_text
     from estimator import noise
+    from estimator.joint_aware.estimator import JointAware
     from estimator.joint_aware.judging import judge
-    from estimator.joint_aware.starting import started
+    from estimator.joint_aware.model_file import read_observer
     from thermojoint.cli import console
 
-    estimator, _ = started(model)
+    estimator = JointAware(read_observer(model))
     rows = []
     for name, response in responses.items():
         added, case = None, name

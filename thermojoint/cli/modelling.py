@@ -179,6 +179,10 @@ def estimate(
         float | None,
         typer.Option("--reading-noise-um", help="Standard deviation of these; default: 0.5."),
     ] = None,
+    ageing: Annotated[
+        str | None,
+        typer.Option(help="What a joint-aware model learns as it runs: preload,friction,film."),
+    ] = None,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
@@ -217,14 +221,19 @@ def estimate(
     with arguments.opened(temperatures) as source:
         if is_observer(model):
             response = read_response(temperatures) if source is None else None
-            start = joint_aware.Start(resume, warm, touches, touch_noise)
+            start = joint_aware.Start(resume, warm, touches, touch_noise, ageing)
             observer, state, readings = joint_aware.opened(model, source, response, where, start)
             keep = partial(joint_aware.save, observer, save) if save else None
             _write_estimates(observer, state, readings, out, keep)
         else:
             arguments.only_for(
                 "a joint-aware model",
-                {"--warm": warm, "--readings": touches, "--reading-noise-um": touch_noise},
+                {
+                    "--warm": warm,
+                    "--readings": touches,
+                    "--reading-noise-um": touch_noise,
+                    "--ageing": ageing,
+                },
             )
             table = model_in(model)
             samples: Iterator[Sample]

@@ -1,0 +1,350 @@
+"""A machine that ages: preload, friction and film as slow states beside the observer.
+
+Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
+runs one copy for each parameter with that parameter a little off, on the same readings. What the
+copies leave of the readings says how the innovations depend on the parameters, without an equation
+for it: through filter, slips and all. Innovations are averaged over `WINDOW`, as a model errs alike
+from sample to sample. A Kalman filter learns from them the logarithms of the parameters, and beside
+these a bias of every sensor's innovations that lasts for hours: a model that errs for hours is no
+machine that has aged.
+
+Modes and gain stay those of the calibration: preload and friction are in the joint's law alone, and
+the film beyond the calibrated one is applied between two samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from estimator.interface import Channel, Estimate, Status
+from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.film import Film, convected, film_of
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.parameters import joint_with_factors
+from estimator.joint_aware.reduced_machine import Joint
+from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
+
+Flags = NDArray[np.bool_]
+
+#: The copies' parameters are off by this, in the logarithm.
+STEP = 0.03
+#: Innovations are averaged over this time, s; then they are wrong by this, K and m.
+WINDOW, LASTING_K, LASTING_M = 600.0, 0.1, 0.5e-6
+#: Their bias, K.
+BIAS = Slow(0.15, 6.0 * 3600.0)
+#: A sample whose status says anything else does not teach.
+TEACHES = (
+    Status.BEYOND_TIME | Status.BEYOND_HEAT | Status.BEYOND_TEMPERATURE | Status.READING_MISSING
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Parts of the flat state, in this order.
+
+    time () of the last sample and begun () of the window, s; what is learnt, logarithms (q,) and
+    biases (p + 1,), and its covariance; of the window: readings that counted (p + 1,), sums of
+    their innovations (p + 1,) and of the sensitivities of these (p + 1, q), in K; the observer and
+    its copies (q + 1, n).
+    """
+
+    time: Array
+    begun: Array
+    learnt: Array
+    covariance: Array
+    counted: Array
+    innovation: Array
+    sensitivity: Array
+    runs: Array
+
+    def flat(self) -> Array:
+        return np.concatenate([np.ravel(part) for part in vars(self).values()])
+
+
+@dataclass(frozen=True, eq=False)
+class AgeingJointAware:
+    """A joint-aware estimator whose preload, friction or film are learnt as it runs.
+
+    Attributes
+    ----------
+    observer : JointAware
+        As calibrated.
+    ageing : tuple of str
+        Names out of `SLOW`.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, stands twice, or the machine has no such thing.
+    """
+
+    observer: JointAware
+    ageing: tuple[str, ...]
+    kind: Literal["joint-aware"] = "joint-aware"
+
+    def __post_init__(self) -> None:
+        """Check what is to age; raises as `check_ageing`."""
+        check_ageing(self.observer.model, self.ageing)
+
+    @property
+    def model(self) -> ObserverModel:
+        """That of the observer."""
+        return self.observer.model
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return self.observer.axes
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Those of the observer."""
+        return self.observer.channels
+
+    @property
+    def details(self) -> tuple[Channel, ...]:
+        """Those of the observer; factor on each calibrated parameter, and its uncertainty.
+
+        The uncertainty is the standard deviation of the factor's logarithm.
+        """
+        own = (Channel(f"{name}_{what}", "1") for name in self.ageing for what in ("factor", "std"))
+        return (*self.observer.details, *own)
+
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        count, rows = len(self.ageing), len(self.observer.observer.system.rows)
+        return {
+            "time": (),
+            "begun": (),
+            "learnt": (count + rows,),
+            "covariance": (count + rows, count + rows),
+            "counted": (rows,),
+            "innovation": (rows,),
+            "sensitivity": (rows, count),
+            "runs": (count + 1, self.observer.initial_state().size),
+        }
+
+    @property
+    def _slow(self) -> list[Slow]:
+        """What is learnt: parameters, then biases."""
+        rows = len(self.observer.observer.system.rows)
+        return [*(SLOW[name] for name in self.ageing), *[BIAS] * rows]
+
+    def initial_state(self) -> Array:
+        """Return the state of a machine at rest that is as it was calibrated."""
+        return self._fresh(self.observer.initial_state())
+
+    def warm_state(self) -> Array:
+        """Return the state of a machine of whose past nothing is known."""
+        return self._fresh(self.observer.warm_state())
+
+    def _fresh(self, start: Array) -> Array:
+        shapes = self._shapes
+        nothing = {name: np.zeros(shape) for name, shape in shapes.items()}
+        return _State(
+            **nothing
+            | {
+                "time": np.array(np.nan),
+                "begun": np.array(np.nan),
+                "covariance": np.diag([one.spread**2 for one in self._slow]),
+                "runs": np.tile(start, (len(self.ageing) + 1, 1)),
+            }
+        ).flat()
+
+    def _unpacked(self, state: Array) -> _State:
+        at, found = 0, {}
+        for name, shape in self._shapes.items():
+            size = math.prod(shape)
+            found[name] = state[at : at + size].reshape(shape)
+            at += size
+        return _State(**found)
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Take one sample; see `estimator.interface.Estimator`.
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As `JointAware.sample`.
+        """
+        before = self._unpacked(state)
+        values = [*values, *[math.nan] * (len(self.channels) - len(values))]
+        count = len(self.ageing)
+        logarithms = before.learnt[:count]
+        machines = _aged(self.observer, self.ageing, tuple(logarithms.tolist()))
+        taken = [
+            one.sample(run, time, values) for one, run in zip(machines, before.runs, strict=True)
+        ]
+        estimate = taken[0][1]
+        moved = np.array([other.displacement - estimate.displacement for _, other in taken[1:]]).T
+        length = 0.0 if math.isnan(float(before.time)) else time - float(before.time)
+        films = self._films(logarithms)
+        after = replace(
+            before,
+            time=np.array(time),
+            begun=before.begun if length else np.array(time),
+            runs=np.array(
+                [
+                    self._with_film(run, film, length)
+                    for (run, _), film in zip(taken, films, strict=True)
+                ]
+            ),
+        )
+        if not estimate.status & ~TEACHES:
+            after = self._counting(after, values, length)
+        at = self._touched(values)
+        if at.any():
+            innovation, sensitivity, variance = self._without(before, machines, time, values, at)
+            unbiased = np.zeros((len(innovation), before.learnt.size - count))
+            rows = np.hstack([-sensitivity, unbiased])
+            after = _learning(
+                after, *learnt(after.learnt, after.covariance, innovation, rows, variance)
+            )
+        if time - float(after.begun) >= WINDOW:
+            after = self._concluded(after)
+        spread = before.covariance[:count, :count]
+        uncertain = np.einsum("ai,ij,aj->a", moved, spread, moved) / STEP**2
+        band = np.sqrt(estimate.band**2 + WIDTH**2 * np.maximum(uncertain, 0.0))
+        own = np.column_stack([np.exp(logarithms), np.sqrt(np.diag(spread))]).ravel()
+        return after.flat(), estimate._replace(
+            band=band, details=np.concatenate([estimate.details, own])
+        )
+
+    def _concluded(self, state: _State) -> _State:
+        """Learn from a window and begin the next one."""
+        some = state.counted > 0.0
+        count = state.counted[some]
+        before = wandered(
+            self._slow, state.learnt, state.covariance, float(state.time - state.begun)
+        )
+        biases = np.eye(some.size)[some]
+        found = learnt(
+            *before,
+            state.innovation[some] / count - biases @ before[0][len(self.ageing) :],
+            np.hstack([-state.sensitivity[some] / count[:, None], biases]),
+            np.full(count.size, LASTING_K**2),
+        )
+        return replace(
+            _learning(state, *found),
+            begun=state.time,
+            counted=np.zeros_like(state.counted),
+            innovation=np.zeros_like(state.innovation),
+            sensitivity=np.zeros_like(state.sensitivity),
+        )
+
+    def _touched(self, values: Sequence[float]) -> Flags:
+        """Which values are readings of the displacement that came."""
+        metres = np.array([channel.unit == "m" for channel in self.channels])
+        return metres & np.isfinite(np.asarray(values, dtype=float))
+
+    def _without(
+        self,
+        before: _State,
+        machines: Sequence[JointAware],
+        time: float,
+        values: Sequence[float],
+        at: Flags,
+    ) -> tuple[Array, Array, Array]:
+        """Innovations of the displacement, their sensitivities (k, q) and variances, m."""
+        read = np.asarray(values, dtype=float)
+        unread = np.where(at, np.nan, read).tolist()
+        found = [
+            one.sample(run, time, unread)[1] for one, run in zip(machines, before.runs, strict=True)
+        ]
+        axes = at[-len(self.axes) :]
+        nominal = found[0]
+        innovation = read[at] - nominal.displacement[axes]
+        sensitivity = np.array(
+            [(nominal.displacement - other.displacement)[axes] / STEP for other in found[1:]]
+        ).T
+        variance = (nominal.band[axes] / WIDTH) ** 2 + LASTING_M**2
+        return innovation, sensitivity, variance
+
+    def _films(self, logarithms: Array) -> list[float]:
+        """Logarithm of the film's factor in the observer and in each copy."""
+        if "film" not in self.ageing:
+            return [0.0] * (len(self.ageing) + 1)
+        at = self.ageing.index("film")
+        now = float(logarithms[at])
+        return [now, *(now + STEP * (k == at) for k in range(len(self.ageing)))]
+
+    def _with_film(self, run: Array, exponent: float, length: float) -> Array:
+        """A run after the convection that the film has beyond the calibrated one, for a while."""
+        if not exponent or not length:
+            return run
+        at = slice(3, 3 + self._film.ambient.size)
+        ambient = float(unpacked(run, self.observer.parts).linear[-1])
+        after = run.copy()
+        after[at] = convected(self._film, run[at], ambient, math.exp(exponent), length)
+        return after
+
+    @cached_property
+    def _film(self) -> Film:
+        return film_of(self.observer.model.modes)
+
+    def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:
+        """The window with one more sample."""
+        innovations = np.array([self._innovation(run, values, length) for run in after.runs])
+        present = np.isfinite(innovations[0])
+        slope = (innovations[1:] - innovations[0]).T / STEP
+        return replace(
+            after,
+            counted=after.counted + present,
+            innovation=after.innovation + np.where(present, innovations[0], 0.0),
+            sensitivity=after.sensitivity + np.where(present[:, None], slope, 0.0),
+        )
+
+    def _innovation(self, run: Array, values: Sequence[float], length: float) -> Array:
+        """Innovation (p + 1,) of a sample, from what its correction has left; NaN where missing.
+
+        With all of S = H P H' + R, the correction leaves R S^-1 of the innovation.
+        """
+        observer = self.observer
+        rows, steady = observer.observer.system.rows, observer.model.filter
+        readings, _ = observer.separated(values)
+        left = readings - rows @ unpacked(run, observer.parts).linear
+        here = np.flatnonzero(np.isfinite(left))
+        noise = steady.noise[here]
+        if 0.0 < length < observer.model.step:
+            noise = noise * observer.model.step / length
+        found = np.full(len(rows), np.nan)
+        share = left[here] / noise
+        found[here] = steady.innovation[np.ix_(here, here)] @ share + left[here]
+        return found
+
+
+@lru_cache(maxsize=32)
+def _aged(
+    observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...]
+) -> list[JointAware]:
+    """The observer and its copies at these parameters; kept, as a window has the same ones."""
+    every = [logarithms] + [
+        tuple(value + STEP * (k == one) for k, value in enumerate(logarithms))
+        for one in range(len(names))
+    ]
+    return [replace(observer, model=_with_joints(observer.model, names, one)) for one in every]
+
+
+def _with_joints(
+    model: ObserverModel, names: tuple[str, ...], logarithms: tuple[float, ...]
+) -> ObserverModel:
+    factors = {
+        name: math.exp(value)
+        for name, value in zip(names, logarithms, strict=True)
+        if name != "film"
+    }
+    joints: tuple[Joint, ...] = tuple(joint_with_factors(one, factors) for one in model.joints)
+    return replace(model, joints=joints)
+
+
+def _learning(state: _State, found: Array, covariance: Array) -> _State:
+    return replace(state, learnt=found, covariance=covariance)

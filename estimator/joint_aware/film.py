@@ -1,0 +1,54 @@
+"""The film that a machine has beyond the calibrated one, on its modes.
+
+Convection is a matrix on the modes, with directions of its own: along each the excess decays over a
+step by an exponential, whatever the step. A field at the ambient's temperature does not decay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from estimator.joint_aware.reduced_machine import Modes
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Convection as rates (k,) of directions, columns of `turn` (r, k); a field of 1 K, (r,)."""
+
+    rates: Array
+    turn: Array
+    ambient: Array
+
+
+def film_of(modes: Modes) -> Film:
+    """Return the convection of a machine."""
+    rates, turn = np.linalg.eigh(modes.film)
+    seen = rates > 1e-6 * rates.max()
+    rates, turn = rates[seen], turn[:, seen]
+    uniform = turn @ ((turn.T @ modes.drive[:, -1]) / rates)
+    return Film(rates, turn, uniform)
+
+
+def convected(film: Film, amplitudes: Array, ambient: float, factor: float, length: float) -> Array:
+    """Return the amplitudes (r,) after what a film has beyond the calibrated one.
+
+    Parameters
+    ----------
+    film : Film
+        As calibrated.
+    amplitudes : ndarray, shape (r,)
+        Before.
+    ambient : float
+        K.
+    factor : float
+        The film relative to the calibrated one.
+    length : float
+        s.
+    """
+    beyond = amplitudes - ambient * film.ambient
+    lost = np.expm1((1.0 - factor) * length * film.rates)
+    after: Array = amplitudes + film.turn @ (lost * (film.turn.T @ beyond))
+    return after

@@ -1,0 +1,192 @@
+"""Machines that a calibration cannot tell apart, and how they answer a day.
+
+Parameters are drawn from what steps of `LEVELS` leave open of the priors; each machine has the
+linear remainder with which it answers those steps as the nominal one does. Minutes matter here, no
+seconds: marches take `STEP`, on the few modes that this needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import qr
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from estimator.joint_aware.assembling import PASTS, answer
+from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.misfit import Run, errors, fit_linear, make_problem
+from estimator.joint_aware.open_band import DURATION
+from estimator.joint_aware.parameters import factors_of, with_factors
+from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.physics_fit import fit_physics
+from estimator.joint_aware.random_heat import random_levels
+from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
+from estimator.joint_aware.remainder import relaxation_rates, relaxed
+
+#: Plants of the family, and its seed.
+PLANTS, SEED = 12, 2
+#: Sensors that their calibration sees.
+SEEN = 4
+#: Step of the marches and of the filter while sensors are compared, s.
+STEP = 60.0
+#: Steps that a plant is calibrated with: heat inputs and length, s.
+LEVELS, CALIBRATED = (0.5, 1.0, 2.0), 2100.0
+#: Highest heat of the day.
+HIGHEST = 2.0
+#: Random walk of the ambient over the day, K.
+AMBIENT = 3.0
+#: Fields that are smaller than this part of the largest get no mode.
+NEGLIGIBLE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """What the plants of a family answer to a day, more than the nominal machine does.
+
+    Attributes
+    ----------
+    readings : ndarray, shape (n, p, plants)
+        Of every candidate, K.
+    displacement : ndarray, shape (n, axes, plants)
+        m.
+    """
+
+    readings: Array
+    displacement: Array
+
+
+def make_family(
+    machine: ReducedMachine, plants: int = PLANTS, seed: int = SEED, seen: int = SEEN
+) -> Family:
+    """Draw the machines that a calibration cannot tell apart, and march them through one day.
+
+    The calibration is that of a plant that is the nominal machine, by steps of `LEVELS`. It sees
+    the displacement and some sensors, where the temperatures of these steps differ most from each
+    other (pivots of a QR factorisation): which ones will be chosen is not known yet.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        Nominal; its sensors are the candidates.
+    plants : int
+        How many to draw. One that cannot be marched is left out.
+    seed : int
+        Of plants and day.
+    seen : int
+        How many sensors the calibration sees.
+
+    Raises
+    ------
+    ConvergenceError
+        No plant, or not even the nominal machine, can be marched.
+    """
+    rng = np.random.default_rng(seed)
+    slow = replace(machine, step=STEP)
+    runs = [_calibration(slow, level) for level in LEVELS]
+    temperatures = np.vstack([run.temperature for run in runs])
+    at = qr(temperatures, mode="r", pivoting=True)[1][:seen]
+    few = replace(
+        slow, sensors=slow.sensors[at], sensor_names=tuple(slow.sensor_names[k] for k in at)
+    )
+    fit = fit_physics(few, [replace(run, temperature=run.temperature[:, at]) for run in runs])
+    day, states = _day(rng, slow)
+    nominal, problem = _answers(slow, day), make_problem(slow, runs)
+    values, turn = np.linalg.eigh(fit.covariance)
+    spread = turn * np.sqrt(np.maximum(values, 0.0))
+    readings, displacement = [], []
+    for drawn in rng.normal(size=(plants, values.size)):
+        logarithms = spread @ drawn
+        plant = with_factors(slow, factors_of(fit.parameters, logarithms))
+        try:
+            temperature, moved = _answers(plant, day)
+            beside = fit_linear(problem, *errors(problem, fit.parameters, logarithms)).remainder
+        except ConvergenceError:
+            continue
+        readings.append(temperature + states @ beside.temperature.T - nominal[0])
+        displacement.append(moved + states @ beside.displacement.T - nominal[1])
+    if not readings:
+        raise ConvergenceError("placement: no plant of the family can be marched; check the case")
+    return Family(np.stack(readings, axis=-1), np.stack(displacement, axis=-1))
+
+
+def _calibration(machine: ReducedMachine, level: float) -> Run:
+    """A step from rest, with what the machine itself answers."""
+    count = round(CALIBRATED / machine.step)
+    inputs = np.tile(np.append(level * machine.power, 0.0), (count, 1))
+    times: Array = machine.step * np.arange(1.0, count + 1.0)
+    return Run(inputs, times, *_answers(machine, inputs), machine.step)
+
+
+def _day(rng: np.random.Generator, machine: ReducedMachine) -> tuple[Array, Array]:
+    """Inputs (n, s + 1) of a day, and the relaxed heat."""
+    heat = random_levels(rng, DURATION, machine.step, HIGHEST, machine.power.size)
+    walk = np.cumsum(rng.normal(size=len(heat)))
+    ambient = AMBIENT * walk / np.abs(walk).max()
+    states = relaxed(heat, relaxation_rates(), machine.step)
+    return np.column_stack([heat * machine.power, ambient]), states
+
+
+def _answers(machine: ReducedMachine, inputs: Array) -> tuple[Array, Array]:
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    return simulate_known(physics, inputs, machine.step)
+
+
+def loudest(machine: ReducedMachine) -> list[int]:
+    """Return for each source a candidate that its heat warms soon, and the others' heat less."""
+    modes = diagonal_modes(machine, machine.at_preload)
+    soon = answer(modes.rates, STEP, 0.0)[:, None] * modes.drive[:, : machine.power.size]
+    answers = np.abs(modes.sensors @ (soon * machine.power))
+    share = answers / np.maximum(answers.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    return [int(np.argmax(column)) for column in (answers * share).T]
+
+
+def fewer_modes(
+    machine: ReducedMachine, noise: Noise | None = None, shortest: float = STEP
+) -> ReducedMachine:
+    """Return a machine on the few modes that its inputs drive at the times of a run.
+
+    The fields that every source at its power, the ambient and flows across the joint leave after
+    `PASTS`, (M / time + K + H) T = input, span them, but for what is smaller than `NEGLIGIBLE` of
+    the largest. Its 300 modes resolve seconds everywhere; here minutes are enough.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        Any.
+    noise : Noise, optional
+        Says how large flows across the joint are.
+    shortest : float
+        Time that is resolved, s.
+    """
+    flow = (noise or Noise()).joint_flow
+    inputs = np.column_stack(
+        [machine.sources * machine.power, AMBIENT * machine.ambient, flow * machine.jump.T]
+    )
+    linear = machine.conduction + machine.convection
+    linear = linear + machine.jump.T @ (machine.at_preload[:, None] * machine.jump)
+    fields = [
+        np.linalg.solve(machine.capacity / time + linear, inputs) for time in (shortest, *PASTS)
+    ]
+    # Fields are compared by the heat they hold: in coordinates in which M is the identity.
+    root = np.linalg.cholesky(machine.capacity).T
+    basis, sizes, _ = np.linalg.svd(root @ np.hstack(fields), full_matrices=False)
+    basis = np.linalg.solve(root, basis[:, sizes > NEGLIGIBLE * sizes[0]])
+    elastic = machine.elastic
+    return replace(
+        machine,
+        capacity=basis.T @ machine.capacity @ basis,
+        conduction=basis.T @ machine.conduction @ basis,
+        convection=basis.T @ machine.convection @ basis,
+        sources=basis.T @ machine.sources,
+        ambient=basis.T @ machine.ambient,
+        jump=machine.jump @ basis,
+        sensors=machine.sensors @ basis,
+        elastic=replace(
+            elastic,
+            thermal_gap=elastic.thermal_gap @ basis,
+            probe_thermal=elastic.probe_thermal @ basis,
+        ),
+    )

@@ -1,0 +1,99 @@
+"""What can age, how it wanders, and the Kalman filter that learns it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError, unknown_name
+from estimator.joint_aware.observer_model import ObserverModel
+
+
+@dataclass(frozen=True)
+class Slow:
+    """How the logarithm of a parameter's factor wanders: dx = -x dt / lasts + noise.
+
+    Attributes
+    ----------
+    spread : float
+        Standard deviation in the long run.
+    lasts : float
+        Time after which it has forgotten where it was, s.
+    """
+
+    spread: float
+    lasts: float
+
+
+DAY = 86400.0
+#: What can age. A preload is lost in days and comes back when somebody tightens the bolts;
+#: lubricant and wear change the friction, coolant and draught the film.
+SLOW = {
+    "preload": Slow(0.3, 10.0 * DAY),
+    "friction": Slow(0.2, 10.0 * DAY),
+    "film": Slow(0.3, 2.0 * DAY),
+}
+#: Farther than this from the calibration no logarithm goes, nor a bias, K.
+FARTHEST = 1.5
+
+
+def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
+    """Refuse parameters that a machine does not have, or that do not age.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, stands twice, or the machine has no such thing.
+    """
+    for name in names:
+        if name not in SLOW:
+            raise unknown_name("ageing parameter", name, SLOW, "ageing")
+    if not names or len(set(names)) < len(names):
+        raise InputError("ageing: no parameter, or one twice; name each once")
+    frictions = [joint.section.friction_coefficient for joint in model.joints]
+    absent = {
+        "preload": not model.joints,
+        "friction": not any(frictions),
+        "film": not model.modes.film.any(),
+    }
+    for name in names:
+        if absent[name]:
+            raise InputError(f"ageing: the machine has no {name}; leave it out")
+
+
+def wandered(
+    slow: Sequence[Slow], found: Array, covariance: Array, length: float
+) -> tuple[Array, Array]:
+    """Return what is learnt, and its covariance, after a while without any reading."""
+    kept = np.exp([-length / one.lasts for one in slow])
+    added = np.diag([one.spread**2 for one in slow]) * (1.0 - kept**2)
+    return kept * found, kept[:, None] * covariance * kept + added
+
+
+def learnt(
+    found: Array, covariance: Array, innovation: Array, rows: Array, variance: Array
+) -> tuple[Array, Array]:
+    """Return what is learnt and its covariance after some innovations, by the Kalman filter.
+
+    Parameters
+    ----------
+    found : ndarray, shape (n,)
+        Before.
+    covariance : ndarray, shape (n, n)
+        Before.
+    innovation : ndarray, shape (k,)
+        Reading less what was expected of it.
+    rows : ndarray, shape (k, n)
+        What is expected more for what is learnt more.
+    variance : ndarray, shape (k,)
+        Of the reading, model error included.
+    """
+    across = rows @ covariance
+    gain = np.linalg.solve(across @ rows.T + np.diag(variance), across).T
+    after = np.clip(found + gain @ innovation, -FARTHEST, FARTHEST)
+    # Joseph's form stays symmetric and positive whatever the rounding.
+    left = np.eye(found.size) - gain @ rows
+    return after, left @ covariance @ left.T + gain * variance @ gain.T

@@ -1,0 +1,175 @@
+"""Sensors are placed where they tell most of the displacement."""
+
+import copy
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
+from typer.testing import CliRunner
+
+from artefacts.errors import ConvergenceError, InputError
+from estimator.joint_aware import placement, plant_family
+from estimator.joint_aware.physics import make_physics, simulate_known
+from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import candidate_probes, set_up
+from thermojoint.cli.app import app
+
+BOXES = [
+    {"body": "column", "low_mm": [550.0, 400.0, 0.0], "high_mm": [550.0, 800.0, 200.0]},
+    {"body": "column", "low_mm": [650.0, 400.0, 50.0], "high_mm": [650.0, 700.0, 125.0]},
+]
+
+
+@pytest.fixture(scope="module")
+def data(coarse_data):
+    found = copy.deepcopy(coarse_data)
+    found["march"] |= {"thermal": "reduced"}
+    found["candidates"] = [box | {"spacing_mm": 200.0} for box in BOXES]
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(data):
+    case = case_from_data(data, "case", Path())
+    setup = set_up(case)
+    return reduce_machine(case, setup, list(candidate_probes(case, setup.structure)))
+
+
+@pytest.fixture(scope="module")
+def machine(whole):
+    return plant_family.fewer_modes(whole)
+
+
+@pytest.fixture(scope="module")
+def family(machine):
+    return plant_family.make_family(machine, plants=2)
+
+
+def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):
+    assert len(machine.capacity) < 0.6 * len(whole.capacity)
+    inputs = np.tile(np.append(machine.power, 1.0), (60, 1))
+    answers = []
+    for one in (whole, machine):
+        held = one.at_preload
+        physics = make_physics(diagonal_modes(one, held), one.joints, held)
+        answers.append(simulate_known(physics, inputs, plant_family.STEP))
+    for every, few in zip(*answers, strict=True):
+        assert few == pytest.approx(every, abs=0.01 * np.abs(every).max())
+
+
+@settings(max_examples=20)
+@given(
+    st.integers(2, 8),
+    st.integers(1, 3),
+    st.integers(0, 2**32 - 1),
+)
+def test_doubling_solves_the_riccati_equation_of_the_general_solver(size, sensors, seed):
+    rng = np.random.default_rng(seed)
+    transition = np.diag(rng.uniform(0.2, 0.99, size)) + 0.02 * rng.normal(size=(size, size))
+    rows = rng.normal(size=(sensors, size))
+    root = rng.normal(size=(size, size))
+    variance = rng.uniform(0.1, 1.0, sensors)
+    found = placement.steady_covariance(transition, rows, root @ root.T, variance)
+    wanted = solve_discrete_are(transition.T, rows.T, root @ root.T, np.diag(variance))
+    assert found == pytest.approx(wanted, rel=1e-6, abs=1e-6 * np.abs(wanted).max())
+
+
+def test_a_walk_that_no_sensor_sees_has_no_steady_covariance():
+    with pytest.raises(ConvergenceError):
+        placement.steady_covariance(np.eye(2), np.array([[1.0, 0.0]]), np.eye(2), np.ones(1))
+
+
+def test_no_single_candidate_is_better_than_the_first_that_was_chosen(machine, family):
+    found = placement.place_sensors(machine, 1, family=family)
+    best = np.square(found.chosen.band).sum()
+    for name in machine.sensor_names:
+        assert np.square(placement.band_with(machine, [name], family)).sum() >= best * (1 - 1e-9)
+
+
+def test_exchanges_never_make_a_choice_worse_and_leave_what_is_kept(machine, family):
+    kept = machine.sensor_names[-1]
+    found = placement.place_sensors(machine, 3, [kept], family)
+    assert found.chosen.names[0] == kept
+    assert len(set(found.chosen.names)) == 3
+    assert [len(step.names) for step in found.steps] == [1, 2, 3]
+    assert np.square(found.chosen.band).sum() <= np.square(found.steps[-1].band).sum()
+
+
+def test_a_plant_like_the_model_leaves_what_the_heat_walks_between_two_readings(machine, family):
+    """Without any difference of the plants the sensor that hears of the heat first is the best."""
+    alike = replace(
+        family,
+        readings=np.zeros_like(family.readings),
+        displacement=np.zeros_like(family.displacement),
+    )
+    chosen = placement.place_sensors(machine, 1, family=alike).chosen.names[0]
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), plant_family.STEP)
+    ranks = np.argsort(-soon[0])[:3]
+    assert chosen in [machine.sensor_names[k] for k in ranks]
+
+
+@pytest.mark.parametrize(
+    ("count", "kept", "what"),
+    [(0, [], "ask for 1 to"), (999, [], "candidates"), (2, ["nowhere"], "nowhere")],
+)
+def test_a_choice_that_cannot_be_is_refused_in_one_line(machine, count, kept, what):
+    with pytest.raises(InputError, match=what) as caught:
+        placement.place_sensors(machine, count, kept)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_writes_probes_that_a_case_takes(data, tmp_path):
+    case, out = tmp_path / "machine.toml", tmp_path / "sensors.toml"
+    case.write_text(as_toml(data))
+    words = ["place", case, "--count", "2", "--keep", "a", "--out", out]
+    result = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "after exchanges" in result.stdout
+    text = out.read_text()
+    assert "The case has already: a." in text
+    found = tomllib.loads(text)["probes"]
+    assert len(found) == 1
+    given = copy.deepcopy(data)
+    given["probes"] |= found
+    given["candidates"] = []
+    case_from_data(given, "case", Path())
+
+
+def test_the_command_refuses_to_replace_its_case(data, tmp_path):
+    case = tmp_path / "machine.toml"
+    case.write_text(as_toml(data))
+    result = CliRunner().invoke(app, ["place", str(case), "--out", str(case)])
+    assert isinstance(result.exception, InputError)
+
+
+def test_a_probe_to_be_kept_that_is_not_there_is_refused_in_one_line(data, tmp_path):
+    case, out = tmp_path / "machine.toml", tmp_path / "sensors.toml"
+    case.write_text(as_toml(data))
+    words = ["place", str(case), "--keep", "nowhere", "--out", str(out)]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, InputError)
+    assert len(str(result.exception)) < 200
+    assert not out.exists()
+
+
+def as_toml(data):
+    """Nested dictionaries as TOML: tables inline."""
+    return "".join(f"{key} = {inline(value)}\n" for key, value in data.items())
+
+
+def inline(value):
+    if isinstance(value, dict):
+        return "{" + ", ".join(f'"{key}" = {inline(one)}' for key, one in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else repr(value)

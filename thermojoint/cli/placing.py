@@ -1,0 +1,81 @@
+"""The command that places sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from artefacts.toml import as_key, as_text
+from thermojoint.cli import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from estimator.joint_aware.placement import Placement
+    from fesim.case.schema import Case
+    from meshes.structure import Probe
+
+
+def place(
+    case: Annotated[Path, typer.Argument(help="Case file with [[candidates]].")],
+    out: Annotated[Path, typer.Option(help="Probes to write (TOML), to be put into a case.")],
+    count: Annotated[int, typer.Option(help="Number of sensors, those to be kept included.")] = 4,
+    keep: Annotated[
+        list[str] | None, typer.Option(help="A probe of the case that is there already.")
+    ] = None,
+) -> None:
+    """Place sensors for the joint-aware estimator, by how well the displacement is known with them.
+
+    Candidates are the lattice points of the case's candidates, or its probes where it has none.
+    Prints the band of 95 % for one sensor, for two, and so on.
+
+    Example: [bold]thermojoint place machine.toml --count 4 --out sensors.toml[/bold]
+
+    Example: [bold]thermojoint place machine.toml --keep s --keep b --out sensors.toml[/bold]
+    """
+    from artefacts.errors import InputError
+    from artefacts.files import write_text
+    from estimator.joint_aware.placement import place_sensors
+    from estimator.joint_aware.plant_family import fewer_modes
+    from estimator.joint_aware.reduced_machine import reduce_machine
+    from fesim.case.schema import read_case
+    from fesim.setup.machine import candidate_probes, set_up
+    from thermojoint.cli import console, plausibility
+
+    machine = read_case(case)
+    arguments.check_outputs(
+        {"--out": (out, file_kinds.SENSORS)}, [case, *arguments.files_of(machine)]
+    )
+    kept = list(dict.fromkeys(keep or []))
+    console.warn(plausibility.of_case(machine, str(case)))
+    setup = set_up(machine)
+    lattice = candidate_probes(machine, setup.structure)
+    names = list(dict.fromkeys([*kept, *(lattice or setup.probes)]))
+    unknown = [name for name in names if name not in setup.probes]
+    if unknown:
+        raise InputError(
+            f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; see there"
+        )
+    reduced = fewer_modes(reduce_machine(machine, setup, names))
+    with console.progress_bars() as report:
+        found = place_sensors(reduced, count, kept, report=report)
+    write_text(out, written(found, machine, setup.probes))
+    console.show_placement(console.out(), found, reduced.axes)
+    console.wrote(out)
+
+
+def written(found: Placement, case: Case, probes: dict[str, Probe]) -> str:
+    """Return the chosen probes that a case does not have yet, as its sections."""
+    lines = ["# Sensors placed by 'thermojoint place'."]
+    there = [name for name in found.chosen.names if name in case.probes]
+    if there:
+        lines.append(f"# The case has already: {', '.join(there)}.")
+    for name in found.chosen.names:
+        if name in case.probes:
+            continue
+        probe = probes[name]
+        at = ", ".join(f"{1e3 * value:.6g}" for value in probe.position)
+        lines += ["", f"[probes.{as_key(name)}]", f"position_mm = [{at}]"]
+        if probe.body is not None:
+            lines.append(f"body = {as_text(probe.body)}")
+    return "\n".join(lines) + "\n"
