@@ -19,7 +19,8 @@ class Status(IntFlag):
     """What is to be known of an estimate: nothing, or why it is less certain than usual.
 
     Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
-    readings that were missing, still count.
+    readings that were missing, still count. Reading refused: a displacement that was read
+    contradicts all that is known, and was not used.
     """
 
     OK = 0
@@ -28,6 +29,8 @@ class Status(IntFlag):
     BEYOND_TEMPERATURE = auto()
     READING_MISSING = auto()
     UNSETTLED = auto()
+    BEYOND_DISPLACEMENT = auto()
+    READING_REFUSED = auto()
 
     @property
     def words(self) -> str:
