@@ -129,6 +129,27 @@ class LearnedFrom:
 
 
 @dataclass(frozen=True)
+class LogEnd:
+    """Where the log ended: a log whose clock goes on from there begins with what this one left.
+
+    Attributes
+    ----------
+    time_s : float
+        On the log's clock.
+    values : tuple of float
+        Of each column of the model, SI.
+    relaxations : tuple of float
+        Of each feature.
+    """
+
+    __pydantic_config__ = STRICT
+
+    time_s: float
+    values: tuple[float, ...]
+    relaxations: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class LearnedModel:
     """A learned model.
 
@@ -146,6 +167,10 @@ class LearnedModel:
         Of the longest run, s.
     learned_from : LearnedFrom
         The log.
+    renamed : dict
+        What the log called a column, to what it is called here.
+    log_end : LogEnd, optional
+        Where the log ended.
     """
 
     __pydantic_config__ = STRICT
@@ -156,6 +181,14 @@ class LearnedModel:
     spans: dict[str, tuple[float, float]]
     duration_s: PositiveFloat
     learned_from: LearnedFrom = field(default_factory=LearnedFrom)
+    renamed: dict[str, str] = field(default_factory=dict)
+    log_end: LogEnd | None = None
+
+    def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
+        """Return how a log like that which was learned from is to be read, for some columns."""
+        return {
+            theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
+        }
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -257,6 +290,9 @@ def read_learned(path: Path | str) -> LearnedModel:
         if shape != {count}:
             raise InputError(f"{path}: {one.name}: {count} weights and their covariance needed")
     missing = set(found.columns) - set(found.spans)
+    end = found.log_end
+    if end and (len(end.values), len(end.relaxations)) != (len(found.columns), count):
+        raise InputError(f"{path}: log_end: a value for each column and feature needed")
     if missing or not found.channels:
         raise InputError(f"{path}: spans or channels are missing; learn again")
     return found

@@ -58,7 +58,7 @@ def autoregressive_tau(rows: Array, features: int, now: list[int], interval: flo
 def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
     """Return the fit whose penalty has the least held-out error, for each displacement."""
     n = blocks.features
-    at = np.array(index, dtype=int)
+    at = np.array(index, dtype=np.int64)
     spread = np.sqrt(np.maximum(np.diag(blocks.whole.centred) / blocks.whole.count, 1e-18))
     spread[n:] = 1.0
     standard = _scaled(blocks, 1.0 / spread)
@@ -81,6 +81,7 @@ def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -
         covariance,
         mean[n:] - mean[:n] @ weights,
         np.sqrt(errors[best, np.arange(axes)]),
+        errors[best, np.arange(axes)],
     )
 
 

@@ -2,15 +2,18 @@
 
 All that a fit needs of a log are the products of features and displacements, summed over blocks.
 So a year costs no more than a day once it has been read, and thousands of structures are tried by
-solving small systems. Errors of neighbouring samples are not independent: one sample an hour counts.
+solving small systems. Errors of neighbouring samples are not independent: one sample an hour
+counts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 
@@ -104,13 +107,15 @@ def blocks_of(rows: Array, features: int, interval: float, count: int) -> Blocks
     margin = int(np.ceil(MARGIN / interval))
     fits = tuple(
         whole.less(sums_of(rows[max(0, first - margin) : end + margin]))
-        for first, end in zip(edges[:-1], edges[1:], strict=True)
+        for first, end in pairwise(edges)
     )
-    held = tuple(sums_of(rows[first:end]) for first, end in zip(edges[:-1], edges[1:], strict=True))
+    held = tuple(sums_of(rows[first:end]) for first, end in pairwise(edges))
     return Blocks(whole, fits, held, features, interval)
 
 
-def weights_of(blocks: Blocks, index: Sequence[int], priors: Sequence[float]) -> Array:
+def weights_of(
+    blocks: Blocks, index: Sequence[int] | NDArray[np.int64], priors: Sequence[float]
+) -> Array:
     """Return weights for each prior and fit, the whole last: (priors, fits + 1, features, axes).
 
     Features outside `index` have none. A prior of weight 1 says that a weight is one unit, give or

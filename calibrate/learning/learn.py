@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -18,7 +19,14 @@ from calibrate.learning.cleaning import Cleaned, clean
 from calibrate.learning.selection import Fitted, choose, fit
 from calibrate.learning.structures import candidates, design, sizes, structures
 from calibrate.learning.thinning import Table, thinned
-from models.learned import Feature, LearnedChannel, LearnedFrom, LearnedModel
+from models.learned import (
+    Feature,
+    LearnedChannel,
+    LearnedFrom,
+    LearnedModel,
+    LogEnd,
+    features_of,
+)
 
 Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
@@ -50,6 +58,7 @@ def learn(
     kind: Kind = "learned",
     ignored: Sequence[str] = (),
     files: Sequence[str] = (),
+    renamed: Mapping[str, str] | None = None,
 ) -> LearnedModel:
     """Learn a model from a log.
 
@@ -67,6 +76,8 @@ def learn(
         Columns to leave aside.
     files : sequence of str
         Names of the log's files, to be kept in the model.
+    renamed : mapping, optional
+        What the log calls a column, to what it was renamed, to be kept in the model.
 
     Raises
     ------
@@ -83,12 +94,11 @@ def learn(
     errors = {one: _judge(rows) for one, rows in judged.items()}
     rows = judged[kind]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    return _model(kind, cleaned, rows, fitted, errors, files)
+    found = _model(kind, cleaned, rows, fitted, errors, files)
+    return replace(found, renamed=dict(renamed or {}))
 
 
 def _cleaned(table: Table, displacements: Sequence[str], ignored: Sequence[str]) -> Cleaned:
-    from dataclasses import replace
-
     whole = Log(table.times, table.columns, table.values, table.starts)
     if not displacements:
         raise InputError(
@@ -153,7 +163,7 @@ def _judge(rows: _Rows) -> tuple[Array, Array]:
     edges = np.linspace(0, len(rows.inputs), _JUDGED + 1).astype(int)
     margin = int(np.ceil(MARGIN / rows.interval))
     errors, ratios = [], []
-    for first, end in zip(edges[:-1], edges[1:], strict=True):
+    for first, end in pairwise(edges):
         away = np.ones(len(rows.inputs), dtype=bool)
         away[max(0, first - margin) : end + margin] = False
         found = rows.fit(rows.inputs[away], rows.outputs[away])
@@ -223,4 +233,19 @@ def _model(
             {one: tuple(map(float, rms)) for one, (rms, _) in errors.items()},
             {name: version(name) for name in ("thermojoint", "numpy")},
         ),
+        log_end=_end_of(cleaned, features),
+    )
+
+
+def _end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
+    """Return where the last run of a log leaves the model."""
+    table = cleaned.table
+    names = [one.name for one in table.columns]
+    last = slice(table.starts[-1], None)
+    run = table.times[last], table.values[last]
+    columns = dict.fromkeys(one.column for one in features)
+    return LogEnd(
+        float(table.times[-1]),
+        tuple(float(cleaned.at(name)[-1]) for name in columns),
+        tuple(map(float, features_of(features, names, run)[-1])),
     )

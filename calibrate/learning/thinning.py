@@ -108,7 +108,7 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
 
 
 def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Array]:
-    """Return values with NaN for spikes of temperatures (Hampel's filter), and how many each had."""
+    """Return values with NaN for spikes of temperatures (Hampel), and how many each had."""
     import pandas as pd
 
     kept, count = values.copy(), np.zeros(values.shape[1])

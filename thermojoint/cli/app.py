@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from thermojoint.cli import learning
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -20,6 +21,7 @@ from thermojoint.pictures import fonts
 COMMANDS = (
     simulation.simulate,
     models.calibrate,
+    learning.learn,
     models.tables,
     models.assemble,
     models.estimate,

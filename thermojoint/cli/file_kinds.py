@@ -63,7 +63,8 @@ def _is_simulated(path: Path) -> bool:
 
 
 def _is_estimator_state(path: Path) -> bool:
-    kinds = ("thermojoint-estimator-state", "thermojoint-joint-aware-state")
+    names = ("estimator", "joint-aware", "learned")
+    kinds = [f"thermojoint-{name}-state" for name in names]
     return any(_json(schema=kind)(path) for kind in kinds)
 
 
@@ -106,12 +107,13 @@ def _is_picture(path: Path) -> bool:
 RESPONSE = Kind("a simulated response", _is_simulated)
 MARCH_STATE = Kind("the state of a simulation", _is_march_state)
 MODEL = Kind("a model file", _json(schema="thermojoint-model"))
+LEARNED = Kind("a learned model", _json(schema="thermojoint-learned-model"))
 OBSERVER = Kind("a joint-aware model", _is_observer)
 BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
 ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
-VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
+VALIDATION = Kind("a validation", _json("rows"))
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from artefacts.errors import InputError
-from thermojoint.cli import arguments, file_kinds, joint_aware
+from thermojoint.cli import arguments, file_kinds, joint_aware, learning
 
 if TYPE_CHECKING:
     from artefacts.arrays import Array
@@ -165,13 +165,20 @@ def estimate(
     resume: Annotated[
         Path | None, typer.Option("--continue", help="Go on from a saved state (JSON).")
     ] = None,
+    readings: Annotated[
+        Path | None,
+        typer.Option(help="Displacements read now and then (CSV), for a learned model."),
+    ] = None,
+    reading_noise: Annotated[
+        float, typer.Option("--reading-noise-um", help="Standard deviation of such a reading, um.")
+    ] = 0.5,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
     The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above the current ambient), or time_s,
     a_degC, b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing. For a
     joint-aware model: time_s and NAME_K, ambient_K, or NAME_degC, ambient_degC, of its sensors;
-    empty cells are missing readings.
+    empty cells are missing readings. For a learned model: the columns it was learned from.
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
@@ -184,6 +191,7 @@ def estimate(
     from estimator.joint_aware.recognition import is_observer
     from estimator.saved_state import save_state
     from estimator.starting import model_in, started
+    from models.learned import is_learned
     from thermojoint.cli import console, plausibility
 
     # Not with the state of --continue: it may be replaced by its successor.
@@ -192,16 +200,21 @@ def estimate(
             "--out": (out, file_kinds.ESTIMATE),
             "--save-state": (save, file_kinds.ESTIMATOR_STATE),
         },
-        [model, temperatures],
+        [model, temperatures, readings],
     )
     length = arguments.positive("--run-length-min", run_length)
     where = arguments.shown(temperatures)
     with arguments.opened(temperatures) as source:
-        if is_observer(model):
+        if is_learned(model):
+            log = learning.opened(model, source, where, resume, readings, reading_noise)
+            learning.estimate(log, out, save)
+        elif readings is not None:
+            raise InputError("--readings: goes with a model of 'thermojoint learn'; leave it out")
+        elif is_observer(model):
             response = read_response(temperatures) if source is None else None
-            observer, state, readings = joint_aware.opened(model, source, response, where, resume)
+            observer, state, seen = joint_aware.opened(model, source, response, where, resume)
             keep = partial(joint_aware.save, observer, save) if save else None
-            _write_estimates(observer, state, readings, out, keep)
+            _write_estimates(observer, state, seen, out, keep)
         else:
             table = model_in(model)
             samples: Iterator[Sample]
@@ -281,7 +294,10 @@ def assemble(
 
 def validate(
     model: ModelFile,
-    responses: Annotated[list[Path], typer.Argument(help="Responses to validate against.")],
+    responses: Annotated[
+        list[Path],
+        typer.Argument(help="Responses to validate against; logs (CSV) for a learned model."),
+    ],
     reference: Annotated[
         Path | None,
         typer.Option(help="Response to the reference step: makes the nonlinear part exact."),
@@ -307,12 +323,16 @@ def validate(
     from estimator import judge, noise
     from estimator.joint_aware.recognition import is_observer
     from models.baselines import read_baselines
+    from models.learned import is_learned
     from models.model_file import read_model
     from thermojoint.cli import console, plausibility
     from thermojoint.paper.summary import compare_schemes
 
     inputs = [model, baselines, reference, *responses]
     arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
+    if is_learned(model):
+        learning.validate(model, responses, out)
+        return
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")
