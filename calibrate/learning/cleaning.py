@@ -87,7 +87,7 @@ def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
     for k, column in enumerate(table.columns):
         if column.quantity != "temperature" or column.name in displacements:
             continue
-        fault = _fault(table, k)
+        fault = _fault(table, k, changes)
         if fault is None:
             sensors.append(column.name)
         else:
@@ -158,18 +158,20 @@ def _levels(speeds: Array) -> int:
 
 
 def _changes_of(table: Table, drives: list[str]) -> Array:
-    """Return whether a drive changes at a row or beside it, shape (k,)."""
+    """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
     names = [one.name for one in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:
         values = table.values[:, names.index(name)]
         step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
         changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
+    # Over a gap anything may have changed as well.
+    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * table.interval
     changing[list(table.starts)] = True
     return changing
 
 
-def _fault(table: Table, k: int) -> str | None:
+def _fault(table: Table, k: int, changes: Array) -> str | None:
     """Return what makes a sensor unusable."""
     values = table.values[:, k]
     there = np.isfinite(values)
@@ -188,7 +190,7 @@ def _fault(table: Table, k: int) -> str | None:
     stuck = _longest_still(seen, times)
     if stuck > max(_STUCK * (times[-1] - times[0]), 1800.0):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
-    jump = _jump(seen)
+    jump = _jump(seen, changes[there])
     if jump is not None:
         row, size = jump
         hours = (times[row] - times[0]) / 3600.0
@@ -203,11 +205,11 @@ def _longest_still(values: Array, times: Array) -> float:
     return float(np.diff(times[ends]).max(initial=0.0))
 
 
-def _jump(values: Array) -> tuple[int, float] | None:
+def _jump(values: Array, changing: Array) -> tuple[int, float] | None:
     """Return row and size of a lasting jump within one interval, if there is one."""
     if len(values) < 4 * _SIDE:
         return None
-    steps = np.diff(values)
+    steps = np.where(changing[1:], 0.0, np.diff(values))
     usual = float(np.median(np.abs(steps))) + 1e-3
     for row in np.argsort(-np.abs(steps))[:5]:
         size = float(steps[row])

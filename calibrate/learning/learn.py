@@ -34,6 +34,9 @@ KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
 _HOURS, _FEWEST, _MOST = 2.5, 6, 24
 #: Blocks on which the whole procedure is judged: all of it is done without each.
 _JUDGED = 4
+#: What the log leaves open in the weights is taken as so much more: structures that are alike, and
+#: errors that last longer than an hour, make it look smaller (rolling origins of a measured log).
+_OPEN = 4.0
 #: Share of the errors that lies within the band.
 _WITHIN = 0.95
 _QUANTILE = 1.96
@@ -170,7 +173,7 @@ def _judge(rows: _Rows) -> tuple[Array, Array]:
         own = rows.inputs[first:end]
         error = rows.outputs[first:end] - found.offset - own @ found.weights
         about = own - rows.inputs[away].mean(axis=0)
-        spread = np.einsum("ti,cij,tj->tc", about, found.covariance, about)
+        spread = _OPEN * np.einsum("ti,cij,tj->tc", about, found.covariance, about)
         errors.append(error)
         ratios.append(np.abs(error) / np.sqrt(spread + found.errors**2))
     whole = np.concatenate(errors)
@@ -195,7 +198,7 @@ def _model(
     widening = errors[kind][1]
     channels = []
     for c, name in enumerate(cleaned.displacements):
-        spread = fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
+        spread = _OPEN * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
         told = cleaned.at(name)
         told = told[np.isfinite(told)]
         channels.append(

@@ -21,6 +21,9 @@ SLOWEST_SHARE = 1.0 / 3.0
 #: A priori size of a weight, µm: per kelvin (steel over half a metre), and of the largest heat.
 GAIN = 5.0
 HEAT_GAIN = 20.0
+#: How long what went in before a run counts, s, and at most which share of the run is given up.
+BEFORE = 2.0 * HEAT[-1]
+_GIVEN_UP = 0.2
 _MICRO = 1e6
 
 
@@ -102,7 +105,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
         run = table.times[first:end], table.values[first:end]
         values = size * features_of(features, names, run)
         told = _MICRO * table.values[first:end][:, at]
-        full = np.isfinite(told).all(axis=1)
+        full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end))
         if not full.any():
             continue
         inputs.append(values[full])
@@ -110,6 +113,20 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
     return _within_runs(inputs), _within_runs(outputs)
+
+
+def _known(cleaned: Cleaned, run: slice) -> Array:
+    """Return which rows of a run do not depend on what went in before it, shape (k,) of bool.
+
+    A run that begins at a standstill is taken to begin at rest.
+    """
+    times = cleaned.table.times[run]
+    since = times - times[0]
+    warm = any(
+        abs(cleaned.at(name)[run][0]) > 0.02 * np.abs(cleaned.at(name)).max()
+        for name in cleaned.drives
+    )
+    return np.asarray(since >= min(BEFORE, _GIVEN_UP * since[-1]) * warm)
 
 
 def _within_runs(runs: list[Array]) -> Array:

@@ -15,9 +15,9 @@ from artefacts.quantities import Column
 #: Shortest interval, s, and most rows: a longer log has longer intervals.
 INTERVAL = 60.0
 MOST_ROWS = 100_000
-#: A value is a spike if it is further from the median of its neighbours than this many times their
-#: usual distance from it, and than what a temperature does in a sample, K.
-_SPIKE, _NEIGHBOURS = 12.0, 9
+#: A value is a spike if it is above, or below, the median of so many neighbours on either side by
+#: this many times their usual distance, and by more than this, K.
+_SPIKE, _NEIGHBOURS = 12.0, 4
 _LEAST_SPIKE = 0.5
 
 
@@ -108,7 +108,7 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
 
 
 def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Array]:
-    """Return values with NaN for spikes of temperatures (Hampel), and how many each had."""
+    """Return values with NaN for spikes of temperatures, and how many each had."""
     import pandas as pd
 
     kept, count = values.copy(), np.zeros(values.shape[1])
@@ -116,11 +116,14 @@ def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Arr
         if quantity != "temperature":
             continue
         column = pd.Series(values[:, k])
-        window = {"window": _NEIGHBOURS, "center": True, "min_periods": 3}
-        away = (column - column.rolling(**window).median()).abs()
-        usual = 1.5 * away.rolling(10 * _NEIGHBOURS, center=True, min_periods=3).median()
-        spike = (away > np.maximum(_SPIKE * usual, _LEAST_SPIKE)).to_numpy()
-        kept[spike, k] = np.nan
+        before = column.rolling(_NEIGHBOURS, min_periods=2).median().shift(1)
+        after = column[::-1].rolling(_NEIGHBOURS, min_periods=2).median().shift(1)[::-1]
+        over, under = column - before.fillna(after), column - after.fillna(before)
+        usual = over.abs().rolling(20 * _NEIGHBOURS, center=True, min_periods=3).median()
+        limit = np.maximum(_SPIKE * usual, _LEAST_SPIKE)
+        # A corner or a ramp is above one side and below the other, or near one of them.
+        spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
+        kept[spike.to_numpy(), k] = np.nan
         count[k] = spike.sum()
     return kept, count
 
