@@ -1,4 +1,4 @@
-"""Logs of a machine whose physics is known: heat of a spindle, a room that changes, linear growth."""
+"""Logs of a machine whose physics is known: a spindle's heat, a room that changes, growth."""
 
 import numpy as np
 

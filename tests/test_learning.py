@@ -1,4 +1,4 @@
-"""A learned model holds on what it has not seen, names what is wrong, and refuses what it cannot."""
+"""A learned model holds on another day, names what is wrong, and refuses what it cannot."""
 
 from dataclasses import replace
 
