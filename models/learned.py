@@ -185,7 +185,13 @@ class LearnedModel:
     log_end: LogEnd | None = None
 
     def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
-        """Return how a log like that which was learned from is to be read, for some columns."""
+        """Return how a log like that which was learned from is to be read.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            The columns that are needed; the clock is, always.
+        """
         return {
             theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
         }

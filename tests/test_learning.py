@@ -40,10 +40,7 @@ def test_it_holds_on_a_day_it_has_not_seen(model):
 
 def test_no_more_sensors_are_used_than_asked_for(model):
     assert len(model.sensors) <= 4
-    assert (
-        learn([LOG], AXES, 1).sensors == model.sensors[:1]
-        or len(learn([LOG], AXES, 1).sensors) == 1
-    )
+    assert len(learn([LOG], AXES, 1).sensors) == 1
 
 
 def test_baselines_are_fitted_with_the_same_data_and_run_by_the_same_estimator():
@@ -257,8 +254,7 @@ def test_missing_readings_are_tolerated_and_said(model):
     speed=st.floats(0.0, 2000.0),
     hours=st.floats(0.01, 1e5),
 )
-def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(kelvin, speed, hours):
-    model = MODEL
+def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(model, kelvin, speed, hours):
     estimator = Learned(model)
     state = estimator.initial_state()
     known = dict(zip((f"T{k}_degC" for k in range(1, 7)), kelvin, strict=True)) | {"n_rpm": speed}
@@ -272,9 +268,6 @@ def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(kelvin, speed, ho
             low, high = one.span
             if not low - (high - low) / 2 <= value <= high + (high - low) / 2:
                 assert Status.BEYOND_DISPLACEMENT in found.status
-
-
-MODEL = learn([LOG], AXES, 4)
 
 
 def test_where_the_log_has_not_been_is_said(model):

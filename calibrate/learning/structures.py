@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
@@ -115,7 +116,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     return _within_runs(inputs), _within_runs(outputs)
 
 
-def _known(cleaned: Cleaned, run: slice) -> Array:
+def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
     """Return which rows of a run do not depend on what went in before it, shape (k,) of bool.
 
     A run that begins at a standstill is taken to begin at rest.
