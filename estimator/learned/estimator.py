@@ -26,9 +26,11 @@ from estimator.span import SLACK
 from models.filters.relaxations import relaxed
 from models.learned import LearnedModel, at_rest, signals
 
-#: Time in which the drift forgets, and in which the weights become as uncertain again as the log
-#: left them, s.
+#: Size of the drift in held-out errors, which come from hours beside those that were learned, and
+#: the time in which it forgets, s.
+DRIFT_SIZE = 2.0
 DRIFT_TIME = 4.0 * 3600.0
+#: Time in which the weights become as uncertain again as the log left them, s.
 MEMORY = 30.0 * 86400.0
 #: A reading that is further from the estimate than this many standard deviations is refused; a
 #: second one that agrees with it says that the zero is another.
@@ -91,7 +93,7 @@ class Learned:
         size = 2 + len(self.model.features)
         found = np.zeros((len(self.axes), size, size))
         for own, one in zip(found, self.model.channels, strict=True):
-            own[0, 0] = own[1, 1] = one.drift**2
+            own[0, 0], own[1, 1] = one.drift**2, (DRIFT_SIZE * one.drift) ** 2
             own[2:, 2:] = one.covariance
         return found
 
