@@ -1,6 +1,6 @@
 """How well a model learned from one part of a measured log holds on the rest, free-running.
 
-    python -m benchmarks.measured_machine LOG.csv
+    python -m benchmarks.measured_machine LOG.csv [--year]
 
 Splits: the first 40, 50, 60 and 70 % learn and the rest judges, then the same reversed. Against
 each model with four sensors stand the baselines with all. Then the ladder: number of sensors,
@@ -10,6 +10,7 @@ docs/measured-machines.md.
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 from dataclasses import replace
@@ -110,6 +111,15 @@ def ladder(log: Log, axes: tuple[str, ...], share: float) -> None:
             row(count, "yes" if speed else "no", *cells)
 
 
+def year(log: Log, axes: tuple[str, ...]) -> None:
+    """Print what learning costs from copies of a log, one a day."""
+    begun = time.perf_counter()
+    days = (replace(log, times=log.times + 86400.0 * day) for day in range(365))
+    samples = learn(days, axes, 4).learned_from.samples
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(f"{samples} samples: {time.perf_counter() - begun:.0f} s, {peak:.0f} MB")
+
+
 def main(path: Path) -> None:
     """Print all tables for one log."""
     log = read_log([path])
@@ -126,4 +136,8 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    if sys.argv[2:] == ["--year"]:
+        given = read_log([Path(sys.argv[1])])
+        year(given, given.of("length"))
+    else:
+        main(Path(sys.argv[1]))

@@ -88,7 +88,7 @@ def learn(
         A column is missing, or the log cannot be learned from; the message says why.
     """
     if max_sensors < 1:
-        raise InputError(f"max_sensors {max_sensors}: give one or more")
+        raise InputError(f"--max-sensors {max_sensors}: give one or more")
     table = thinned(pieces, ())
     cleaned = _cleaned(table, displacements, ignored)
     judged = {one: _rows(cleaned, one, max_sensors) for one in KINDS if _possible(cleaned, one)}

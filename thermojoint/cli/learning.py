@@ -36,9 +36,7 @@ def learn(
         list[str], typer.Option(help="A column to learn, e.g. x_um; give one or more.")
     ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
-    max_sensors: Annotated[
-        int, typer.Option(help="How many temperatures the model may use.", min=1)
-    ] = 4,
+    max_sensors: Annotated[int, typer.Option(help="How many temperatures the model may use.")] = 4,
     kind: Annotated[
         LearnedKind, typer.Option(help="learned, or a baseline on all temperatures.")
     ] = LearnedKind.LEARNED,
