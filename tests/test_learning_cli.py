@@ -110,6 +110,10 @@ def test_validate_takes_a_log(here, command):
     found = json.loads((here / "scores.json").read_text("utf-8"))["rows"]
     assert {(row["case"], row["axis"]) for row in found} == {("day", "x_um"), ("day", "z_um")}
     assert all(row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"] for row in found)
+    # A validation is replaced by another, a file of rows that is none is not.
+    assert not command("validate", "model.json", "day.csv", "--out", "scores.json")[0]
+    (here / "mine.json").write_text('{"rows": [1]}', encoding="utf-8")
+    assert command("validate", "model.json", "day.csv", "--out", "mine.json")[0] == 2
 
 
 def test_columns_may_have_other_names_in_every_log(here, command):
@@ -129,6 +133,7 @@ def test_columns_may_have_other_names_in_every_log(here, command):
         (["learn", "log.csv", "--displacement", "y_um"], "no column named 'y_um'"),
         (["learn", "log.csv", *LEARN, "--column", "T1_degC=T1"], "--column T1_degC=T1"),
         (["learn", "log.csv", *LEARN, "--ignore", "T9_degC"], "no column named 'T9_degC'"),
+        (["learn", "log.csv", *LEARN, "--max-sensors", "0"], "--max-sensors 0"),
         (["learn", "short.csv", *LEARN], "h long"),
         (["learn", "kelvin.csv", *LEARN], "kelvin and not"),
         (["learn", "model.json", *LEARN], "no clock"),

@@ -53,6 +53,16 @@ def _json(*keys: str, **values: object) -> Callable[[Path], bool]:
     return holds
 
 
+def _is_validation(path: Path) -> bool:
+    """Rows of errors, whichever kind of estimator was judged."""
+    if not _json("rows")(path):
+        return False
+    rows = json.loads(path.read_bytes())["rows"]
+    return isinstance(rows, list) and all(
+        isinstance(row, dict) and row.keys() >= {"case", "estimator", "axis"} for row in rows
+    )
+
+
 def _is_simulated(path: Path) -> bool:
     """A response with the case it was simulated from: a measured one cannot be had again."""
     import h5py
@@ -113,7 +123,7 @@ BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
 ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
-VALIDATION = Kind("a validation", _json("rows"))
+VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
