@@ -142,8 +142,8 @@ def pieces_in(
 def _layout(header: str, where: str, renamed: Mapping[str, str]) -> _Layout:
     divider = max(",;\t", key=header.count)
     theirs = [name.strip().strip('"') for name in header.strip("\r\n").split(divider)]
-    for name in renamed:
-        if name not in theirs:
+    for name, ours in renamed.items():
+        if name not in theirs and ours not in theirs:
             raise unknown_name("column", name, theirs, where)
     names = [renamed.get(name, name) for name in theirs]
     twice = sorted({name for name in names if names.count(name) > 1})

@@ -20,7 +20,7 @@ class Status(IntFlag):
 
     Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
     readings that were missing, still count. Distrusted: a sensor is left out, as it contradicts
-    what is known. Refused: so does a reading of the displacement.
+    what is known. Reading refused: a displacement that was read does, and was not used.
     """
 
     OK = 0
@@ -30,7 +30,8 @@ class Status(IntFlag):
     READING_MISSING = auto()
     UNSETTLED = auto()
     SENSOR_DISTRUSTED = auto()
-    DISPLACEMENT_REFUSED = auto()
+    BEYOND_DISPLACEMENT = auto()
+    READING_REFUSED = auto()
 
     @property
     def reasons(self) -> list[str]:

@@ -10,10 +10,13 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.log_file import read_log
+from artefacts.quantities import column_named
 
 
 def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the axes that were read.
+
+    An axis that carries its unit, as a column of a log does, names its column itself.
 
     Returns
     -------
@@ -28,9 +31,9 @@ def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
         The file is unusable, or holds a reading of no axis.
     """
     log = read_log([path])
-    known = {column.base: k for k, column in enumerate(log.columns)}
+    known = {name: k for k, one in enumerate(log.columns) for name in (one.base, one.name)}
     if not known.keys() & set(axes):
-        wanted = ", ".join(f"{axis}_um" for axis in axes)
+        wanted = ", ".join(axis if column_named(axis) else f"{axis}_um" for axis in axes)
         raise InputError(f"{path}: no reading of a displacement; name its columns {wanted}")
     values = np.full((len(log.times), len(axes)), np.nan)
     for k, axis in enumerate(axes):

@@ -120,7 +120,7 @@ def test_a_reading_of_the_displacement_corrects_a_warm_start(estimator, response
 def test_a_reading_that_contradicts_everything_is_refused(estimator, response):
     _, alone = estimates(estimator, samples_in(response, SENSORS))
     _, told = estimates(estimator, touched(response, estimator, 100, shift=500.0 * MICRO))
-    assert Status.DISPLACEMENT_REFUSED in told[100].status
+    assert Status.READING_REFUSED in told[100].status
     assert told[100].displacement == pytest.approx(alone[100].displacement, rel=1e-9)
 
 

@@ -15,14 +15,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from artefacts.errors import ConvergenceError, InputError, ThermojointError
+    from artefacts.log import Log
+    from artefacts.log_file import read_log
     from artefacts.response import make_response, read_response, write_response
     from calibrate.chain import Calibrated
     from calibrate.chain import calibrate_responses as calibrate
+    from calibrate.learning.learn import learn
     from calibrate.provenance import provenance_of
     from estimator.fchs.estimator import Fchs
     from estimator.interface import Channel, Estimate, Estimator, Status, follow
     from estimator.judge import Validated
     from estimator.judge import validate_model as validate
+    from estimator.learned.estimator import Learned
     from estimator.saved_state import load_state as load_estimator
     from estimator.saved_state import save_state as save_estimator
     from estimator.starting import started as start_estimator
@@ -41,6 +45,7 @@ if TYPE_CHECKING:
     from meshes.structure import Structure
     from models.assembly import Assembly, assemble
     from models.assembly_file import read_assembly, write_assembly
+    from models.learned import LearnedModel, read_learned, write_learned
     from models.model_file import Provenance, read_model, read_provenance, write_model
     from models.parameters import Model
 
@@ -56,6 +61,9 @@ __all__ = [
     "Estimator",
     "Fchs",
     "InputError",
+    "Learned",
+    "LearnedModel",
+    "Log",
     "Model",
     "Provenance",
     "RampInput",
@@ -72,11 +80,14 @@ __all__ = [
     "calibrate",
     "case_from_data",
     "follow",
+    "learn",
     "load_estimator",
     "make_response",
     "provenance_of",
     "read_assembly",
     "read_case",
+    "read_learned",
+    "read_log",
     "read_model",
     "read_provenance",
     "read_response",
@@ -87,6 +98,7 @@ __all__ = [
     "start_estimator",
     "validate",
     "write_assembly",
+    "write_learned",
     "write_model",
     "write_response",
     "write_structure",
@@ -103,6 +115,9 @@ _HOMES = {
     "Estimator": "estimator.interface:Estimator",
     "Fchs": "estimator.fchs.estimator:Fchs",
     "InputError": "artefacts.errors:InputError",
+    "Learned": "estimator.learned.estimator:Learned",
+    "LearnedModel": "models.learned:LearnedModel",
+    "Log": "artefacts.log:Log",
     "Model": "models.parameters:Model",
     "Provenance": "models.model_file:Provenance",
     "RampInput": "fesim.case.schema:RampInput",
@@ -119,11 +134,14 @@ _HOMES = {
     "calibrate": "calibrate.chain:calibrate_responses",
     "case_from_data": "fesim.case.schema:case_from_data",
     "follow": "estimator.interface:follow",
+    "learn": "calibrate.learning.learn:learn",
     "load_estimator": "estimator.saved_state:load_state",
     "make_response": "artefacts.response:make_response",
     "provenance_of": "calibrate.provenance:provenance_of",
     "read_assembly": "models.assembly_file:read_assembly",
     "read_case": "fesim.case.schema:read_case",
+    "read_learned": "models.learned:read_learned",
+    "read_log": "artefacts.log_file:read_log",
     "read_model": "models.model_file:read_model",
     "read_provenance": "models.model_file:read_provenance",
     "read_response": "artefacts.response:read_response",
@@ -134,6 +152,7 @@ _HOMES = {
     "start_estimator": "estimator.starting:started",
     "validate": "estimator.judge:validate_model",
     "write_assembly": "models.assembly_file:write_assembly",
+    "write_learned": "models.learned:write_learned",
     "write_model": "models.model_file:write_model",
     "write_response": "artefacts.response:write_response",
     "write_structure": "meshes.exchange:write_structure",

@@ -185,7 +185,7 @@ class JointAware:
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
-            (refused, Status.DISPLACEMENT_REFUSED),
+            (refused, Status.READING_REFUSED),
             (excess.any(), Status.UNSETTLED),
         ):
             status |= flag if holds else Status.OK

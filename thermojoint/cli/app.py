@@ -11,9 +11,9 @@ from typing import Annotated
 
 import typer
 
+from thermojoint.cli import learning, placing, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
-from thermojoint.cli import placing, thermal_test
 from thermojoint.cli import simulating as simulation
 from thermojoint.pictures import fonts
 
@@ -21,6 +21,7 @@ from thermojoint.pictures import fonts
 COMMANDS = (
     simulation.simulate,
     models.calibrate,
+    learning.learn,
     models.tables,
     models.assemble,
     models.estimate,

@@ -19,6 +19,9 @@ from thermojoint.cli.file_kinds import Kind
 if TYPE_CHECKING:
     from fesim.case.schema import Case
 
+#: Standard deviation of a reading of the displacement, if nobody says better, µm.
+READING_NOISE_UM = 0.5
+
 
 def shown(path: Path) -> str:
     """Return the name of an input for an error message."""
@@ -175,3 +178,18 @@ def only_for(what: str, given: Mapping[str, object]) -> None:
     for option, value in given.items():
         if value is not None and value is not False:
             raise InputError(f"{option}: goes with {what}; leave it out")
+
+
+def reading_noise(given_um: float | None, readings: Path | None) -> float:
+    """Return the standard deviation of a reading of the displacement, m.
+
+    Raises
+    ------
+    InputError
+        It is not positive, or there are no readings.
+    """
+    if given_um is None:
+        return 1e-6 * READING_NOISE_UM
+    if readings is None:
+        raise InputError("--reading-noise-um: goes with --readings; leave it out")
+    return 1e-6 * positive("--reading-noise-um", given_um)

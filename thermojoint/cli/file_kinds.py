@@ -53,6 +53,16 @@ def _json(*keys: str, **values: object) -> Callable[[Path], bool]:
     return holds
 
 
+def _is_validation(path: Path) -> bool:
+    """Rows of errors, whichever kind of estimator was judged."""
+    if not _json("rows")(path):
+        return False
+    rows = json.loads(path.read_bytes())["rows"]
+    return isinstance(rows, list) and all(
+        isinstance(row, dict) and row.keys() >= {"case", "estimator", "axis"} for row in rows
+    )
+
+
 def _is_simulated(path: Path) -> bool:
     """A response with the case it was simulated from: a measured one cannot be had again."""
     import h5py
@@ -63,7 +73,8 @@ def _is_simulated(path: Path) -> bool:
 
 
 def _is_estimator_state(path: Path) -> bool:
-    kinds = ("thermojoint-estimator-state", "thermojoint-joint-aware-state")
+    names = ("estimator", "joint-aware", "learned")
+    kinds = [f"thermojoint-{name}-state" for name in names]
     return any(_json(schema=kind)(path) for kind in kinds)
 
 
@@ -111,6 +122,7 @@ def _is_picture(path: Path) -> bool:
 RESPONSE = Kind("a simulated response", _is_simulated)
 MARCH_STATE = Kind("the state of a simulation", _is_march_state)
 MODEL = Kind("a model file", _json(schema="thermojoint-model"))
+LEARNED = Kind("a learned model", _json(schema="thermojoint-learned-model"))
 OBSERVER = Kind("a joint-aware model", _is_observer)
 CALIBRATION_REPORT = Kind(
     "the report of a calibration", _json("parameters", "directions", "profiles", "further_runs")
@@ -119,7 +131,7 @@ BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
 ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
-VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
+VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 TEST_REPORT = Kind("a report of a thermal test", _is_test_report)

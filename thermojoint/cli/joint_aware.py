@@ -95,7 +95,6 @@ def opened(
     start: Start,
 ) -> tuple[JointAware | AgeingJointAware, Array, Iterable[Sample]]:
     """Return the estimator, the state to go on from, and the samples of a log or a response."""
-    from estimator.joint_aware.estimator import TOUCH_NOISE
     from estimator.joint_aware.log import read_log
     from estimator.joint_aware.readings import samples_in
     from estimator.joint_aware.starting import started
@@ -103,11 +102,7 @@ def opened(
 
     if start.resume and start.warm:
         raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
-    if start.touch_noise_um is not None and start.touches is None:
-        raise InputError("--reading-noise-um: goes with --readings; leave it out")
-    noise = TOUCH_NOISE
-    if start.touch_noise_um is not None:
-        noise = 1e-6 * arguments.positive("--reading-noise-um", start.touch_noise_um)
+    noise = arguments.reading_noise(start.touch_noise_um, start.touches)
     estimator, state = started(model, start.resume, parameters(start.ageing), noise)
     if start.warm:
         state = estimator.warm_state()

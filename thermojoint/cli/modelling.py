@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from artefacts.errors import InputError
-from thermojoint.cli import arguments, file_kinds, joint_aware
+from thermojoint.cli import arguments, file_kinds, joint_aware, learning
 
 if TYPE_CHECKING:
     from artefacts.arrays import Array
@@ -171,13 +171,13 @@ def estimate(
     warm: Annotated[
         bool, typer.Option("--warm", help="Nothing is known of the machine's past (joint-aware).")
     ] = False,
-    touches: Annotated[
+    readings: Annotated[
         Path | None,
-        typer.Option("--readings", help="CSV of displacements read now and then (joint-aware)."),
+        typer.Option(help="Displacements read now and then (CSV); joint-aware or learned models."),
     ] = None,
-    touch_noise: Annotated[
+    reading_noise: Annotated[
         float | None,
-        typer.Option("--reading-noise-um", help="Standard deviation of these; default: 0.5."),
+        typer.Option("--reading-noise-um", help="Standard deviation of these, um; default: 0.5."),
     ] = None,
     ageing: Annotated[
         str | None,
@@ -189,7 +189,7 @@ def estimate(
     The CSV has the columns time_s, delta_T_K, T1_K, T2_K (above the current ambient), or time_s,
     a_degC, b_degC, T1_degC, T2_degC, ambient_degC. Intervals may vary, rows may be missing. For a
     joint-aware model: time_s and NAME_K, ambient_K, or NAME_degC, ambient_degC, of its sensors;
-    empty cells are missing readings.
+    empty cells are missing readings. For a learned model: the columns it was learned from.
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
@@ -206,6 +206,7 @@ def estimate(
     from estimator.joint_aware.recognition import is_observer
     from estimator.saved_state import save_state
     from estimator.starting import model_in, started
+    from models.learned import is_learned
     from thermojoint.cli import console, plausibility
 
     # Not with the state of --continue: it may be replaced by its successor.
@@ -214,27 +215,25 @@ def estimate(
             "--out": (out, file_kinds.ESTIMATE),
             "--save-state": (save, file_kinds.ESTIMATOR_STATE),
         },
-        [model, temperatures, touches],
+        [model, temperatures, readings],
     )
     length = arguments.positive("--run-length-min", run_length)
     where = arguments.shown(temperatures)
     with arguments.opened(temperatures) as source:
-        if is_observer(model):
+        if is_learned(model):
+            arguments.only_for("a joint-aware model", {"--warm": warm, "--ageing": ageing})
+            log = learning.opened(model, source, where, resume, readings, reading_noise)
+            learning.estimate(log, out, save)
+        elif is_observer(model):
             response = read_response(temperatures) if source is None else None
-            start = joint_aware.Start(resume, warm, touches, touch_noise, ageing)
-            observer, state, readings = joint_aware.opened(model, source, response, where, start)
+            start = joint_aware.Start(resume, warm, readings, reading_noise, ageing)
+            observer, state, seen = joint_aware.opened(model, source, response, where, start)
             keep = partial(joint_aware.save, observer, save) if save else None
-            _write_estimates(observer, state, readings, out, keep)
+            _write_estimates(observer, state, seen, out, keep)
         else:
-            arguments.only_for(
-                "a joint-aware model",
-                {
-                    "--warm": warm,
-                    "--readings": touches,
-                    "--reading-noise-um": touch_noise,
-                    "--ageing": ageing,
-                },
-            )
+            given = {"--readings": readings, "--reading-noise-um": reading_noise}
+            arguments.only_for("a joint-aware or learned model", given)
+            arguments.only_for("a joint-aware model", {"--warm": warm, "--ageing": ageing})
             table = model_in(model)
             samples: Iterator[Sample]
             if source is None:
@@ -313,7 +312,10 @@ def assemble(
 
 def validate(
     model: ModelFile,
-    responses: Annotated[list[Path], typer.Argument(help="Responses to validate against.")],
+    responses: Annotated[
+        list[Path],
+        typer.Argument(help="Responses to validate against; logs (CSV) for a learned model."),
+    ],
     reference: Annotated[
         Path | None,
         typer.Option(help="Response to the reference step: makes the nonlinear part exact."),
@@ -339,12 +341,16 @@ def validate(
     from estimator import judge, noise
     from estimator.joint_aware.recognition import is_observer
     from models.baselines import read_baselines
+    from models.learned import is_learned
     from models.model_file import read_model
     from thermojoint.cli import console, plausibility
     from thermojoint.paper.summary import compare_schemes
 
     inputs = [model, baselines, reference, *responses]
     arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
+    if is_learned(model):
+        learning.validate(model, responses, out)
+        return
     given = {path.stem: read_response(path) for path in responses}
     if len(given) < len(responses):
         raise InputError("validate: two responses have the same name; rename one")

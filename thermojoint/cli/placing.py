@@ -35,14 +35,15 @@ def place(
     """
     from artefacts.errors import InputError
     from artefacts.files import write_text
+    from fesim.case.schema import read_case
+
+    machine = read_case(case)
     from estimator.joint_aware.placement import place_sensors
     from estimator.joint_aware.plant_family import fewer_modes
     from estimator.joint_aware.reduced_machine import reduce_machine
-    from fesim.case.schema import read_case
     from fesim.setup.machine import candidate_probes, set_up
     from thermojoint.cli import console, plausibility
 
-    machine = read_case(case)
     arguments.check_outputs(
         {"--out": (out, file_kinds.SENSORS)}, [case, *arguments.files_of(machine)]
     )

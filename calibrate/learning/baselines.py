@@ -1,0 +1,99 @@
+"""Regressions on all temperatures of a log, fitted with the same care, to compare with.
+
+``linear``: ordinary least squares. ``ridge``: standardised temperatures and their low-passes, the
+penalty by blocks of time. ``arx``: a pole from one-step predictions, then the weights of the
+temperatures by the same ridge, run freely; that is a relaxation of the temperatures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from calibrate.learning.blocks import Blocks, Sums, held_out, weights_of
+from calibrate.learning.selection import Fitted
+from calibrate.learning.structures import SLOW
+
+#: Penalties to choose from, of standardised temperatures.
+PENALTIES = tuple(10.0 ** (0.5 * k) for k in range(-10, 3))
+KINDS = ("linear", "ridge", "arx")
+
+
+def linear(blocks: Blocks, index: list[int]) -> Fitted:
+    """Return ordinary least squares on the features of an index."""
+    return _penalised(blocks, index, (1e-9,))
+
+
+def ridge(blocks: Blocks, index: list[int]) -> Fitted:
+    """Return ridge on the standardised features of an index, its penalty chosen by blocks."""
+    return _penalised(blocks, index, PENALTIES)
+
+
+def autoregressive_tau(rows: Array, features: int, now: list[int], interval: float) -> float:
+    """Return the time constant of ARX: of its pole in one-step predictions, s, and bounded.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (k, n)
+        Features, then displacements.
+    features : int
+        How many are features.
+    now : list of int
+        Which of them are temperatures as they are.
+    interval : float
+        Between rows, s.
+    """
+    inputs, told = rows[:, now], rows[:, features:]
+    inputs, told = inputs - inputs.mean(axis=0), told - told.mean(axis=0)
+    poles = []
+    for own in told.T:
+        table = np.column_stack((own[:-1], inputs[1:]))
+        poles.append(np.linalg.lstsq(table, own[1:], rcond=None)[0][0])
+    pole = float(np.clip(np.median(poles), 0.0, 1.0 - 1e-9))
+    return float(np.clip(-interval / np.log(max(pole, 1e-6)), interval, SLOW[-1]))
+
+
+def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
+    """Return the fit whose penalty has the least held-out error, for each displacement."""
+    n = blocks.features
+    at = np.array(index, dtype=np.int64)
+    spread = np.sqrt(np.maximum(np.diag(blocks.whole.centred) / blocks.whole.count, 1e-18))
+    spread[n:] = 1.0
+    standard = _scaled(blocks, 1.0 / spread)
+    rows = blocks.whole.count / blocks.penalty
+    found = weights_of(standard, at, [rows * one for one in penalties])
+    errors = np.array([held_out(standard, own[:-1]).mean(axis=0) for own in found])
+    best = errors.argmin(axis=0)
+    axes = errors.shape[1]
+    weights = np.stack([found[best[c], -1][:, c] for c in range(axes)], axis=1)
+    weights /= spread[:n, None]
+    covariance = np.zeros((axes, n, n))
+    inner = standard.whole.centred[np.ix_(at, at)] / blocks.penalty
+    for c in range(axes):
+        error = max(errors[best[c], c], 1e-4)
+        own = np.linalg.inv(inner / error + rows * penalties[best[c]] / error * np.eye(len(at)))
+        covariance[c][np.ix_(at, at)] = own / np.outer(spread[at], spread[at])
+    mean = blocks.whole.mean
+    return Fitted(
+        weights,
+        covariance,
+        mean[n:] - mean[:n] @ weights,
+        np.sqrt(errors[best, np.arange(axes)]),
+        errors[best, np.arange(axes)],
+    )
+
+
+def _scaled(blocks: Blocks, factor: Array) -> Blocks:
+    def turned(one: Sums) -> Sums:
+        return replace(
+            one, products=one.products * np.outer(factor, factor), total=one.total * factor
+        )
+
+    return replace(
+        blocks,
+        whole=turned(blocks.whole),
+        fits=tuple(turned(one) for one in blocks.fits),
+        held=tuple(turned(one) for one in blocks.held),
+    )

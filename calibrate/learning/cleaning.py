@@ -1,0 +1,261 @@
+"""What is wrong with a log: sensors to learn without, and logs that cannot be learned from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from calibrate.learning.thinning import Table
+
+#: A log tells nothing of relaxations of an hour if it is shorter, s.
+SHORTEST = 3.0 * 3600.0
+#: A sensor that stays within this has not moved, K; a displacement, m.
+_STILL, _STILL_LENGTH = 0.1, 0.5e-6
+#: A sensor is left out if it is stuck for this share of the log, or if more than this is missing.
+_STUCK, _MISSING = 0.1, 0.2
+#: More spikes than this share of the samples are a fault.
+_SPIKES = 1e-2
+#: A jump within one interval, K, and how many usual changes it is.
+_MOVED, _USUAL = 1.0, 15.0
+#: Rows on either side by which a jump is told from a spike.
+_SIDE = 20
+#: A displacement that jumps by this share of its range has lost its zero.
+_JUMP = 0.15
+#: No thermometer of a machine tool reads beyond, K.
+_POSSIBLE = (200.0, 600.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """A log to learn from.
+
+    Attributes
+    ----------
+    table : Table
+        Its rows, gaps of the sensors filled with the reading before.
+    sensors, drives, displacements : tuple of str
+        Columns to learn with and to learn.
+    faults : tuple of str
+        One for each sensor that is left out or was mended.
+    warnings : tuple of str
+        What the log cannot tell.
+    """
+
+    table: Table
+    sensors: tuple[str, ...]
+    drives: tuple[str, ...]
+    displacements: tuple[str, ...]
+    faults: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def at(self, name: str) -> Array:
+        """Return a column, SI, shape (k,)."""
+        names = [one.name for one in self.table.columns]
+        return np.asarray(self.table.values[:, names.index(name)])
+
+
+def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
+    """Return what can be learned from.
+
+    Parameters
+    ----------
+    table : Table
+        Of the log.
+    displacements : tuple of str
+        Names of the columns to learn.
+
+    Raises
+    ------
+    InputError
+        The log is too short, nothing warms the machine, no sensor is usable, or a displacement
+        stands still, is mostly missing or jumps.
+    """
+    names = [one.name for one in table.columns]
+    length = _length(table)
+    if length < SHORTEST:
+        raise InputError(
+            f"log: {length / 3600.0:.1f} h long; to learn from, give {SHORTEST / 3600.0:.0f} h or "
+            "more in one run"
+        )
+    drives, warnings = _drives(table)
+    changes = _changes_of(table, drives)
+    faults: list[str] = []
+    sensors: list[str] = []
+    for k, column in enumerate(table.columns):
+        if column.quantity != "temperature" or column.name in displacements:
+            continue
+        fault = _fault(table, k, changes)
+        if fault is None:
+            sensors.append(column.name)
+        else:
+            faults.append(f"{column.name}: {fault}; left out")
+        if fault is None and table.spikes[k]:
+            faults.append(f"{column.name}: {int(table.spikes[k])} spikes; they are left out")
+        if fault is None and table.missing[k]:
+            faults.append(f"{column.name}: {int(table.missing[k])} readings missing; bridged")
+    if not sensors and not drives:
+        raise InputError(
+            "log: no usable temperature, speed or power"
+            + (f" ({'; '.join(faults)})" if faults else "")
+            + "; record some while the machine warms up"
+        )
+    for name in displacements:
+        _check_displacement(table, names.index(name), changes)
+    moved = [float(np.nanstd(table.values[:, names.index(name)])) for name in sensors]
+    if not drives and max(moved, default=0.0) < 5.0 * _STILL:
+        raise InputError(
+            "log: nothing warms the machine: no temperature moves by more than a few tenths of a "
+            "kelvin and no speed is recorded; record a spindle test"
+        )
+    kept = [names.index(name) for name in (*sensors, *drives)]
+    return Cleaned(
+        replace(table, values=_bridged(table, kept)),
+        tuple(sensors),
+        tuple(drives),
+        displacements,
+        tuple(faults),
+        tuple(warnings),
+    )
+
+
+def _length(table: Table) -> float:
+    ends = [*table.starts[1:], len(table.times)]
+    return max(
+        float(table.times[end - 1] - table.times[first])
+        for first, end in zip(table.starts, ends, strict=True)
+    )
+
+
+def _drives(table: Table) -> tuple[list[str], list[str]]:
+    """Return the columns that carry heat and vary, and what is missing in them."""
+    drives, warnings = [], []
+    for k, column in enumerate(table.columns):
+        if column.quantity not in ("speed", "power", "current", "torque", "load"):
+            continue
+        values = table.values[:, k][np.isfinite(table.values[:, k])]
+        largest = float(np.abs(values).max(initial=0.0))
+        if not largest or float(np.ptp(values)) < 1e-3 * largest:
+            warnings.append(f"{column.name} is constant: its effect cannot be told; left out")
+            continue
+        drives.append(column.name)
+        if column.quantity == "speed" and _levels(np.abs(values) / largest) == 1:
+            warnings.append(
+                f"{column.name} has one level only: what other speeds do is extrapolated"
+            )
+    if not drives:
+        warnings.append("no speed, power or load that varies: heat is seen by temperatures alone")
+    return drives, warnings
+
+
+def _levels(speeds: Array) -> int:
+    """Return how many speeds other than zero were held, of speeds relative to the largest."""
+    held = np.round(speeds[speeds > 0.05], 1)
+    values, counts = np.unique(held, return_counts=True)
+    return int((counts > 0.02 * len(speeds)).sum()) if len(values) else 0
+
+
+def _changes_of(table: Table, drives: list[str]) -> Array:
+    """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
+    names = [one.name for one in table.columns]
+    changing = np.zeros(len(table.times), dtype=bool)
+    for name in drives:
+        values = table.values[:, names.index(name)]
+        step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
+        changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
+    # Over a gap anything may have changed as well.
+    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * table.interval
+    changing[list(table.starts)] = True
+    return changing
+
+
+def _fault(table: Table, k: int, changes: Array) -> str | None:
+    """Return what makes a sensor unusable."""
+    values = table.values[:, k]
+    there = np.isfinite(values)
+    share = float(table.missing[k]) / table.samples
+    if there.mean() < 1.0 - _MISSING or share > _MISSING:
+        return f"{100.0 * max(share, 1.0 - float(there.mean())):.0f} % of its readings are missing"
+    seen = values[there]
+    if table.columns[k].unit != "K" and (seen.min() < _POSSIBLE[0] or seen.max() > _POSSIBLE[1]):
+        worst = seen[np.argmax(np.abs(seen - np.median(seen)))]
+        return f"reads {float(table.columns[k].from_si(worst)):g}, no temperature of a machine"
+    if float(np.ptp(seen)) < _STILL:
+        return f"never moves by more than {_STILL:g} K"
+    if table.spikes[k] > _SPIKES * table.samples:
+        return f"{int(table.spikes[k])} spikes in {table.samples} samples"
+    times = table.times[there]
+    stuck = _longest_still(seen, times)
+    if stuck > max(_STUCK * (times[-1] - times[0]), 1800.0):
+        return f"stuck at one value for {stuck / 60.0:.0f} min"
+    jump = _jump(seen, changes[there])
+    if jump is not None:
+        row, size = jump
+        hours = (times[row] - times[0]) / 3600.0
+        return f"jumps by {size:+.1f} K {hours:.1f} h after the start, as a sensor that was moved"
+    return None
+
+
+def _longest_still(values: Array, times: Array) -> float:
+    """Return the longest time for which a reading is the same to the last digit, s."""
+    new = np.flatnonzero(np.abs(np.diff(values)) > 1e-9)
+    ends = np.concatenate(([0], new + 1, [len(values) - 1]))
+    return float(np.diff(times[ends]).max(initial=0.0))
+
+
+def _jump(values: Array, changing: Array) -> tuple[int, float] | None:
+    """Return row and size of a lasting jump within one interval, if there is one."""
+    if len(values) < 4 * _SIDE:
+        return None
+    steps = np.where(changing[1:], 0.0, np.diff(values))
+    usual = float(np.median(np.abs(steps))) + 1e-3
+    for row in np.argsort(-np.abs(steps))[:5]:
+        size = float(steps[row])
+        if abs(size) < max(_MOVED, _USUAL * usual):
+            return None
+        before = values[max(0, row + 1 - _SIDE) : row + 1]
+        after = values[row + 1 : row + 1 + _SIDE]
+        lasting = float(np.median(after) - np.median(before))
+        quiet = max(float(np.ptp(before)), float(np.ptp(after[1:]))) if len(after) > 1 else 0.0
+        if len(after) > _SIDE // 2 and lasting * np.sign(size) > 0.7 * abs(size) > quiet:
+            return int(row + 1), size
+    return None
+
+
+def _check_displacement(table: Table, k: int, changing: Array) -> None:
+    column, values = table.columns[k], table.values[:, k]
+    there = np.isfinite(values)
+    if there.mean() < 0.5:
+        raise InputError(f"{column.name}: mostly missing; record it with the temperatures")
+    seen = values[there]
+    size = float(np.ptp(seen))
+    if size < _STILL_LENGTH:
+        raise InputError(f"{column.name}: constant within {1e6 * size:.2g} um; nothing to learn")
+    steps = np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
+    usual = float(np.median(np.abs(steps)))
+    for row in np.argsort(-np.abs(steps))[:5]:
+        before, after = seen[max(0, row - _SIDE) : row], seen[row : row + _SIDE]
+        lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
+        if abs(steps[row]) > max(_JUMP * size, _USUAL * usual) and lasting > 0.7 * abs(steps[row]):
+            hours = (table.times[there][row] - table.times[0]) / 3600.0
+            raise InputError(
+                f"{column.name}: jumps by {1e6 * steps[row]:.1f} um {hours:.1f} h after the start, "
+                "as a probe that lost its zero; split the log there, into files whose clocks begin "
+                "anew"
+            )
+
+
+def _bridged(table: Table, kept: list[int]) -> Array:
+    """Return the values, with every gap of some columns filled by the reading before."""
+    import pandas as pd
+
+    values = table.values.copy()
+    ends = [*table.starts[1:], len(table.times)]
+    for first, end in zip(table.starts, ends, strict=True):
+        part = pd.DataFrame(values[first:end, kept]).ffill().bfill()
+        values[first:end, kept] = part.to_numpy()
+    middle = np.nanmedian(values[:, kept], axis=0)
+    values[:, kept] = np.where(np.isnan(values[:, kept]), middle, values[:, kept])
+    return values

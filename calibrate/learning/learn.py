@@ -1,0 +1,254 @@
+"""From a log to a learned model: clean, choose, fit, and judge the whole on blocks held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.log import Log
+from calibrate.learning import baselines
+from calibrate.learning.blocks import MARGIN, blocks_of
+from calibrate.learning.cleaning import Cleaned, clean
+from calibrate.learning.selection import Fitted, choose, fit
+from calibrate.learning.structures import candidates, design, sizes, structures
+from calibrate.learning.thinning import Table, thinned
+from models.learned import (
+    Feature,
+    LearnedChannel,
+    LearnedFrom,
+    LearnedModel,
+    LogEnd,
+    features_of,
+)
+
+Kind = Literal["learned", "linear", "ridge", "arx"]
+KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
+#: Blocks of time inside a fit: so many hours each, at least and at most so many.
+_HOURS, _FEWEST, _MOST = 2.5, 6, 24
+#: Blocks on which the whole procedure is judged: all of it is done without each.
+_JUDGED = 4
+#: What the log leaves open in the weights is taken as so much more: structures that are alike, and
+#: errors that last longer than an hour, make it look smaller (rolling origins of a measured log).
+_OPEN = 4.0
+#: Share of the errors that lies within the band.
+_WITHIN = 0.95
+_QUANTILE = 1.96
+_MICRO = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a log as a kind of model sees them, µm."""
+
+    features: tuple[Feature, ...]
+    inputs: Array
+    outputs: Array
+    interval: float
+    fit: Callable[[Array, Array], Fitted]
+
+
+def learn(
+    pieces: Iterable[Log],
+    displacements: Sequence[str],
+    max_sensors: int = 4,
+    kind: Kind = "learned",
+    ignored: Sequence[str] = (),
+    files: Sequence[str] = (),
+    renamed: Mapping[str, str] | None = None,
+) -> LearnedModel:
+    """Learn a model from a log.
+
+    Parameters
+    ----------
+    pieces : iterable of Log
+        The log, in the order of time; whole logs are pieces as well.
+    displacements : sequence of str
+        Names of the columns to learn, with or without their units.
+    max_sensors : int
+        How many temperatures the model may use; a baseline uses all.
+    kind : str
+        ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
+    ignored : sequence of str
+        Columns to leave aside.
+    files : sequence of str
+        Names of the log's files, to be kept in the model.
+    renamed : mapping, optional
+        What the log calls a column, to what it was renamed, to be kept in the model.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or the log cannot be learned from; the message says why.
+    """
+    if max_sensors < 1:
+        raise InputError(f"--max-sensors {max_sensors}: give one or more")
+    table = thinned(pieces, ())
+    cleaned = _cleaned(table, displacements, ignored)
+    judged = {one: _rows(cleaned, one, max_sensors) for one in KINDS if _possible(cleaned, one)}
+    if kind not in judged:
+        raise InputError(f"kind {kind}: needs temperatures, and the log has none that is usable")
+    errors = {one: _judge(rows) for one, rows in judged.items()}
+    rows = judged[kind]
+    fitted = rows.fit(rows.inputs, rows.outputs)
+    found = _model(kind, cleaned, rows, fitted, errors, files)
+    return replace(found, renamed=dict(renamed or {}))
+
+
+def _cleaned(table: Table, displacements: Sequence[str], ignored: Sequence[str]) -> Cleaned:
+    whole = Log(table.times, table.columns, table.values, table.starts)
+    if not displacements:
+        raise InputError(
+            f"log: name what to learn, e.g. --displacement {next(iter(whole.of('length')), 'x_um')}"
+        )
+    told = tuple(dict.fromkeys(table.columns[whole.index(name)].name for name in displacements))
+    for name in told:
+        if table.columns[whole.index(name)].quantity != "length":
+            raise InputError(f"{name}: no displacement; name a column in um, mm or m")
+    away = {whole.index(name) for name in ignored}
+    kept = [k for k in range(len(table.columns)) if k not in away]
+    return clean(
+        replace(
+            table,
+            columns=tuple(table.columns[k] for k in kept),
+            values=table.values[:, kept],
+            spikes=table.spikes[kept],
+            missing=table.missing[kept],
+        ),
+        told,
+    )
+
+
+def _possible(cleaned: Cleaned, kind: Kind) -> bool:
+    return bool(cleaned.sensors) or kind == "learned"
+
+
+def _rows(cleaned: Cleaned, kind: Kind, most: int) -> _Rows:
+    """Return the rows that a kind of model is fitted to, and how."""
+    features = candidates(cleaned)
+    if kind in ("linear", "arx"):
+        features = tuple(one for one in features if not one.exponent and not one.tau_s)
+    elif kind == "ridge":
+        features = tuple(one for one in features if not one.exponent)
+    inputs, outputs = design(cleaned, features)
+    interval = cleaned.table.interval
+    if kind == "arx":
+        tau = baselines.autoregressive_tau(
+            np.hstack((inputs, outputs)), len(features), list(range(len(features))), interval
+        )
+        features += tuple(Feature(one.column, tau, reference=one.reference) for one in features)
+        inputs, outputs = design(cleaned, features)
+    every = list(range(len(features)))
+    kinds = structures(bool(cleaned.drives), float(np.ptp(cleaned.table.times)))
+
+    def fitted(some: Array, told: Array) -> Fitted:
+        hours = len(some) * interval / 3600.0
+        count = int(np.clip(hours / _HOURS, _FEWEST, _MOST))
+        blocks = blocks_of(np.hstack((some, told)), len(features), interval, count)
+        if kind == "linear":
+            return baselines.linear(blocks, every)
+        if kind != "learned":
+            return baselines.ridge(blocks, every)
+        sensors = choose(blocks, features, cleaned.sensors, kinds, most)
+        return fit(blocks, features, sensors, kinds)
+
+    return _Rows(features, inputs, outputs, interval, fitted)
+
+
+def _judge(rows: _Rows) -> tuple[Array, Array]:
+    """Return rms errors, µm, and the factor on the band, of all that is done without a block."""
+    edges = np.linspace(0, len(rows.inputs), _JUDGED + 1).astype(int)
+    margin = int(np.ceil(MARGIN / rows.interval))
+    errors, ratios = [], []
+    for first, end in pairwise(edges):
+        away = np.ones(len(rows.inputs), dtype=bool)
+        away[max(0, first - margin) : end + margin] = False
+        found = rows.fit(rows.inputs[away], rows.outputs[away])
+        own = rows.inputs[first:end]
+        error = rows.outputs[first:end] - found.offset - own @ found.weights
+        about = own - rows.inputs[away].mean(axis=0)
+        spread = _OPEN * np.einsum("ti,cij,tj->tc", about, found.covariance, about)
+        errors.append(error)
+        ratios.append(np.abs(error) / np.sqrt(spread + found.errors**2))
+    whole = np.concatenate(errors)
+    widening = np.quantile(np.concatenate(ratios), _WITHIN, axis=0) / _QUANTILE
+    return np.sqrt((whole**2).mean(axis=0)), np.maximum(widening, 1.0)
+
+
+def _model(
+    kind: Kind,
+    cleaned: Cleaned,
+    rows: _Rows,
+    fitted: Fitted,
+    errors: dict[Kind, tuple[Array, Array]],
+    files: Sequence[str],
+) -> LearnedModel:
+    """Return the model of a fit, without the features that it does not use."""
+    used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
+    size = sizes(rows.features)[used] / _MICRO
+    weights = size[:, None] * fitted.weights[used]
+    features = tuple(rows.features[k] for k in used)
+    columns = {one.column for one in features}
+    widening = errors[kind][1]
+    channels = []
+    for c, name in enumerate(cleaned.displacements):
+        spread = _OPEN * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
+        told = cleaned.at(name)
+        told = told[np.isfinite(told)]
+        channels.append(
+            LearnedChannel(
+                name,
+                float(fitted.offset[c]) / _MICRO,
+                tuple(map(float, weights[:, c])),
+                tuple(tuple(map(float, row)) for row in 0.5 * (spread + spread.T)),
+                max(float(fitted.errors[c]), 0.05) / _MICRO,
+                (float(told.min()), float(told.max())),
+                float(widening[c]),
+            )
+        )
+    table = cleaned.table
+    ends = [*table.starts[1:], len(table.times)]
+    duration = max(
+        float(table.times[end - 1] - table.times[first])
+        for first, end in zip(table.starts, ends, strict=True)
+    )
+    return LearnedModel(
+        kind,
+        features,
+        tuple(channels),
+        {
+            one: (float(cleaned.at(one).min()), float(cleaned.at(one).max()))
+            for one in (*cleaned.sensors, *cleaned.drives)
+            if one in columns
+        },
+        duration,
+        LearnedFrom(
+            table.samples,
+            tuple(files),
+            cleaned.faults,
+            cleaned.warnings,
+            {one: tuple(map(float, rms)) for one, (rms, _) in errors.items()},
+            {name: version(name) for name in ("thermojoint", "numpy")},
+        ),
+        log_end=_end_of(cleaned, features),
+    )
+
+
+def _end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
+    """Return where the last run of a log leaves the model."""
+    table = cleaned.table
+    names = [one.name for one in table.columns]
+    last = slice(table.starts[-1], None)
+    run = table.times[last], table.values[last]
+    columns = dict.fromkeys(one.column for one in features)
+    return LogEnd(
+        float(table.times[-1]),
+        tuple(float(cleaned.at(name)[-1]) for name in columns),
+        tuple(map(float, features_of(features, names, run)[-1])),
+    )

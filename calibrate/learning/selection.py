@@ -1,0 +1,133 @@
+"""Which sensors, and which structures: by the error on blocks of time that are held out.
+
+A log of a day holds some ten independent errors, and thousands of sets of sensors: the set with the
+least error is mostly luck. So what is fitted on a set is a mean over structures, weighted by their
+errors, and a set is judged by that error together with what the log leaves open in the weights:
+their variance, and what the structures disagree in. The same becomes part of the band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from calibrate.learning.blocks import Blocks, held_out, weights_of
+from calibrate.learning.structures import Structure, index_of
+from models.learned import Feature
+
+#: Weights of the prior that a fit is a mean over, µm².
+PRIORS = (0.1, 1.0)
+#: A structure counts by this power of its mean square error.
+_SHARPNESS = 2.0
+#: Errors below are measured noise, µm.
+_NOISE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Weights of a mean over structures.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (features, axes)
+        In units of the prior.
+    covariance : ndarray, shape (axes, features, features)
+        Of the weights.
+    offset : ndarray, shape (axes,)
+        Displacement where every feature is zero, µm.
+    errors : ndarray, shape (axes,)
+        Rms error on blocks that were held out, µm.
+    doubt : ndarray, shape (axes,)
+        Square of `errors`, and the mean variance of the estimate in the log by the covariance, µm².
+    """
+
+    weights: Array
+    covariance: Array
+    offset: Array
+    errors: Array
+    doubt: Array
+
+
+def choose(
+    blocks: Blocks,
+    features: tuple[Feature, ...],
+    sensors: Sequence[str],
+    kinds: Sequence[Structure],
+    most: int,
+) -> tuple[str, ...]:
+    """Return at most `most` sensors, added one by one.
+
+    Each time the one that leaves the least doubt, over all displacements: of the error on blocks
+    held out, and of what the log leaves open in the weights (`Fitted.doubt`).
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Rows of the log.
+    features : tuple of Feature
+        Of the rows.
+    sensors : sequence of str
+        To choose from.
+    kinds : sequence of Structure
+        What the fit is a mean over.
+    most : int
+        How many.
+    """
+    chosen: tuple[str, ...] = ()
+    for _ in range(min(most, len(sensors))):
+        doubts = {
+            name: float(np.log(fit(blocks, features, (*chosen, name), kinds).doubt).sum())
+            for name in sensors
+            if name not in chosen
+        }
+        chosen = (*chosen, min(doubts, key=lambda name: doubts[name]))
+    return chosen
+
+
+def fit(
+    blocks: Blocks,
+    features: tuple[Feature, ...],
+    sensors: tuple[str, ...],
+    kinds: Sequence[Structure],
+) -> Fitted:
+    """Return the mean over structures on some sensors, each weighted by its held-out error.
+
+    Parameters
+    ----------
+    blocks, features, sensors, kinds
+        As in `choose`; all of the sensors are used.
+    """
+    axes = len(blocks.whole.mean) - blocks.features
+    n = blocks.features
+    weights, errors, spreads = [], [], []
+    for kind in kinds:
+        index = np.array(index_of(features, sensors, kind), dtype=np.int64)
+        found = weights_of(blocks, index, PRIORS)
+        inner = blocks.whole.centred[np.ix_(index, index)] / blocks.penalty
+        for own in found:
+            error = held_out(blocks, own[:-1]).mean(axis=0) + _NOISE**2
+            weights.append(own)
+            errors.append(error)
+            spread = np.zeros((axes, n, n))
+            for c in range(axes):
+                spread[c][np.ix_(index, index)] = np.linalg.inv(
+                    inner / error[c] + np.eye(len(index))
+                )
+            spreads.append(spread)
+    every, square, spread = np.array(weights), np.array(errors), np.array(spreads)
+    share = (square / square.min(axis=0)) ** -_SHARPNESS
+    share /= share.sum(axis=0)
+    mean = np.einsum("kc,kfnc->fnc", share, every)
+    apart = every[:, -1] - mean[-1]
+    covariance = np.einsum("kc,kcij->cij", share, spread)
+    covariance += np.einsum("kc,kic,kjc->cij", share, apart, apart)
+    whole = blocks.whole.mean
+    left = held_out(blocks, mean[:-1]).mean(axis=0)
+    usual = blocks.whole.centred[:n, :n] / blocks.whole.count
+    open_ = np.einsum("cij,ji->c", covariance, usual)
+    return Fitted(
+        mean[-1], covariance, whole[n:] - whole[:n] @ mean[-1], np.sqrt(left), left + open_
+    )

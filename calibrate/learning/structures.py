@@ -1,0 +1,143 @@
+"""What a learned model may be made of: relaxations of temperatures, heats of speed and load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from calibrate.learning.cleaning import Cleaned
+from models.learned import Feature, features_of
+
+#: Relaxations of a temperature beside itself, and of a heat, s.
+SLOW = (3600.0, 7200.0)
+HEAT = (900.0, 5400.0)
+#: Heat of a bearing as a power of the speed; a power or load is heat already.
+EXPONENTS = (1.0, 1.5, 2.0)
+#: Relaxations slower than this share of the run are none that it can show.
+SLOWEST_SHARE = 1.0 / 3.0
+#: A priori size of a weight, µm: per kelvin (steel over half a metre), and of the largest heat.
+GAIN = 5.0
+HEAT_GAIN = 20.0
+#: How long what went in before a run counts, s, and at most which share of the run is given up.
+BEFORE = 2.0 * HEAT[-1]
+_GIVEN_UP = 0.2
+_MICRO = 1e6
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Which features a fit has.
+
+    Attributes
+    ----------
+    slow : tuple of float
+        Relaxations of every temperature beside itself, s.
+    exponent : float
+        Of speed; 0 without any heat.
+    """
+
+    slow: tuple[float, ...]
+    exponent: float
+
+
+def structures(drives: bool, length: float) -> tuple[Structure, ...]:
+    """Return the structures to choose from, for a run of `length` seconds."""
+    slow = [tau for tau in SLOW if tau <= SLOWEST_SHARE * length]
+    relaxations = [(), *((tau,) for tau in slow)]
+    exponents = EXPONENTS if drives else (0.0,)
+    return tuple(Structure(taus, p) for taus in relaxations for p in exponents)
+
+
+def candidates(cleaned: Cleaned) -> tuple[Feature, ...]:
+    """Return every feature that a structure may have."""
+    quantities = {one.name: one.quantity for one in cleaned.table.columns}
+    found = []
+    for name in cleaned.sensors:
+        values = cleaned.at(name)
+        for tau in (0.0, *SLOW):
+            found.append(Feature(name, tau, reference=float(np.mean(values))))
+    for name in cleaned.drives:
+        largest = float(np.abs(cleaned.at(name)).max())
+        exponents = EXPONENTS if quantities[name] == "speed" else (1.0,)
+        found += [Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in HEAT]
+    return tuple(found)
+
+
+def index_of(
+    features: tuple[Feature, ...], sensors: tuple[str, ...], structure: Structure
+) -> list[int]:
+    """Return where the features of a structure on some sensors stand."""
+    taus = (0.0, *structure.slow)
+    loads = {
+        one.column
+        for one in features
+        if one.exponent == 1.0
+        and not any(o.column == one.column and o.exponent not in (0.0, 1.0) for o in features)
+    }
+    return [
+        k
+        for k, one in enumerate(features)
+        if (not one.exponent and one.column in sensors and one.tau_s in taus)
+        or (
+            one.exponent
+            and structure.exponent
+            and (one.exponent == structure.exponent or one.column in loads)
+        )
+    ]
+
+
+def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Array]:
+    """Return features (k, n) in units of their prior and displacements (k, axes), µm.
+
+    Rows without a displacement are left out; of several runs, each of which has a zero of its own,
+    only what happens within each.
+    """
+    table = cleaned.table
+    names = [one.name for one in table.columns]
+    size = sizes(features)
+    at = [names.index(name) for name in cleaned.displacements]
+    ends = [*table.starts[1:], len(table.times)]
+    inputs, outputs = [], []
+    for first, end in zip(table.starts, ends, strict=True):
+        run = table.times[first:end], table.values[first:end]
+        values = size * features_of(features, names, run)
+        told = _MICRO * table.values[first:end][:, at]
+        full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end))
+        if not full.any():
+            continue
+        inputs.append(values[full])
+        outputs.append(told[full])
+    if not inputs:
+        raise InputError("log: no row has every displacement; record them together")
+    return _within_runs(inputs), _within_runs(outputs)
+
+
+def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
+    """Return which rows of a run do not depend on what went in before it, shape (k,) of bool.
+
+    A run that begins at a standstill is taken to begin at rest.
+    """
+    times = cleaned.table.times[run]
+    since = times - times[0]
+    warm = any(
+        abs(cleaned.at(name)[run][0]) > 0.02 * np.abs(cleaned.at(name)).max()
+        for name in cleaned.drives
+    )
+    return np.asarray(since >= min(BEFORE, _GIVEN_UP * since[-1]) * warm)
+
+
+def _within_runs(runs: list[Array]) -> Array:
+    """Return the rows of all runs, each run about the mean of all."""
+    whole = np.concatenate(runs)
+    if len(runs) == 1:
+        return whole
+    return np.concatenate([one - one.mean(axis=0) for one in runs]) + whole.mean(axis=0)
+
+
+def sizes(features: tuple[Feature, ...]) -> Array:
+    """Return the a priori size of each weight, µm, shape (n,)."""
+    return np.array([HEAT_GAIN if one.exponent else GAIN for one in features])

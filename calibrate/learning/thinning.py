@@ -1,0 +1,152 @@
+"""A log of any length as a table of bounded size: means over equal intervals, spikes left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.log import Log
+from artefacts.quantities import Column
+
+#: Shortest interval, s, and most rows: a longer log has longer intervals.
+INTERVAL = 60.0
+MOST_ROWS = 100_000
+#: A value is a spike if it is above, or below, the median of so many neighbours on either side by
+#: this many times their usual distance, and by more than this, K.
+_SPIKE, _NEIGHBOURS = 12.0, 4
+_LEAST_SPIKE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Means of a log over intervals.
+
+    Attributes
+    ----------
+    times : ndarray, shape (k,)
+        Mean time of the samples in each interval, s.
+    columns : tuple of Column
+        As in the log.
+    values : ndarray, shape (k, columns)
+        SI; NaN where nothing was read.
+    starts : tuple of int
+        First row of each run.
+    interval : float
+        s.
+    samples : int
+        Of the log.
+    spikes, missing : ndarray of int, shape (columns,)
+        Samples that were left out, and that were not there.
+    """
+
+    times: Array
+    columns: tuple[Column, ...]
+    values: Array
+    starts: tuple[int, ...]
+    interval: float
+    samples: int
+    spikes: Array
+    missing: Array
+
+
+def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
+    """Return the table of a log that comes in pieces; memory is bounded by that of the table.
+
+    Parameters
+    ----------
+    pieces : iterable of Log
+        In the order of time (`artefacts.log_file.log_pieces`).
+    names : sequence of str
+        Columns to keep, with their units; none for all.
+
+    Raises
+    ------
+    InputError
+        There is no sample, or a column is missing.
+    """
+    interval = INTERVAL
+    rows: list[tuple[float, Array]] = []
+    starts: list[int] = []
+    columns: tuple[Column, ...] = ()
+    samples, last = 0, np.inf
+    spikes = missing = np.zeros(0)
+    for piece in pieces:
+        at = [piece.index(name) for name in names] if names else list(range(len(piece.columns)))
+        here = tuple(piece.columns[k] for k in at)
+        if not columns:
+            columns, spikes, missing = here, np.zeros(len(at)), np.zeros(len(at))
+        if here != columns:
+            raise InputError("log: a file has other columns than the first; rename them")
+        if not piece.times[0] > last:
+            starts.append(len(rows))
+        last = float(piece.times[-1])
+        samples += len(piece.times)
+        values = piece.values[:, at]
+        missing += np.isnan(values).sum(axis=0)
+        values, found = without_spikes(values, [one.quantity for one in here])
+        spikes += found
+        rows.extend(_means(piece.times, values, interval))
+        while len(rows) > MOST_ROWS:
+            interval *= 2.0
+            rows, starts = _coarser(rows, starts, interval)
+    if not rows:
+        raise InputError("log: no samples; give a CSV with a header and rows")
+    return Table(
+        np.array([time for time, _ in rows]),
+        columns,
+        np.array([values for _, values in rows]),
+        tuple(dict.fromkeys(starts or [0])),
+        interval,
+        samples,
+        spikes,
+        missing,
+    )
+
+
+def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Array]:
+    """Return values with NaN for spikes of temperatures, and how many each had."""
+    import pandas as pd
+
+    kept, count = values.copy(), np.zeros(values.shape[1])
+    for k, quantity in enumerate(quantities):
+        if quantity != "temperature":
+            continue
+        column = pd.Series(values[:, k])
+        before = column.rolling(_NEIGHBOURS, min_periods=2).median().shift(1)
+        after = column[::-1].rolling(_NEIGHBOURS, min_periods=2).median().shift(1)[::-1]
+        over, under = column - before.fillna(after), column - after.fillna(before)
+        usual = over.abs().rolling(20 * _NEIGHBOURS, center=True, min_periods=3).median()
+        limit = np.maximum(_SPIKE * usual, _LEAST_SPIKE)
+        # A corner or a ramp is above one side and below the other, or near one of them.
+        spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
+        kept[spike.to_numpy(), k] = np.nan
+        count[k] = spike.sum()
+    return kept, count
+
+
+def _means(times: Array, values: Array, interval: float) -> list[tuple[float, Array]]:
+    bins = np.floor(times / interval)
+    edges = np.flatnonzero(np.diff(bins, prepend=np.nan) != 0.0)
+    there = ~np.isnan(values)
+    sums = np.add.reduceat(np.where(there, values, 0.0), edges, axis=0)
+    counts = np.add.reduceat(there.astype(float), edges, axis=0)
+    means = np.where(counts > 0.0, sums / np.maximum(counts, 1.0), np.nan)
+    middles = np.add.reduceat(times, edges) / np.diff(np.append(edges, len(times)))
+    return list(zip(middles.tolist(), means, strict=True))
+
+
+def _coarser(
+    rows: list[tuple[float, Array]], starts: list[int], interval: float
+) -> tuple[list[tuple[float, Array]], list[int]]:
+    """Return rows over intervals twice as long, run by run."""
+    found: list[tuple[float, Array]] = []
+    begins: list[int] = []
+    for first, end in zip(starts, [*starts[1:], len(rows)], strict=True):
+        begins.append(len(found))
+        times = np.array([time for time, _ in rows[first:end]])
+        found += _means(times, np.array([values for _, values in rows[first:end]]), interval)
+    return found, begins

@@ -1,0 +1,37 @@
+"""A log as samples of a learned estimator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+from artefacts.errors import InputError
+from artefacts.log import Log
+from models.learned import LearnedModel
+
+Sample = tuple[float, ...]
+
+
+def samples_of(model: LearnedModel, pieces: Iterable[Log]) -> Iterator[Sample]:
+    """Yield (time, columns in SI) of a log.
+
+    Parameters
+    ----------
+    model : LearnedModel
+        Says which columns.
+    pieces : iterable of Log
+        In the order of time.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or the clock begins anew.
+    """
+    last = -math.inf
+    for piece in pieces:
+        if not piece.times[0] > last:
+            raise InputError("log: the clock begins anew; estimate each run by itself")
+        last = float(piece.times[-1])
+        at = [piece.index(name) for name in model.columns]
+        for time, values in zip(piece.times.tolist(), piece.values[:, at].tolist(), strict=True):
+            yield (time, *values)

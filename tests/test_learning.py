@@ -1,0 +1,360 @@
+"""A learned model holds on another day, names what is wrong, and refuses what it cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from machine_logs import changed, machine_log, made
+
+from artefacts.errors import InputError
+from calibrate.learning import blocks as sums
+from calibrate.learning import thinning
+from calibrate.learning.learn import learn
+from calibrate.learning.thinning import thinned
+from estimator.interface import Status, follow
+from estimator.learned.estimator import Learned
+from estimator.learned.judging import judge, run
+from estimator.learned.samples import samples_of
+from estimator.learned.saved_state import load_state, save_state
+from estimator.touches import with_touches
+from models.filters.relaxations import relax_all
+from models.learned import read_learned, write_learned
+
+AXES = ["x_um", "z_um"]
+LOG = machine_log()
+#: Another day: other speeds, another clock.
+DAY = machine_log(hours=10.0, seed=5, start=500000.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return learn([LOG], AXES, 4)
+
+
+def test_it_holds_on_a_day_it_has_not_seen(model):
+    for row in judge("day", Learned(model), DAY):
+        assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
+        assert row["within_band"] > 0.9
+
+
+def test_no_more_sensors_are_used_than_asked_for(model):
+    assert len(model.sensors) <= 4
+    assert len(learn([LOG], AXES, 1).sensors) == 1
+
+
+def test_baselines_are_fitted_with_the_same_data_and_run_by_the_same_estimator():
+    found = learn([LOG], AXES, 4, "ridge")
+    assert len(found.sensors) == 6
+    rows = judge("day", Learned(found), DAY)
+    assert all(row["rms_error_um"] < row["rms_uncompensated_um"] for row in rows)
+    assert set(found.learned_from.errors_um) == {"learned", "linear", "ridge", "arx"}
+
+
+def stuck(values):
+    values[400:] = values[400]
+    return values
+
+
+def spiked(values):
+    values[np.random.default_rng(0).choice(len(values), 25, replace=False)] += 40.0
+    return values
+
+
+def dropped(values):
+    values[200:500] = np.nan
+    return values
+
+
+def moved(values):
+    values[450:] += 6.0
+    return values
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (stuck, "stuck at one value"),
+        (spiked, "spikes"),
+        (dropped, "missing"),
+        (moved, "jumps by +6"),
+        (lambda values: values * 0.0 + 900.0, "no temperature"),
+        (lambda values: values * 0.0 + 300.0, "never moves"),
+    ],
+)
+def test_a_faulty_sensor_is_named_and_left_out(fault, said):
+    found = learn([changed(LOG, "T3_degC", fault)], AXES, 4)
+    [named] = found.learned_from.faults
+    assert named.startswith("T3_degC: ")
+    assert said in named
+    assert "T3_degC" not in found.sensors
+    for row in judge("day", Learned(found), DAY):
+        assert row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"]
+
+
+def test_a_sound_log_has_no_fault(model):
+    assert model.learned_from.faults == ()
+    assert model.learned_from.warnings == ()
+
+
+def test_a_few_spikes_are_left_out_and_the_sensor_stays():
+    def two(values):
+        values[[100, 300]] += 30.0
+        return values
+
+    found = learn([changed(LOG, "T1_degC", two)], AXES, 4)
+    assert any("T1_degC: 2 spikes" in one for one in found.learned_from.faults)
+    assert found.spans.get("T1_degC", (0.0, 0.0))[1] < 273.15 + 45.0
+
+
+def still(log, *names):
+    for name in names:
+        log = changed(log, name, lambda values: values * 0.0 + values[0])
+    return log
+
+
+def jump(values):
+    values[500:] += 40e-6
+    return values
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        (LOG.part(slice(0, 100)), "1.6 h long"),
+        (changed(LOG, "x_um", lambda values: values * 0.0), "x_um: constant"),
+        (changed(LOG, "x_um", jump), "x_um: jumps by"),
+        (changed(LOG, "x_um", lambda values: values * np.nan), "x_um: mostly missing"),
+        (still(LOG, "n_rpm", *(f"T{k}_degC" for k in range(1, 7))), "no usable temperature"),
+    ],
+)
+def test_a_log_that_cannot_be_learned_from_is_refused_in_one_line(log, said):
+    with pytest.raises(InputError) as caught:
+        learn([log], AXES, 4)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_names_that_are_not_there_and_columns_that_are_no_displacement_are_refused():
+    for names, said in (
+        (["y_um"], "no column named"),
+        (["T1_degC"], "no displacement"),
+        ([], "name what to learn"),
+    ):
+        with pytest.raises(InputError, match=said):
+            learn([LOG], names)
+
+
+def test_what_the_log_cannot_tell_is_said():
+    one = changed(LOG, "n_rpm", lambda values: np.where(values > 0.0, 100.0, 0.0))
+    assert "one level only" in " ".join(learn([one], AXES).learned_from.warnings)
+    none = still(LOG, "n_rpm")
+    found = learn([none], AXES)
+    assert "constant" in " ".join(found.learned_from.warnings)
+    assert "n_rpm" not in found.columns
+
+
+def test_a_log_without_speed_and_one_without_temperatures_are_learned_from():
+    assert "n_rpm" not in learn([LOG], AXES, ignored=["n_rpm"]).columns
+    assert learn([LOG], AXES, ignored=[f"T{k}" for k in range(1, 7)]).columns == ("n_rpm",)
+
+
+def test_days_with_zeros_of_their_own_are_learned_from_together():
+    other = machine_log(seed=9)
+    shifted = changed(other, "x_um", lambda values: values + 50e-6)
+    days = learn([LOG, shifted], AXES, 4)
+    assert len(days.sensors) == 4
+    for row in judge("day", Learned(days), DAY):
+        assert row["rms_error_zeroed_um"] < 0.2 * row["rms_uncompensated_zeroed_um"]
+
+
+def test_the_file_brings_the_model_back_and_damage_is_refused(model, tmp_path):
+    path = tmp_path / "model.json"
+    write_learned(model, path)
+    assert read_learned(path) == model
+    text = path.read_text("utf-8")
+    for broken in (text[:-100], text.replace('"weights"', '"wieghts"', 1), "{}"):
+        path.write_text(broken, encoding="utf-8")
+        with pytest.raises(InputError):
+            read_learned(path)
+
+
+def test_a_saved_state_goes_on_bit_for_bit(model, tmp_path):
+    estimator = Learned(model)
+    samples = list(samples_of(model, [DAY]))[:200]
+    samples = list(with_touches(samples, np.array([DAY.times[60]]), np.array([[1e-6, np.nan]])))
+    whole = [one for one, _ in follow(estimator, samples, estimator.initial_state())]
+    save_state(estimator, whole[99], tmp_path / "state.json")
+    begun = load_state(estimator, tmp_path / "state.json")
+    rest = [one for one, _ in follow(estimator, samples[100:], begun)]
+    np.testing.assert_array_equal(rest[-1], whole[-1])
+    other = replace(model, duration_s=1.0)
+    with pytest.raises(InputError, match="another model"):
+        load_state(Learned(other), tmp_path / "state.json")
+
+
+def test_a_log_that_goes_on_where_the_learned_one_ended_begins_with_what_it_left(model):
+    cut = 600
+    own = learn([LOG.part(slice(0, cut))], AXES, 4)
+    rest = LOG.part(slice(cut, None))
+    on, _, _ = run(Learned(own), rest)
+    fresh, _, _ = run(Learned(replace(own, log_end=None)), rest)
+    actual = np.stack([rest.at(name) for name in AXES], axis=1)
+    assert np.abs(on - actual)[:30].mean() < np.abs(fresh - actual)[:30].mean()
+
+
+def biased(log, shift):
+    return changed(log, "x_um", lambda values: values + shift)
+
+
+def test_readings_now_and_then_correct_the_present(model):
+    day = biased(DAY, 8e-6)
+    actual = day.at("x_um")
+    free, _, _ = run(Learned(model), day)
+    read, band, words = run(Learned(model), day, 7200.0)
+    error = np.abs(read[:, 0] - actual)
+    assert np.sqrt((error**2).mean()) < 0.3 * np.sqrt(((free[:, 0] - actual) ** 2).mean())
+    assert (error <= band[:, 0]).mean() > 0.9
+    assert not any("refused" in one for one in words[200:])
+
+
+def test_readings_improve_the_model_itself(model):
+    """A machine whose gains have changed: after readings, it runs freely better than before."""
+    day = changed(DAY, "z_um", lambda values: 1.3 * values)
+    read, _, _ = run(Learned(model), day, 3600.0)
+    free, _, _ = run(Learned(model), day)
+    late = slice(len(day.times) // 2, None)
+    error = [np.sqrt(((one[:, 1] - day.at("z_um"))[late] ** 2).mean()) for one in (read, free)]
+    assert error[0] < 0.5 * error[1]
+
+
+def test_a_reading_against_everything_is_refused_and_a_second_one_is_a_new_zero(model):
+    estimator = Learned(model)
+    samples = list(samples_of(model, [DAY]))[:100]
+    times = DAY.times[[20, 40, 60]]
+    wrong = np.array([[5e-3, np.nan], [5e-3, np.nan], [5e-3, np.nan]])
+    told = with_touches(samples, times, wrong)
+    found = [one for _, one in follow(estimator, told, estimator.initial_state())]
+    assert Status.READING_REFUSED in found[20].status
+    assert abs(found[30].displacement[0]) < 1e-4
+    assert Status.READING_REFUSED not in found[40].status
+    assert found[50].displacement[0] == pytest.approx(5e-3, rel=0.05)
+
+
+def test_missing_readings_are_tolerated_and_said(model):
+    gone = changed(DAY, model.sensors[0], lambda values: np.where(values > 0, np.nan, np.nan))
+    estimate, _, words = run(Learned(model), gone)
+    assert np.isfinite(estimate).all()
+    assert all("reading-missing" in one for one in words)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    kelvin=st.lists(st.floats(250.0, 400.0), min_size=6, max_size=6),
+    speed=st.floats(0.0, 2000.0),
+    hours=st.floats(0.01, 1e5),
+)
+def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(model, kelvin, speed, hours):
+    estimator = Learned(model)
+    state = estimator.initial_state()
+    known = dict(zip((f"T{k}_degC" for k in range(1, 7)), kelvin, strict=True)) | {"n_rpm": speed}
+    values = [known[name] for name in model.columns] + [np.nan] * 2
+    signals = [one.signal(np.array(known[one.column])) for one in model.features]
+    for time in (0.0, 3600.0 * hours, 7200.0 * hours):
+        state, found = estimator.sample(state, time, values)
+        for value, one in zip(found.displacement, model.channels, strict=True):
+            most = sum(abs(w) * abs(s) for w, s in zip(one.weights, signals, strict=True))
+            assert abs(value - one.zero) <= most * (1.0 + 1e-9) + 1e-12
+            low, high = one.span
+            if not low - (high - low) / 2 <= value <= high + (high - low) / 2:
+                assert Status.BEYOND_DISPLACEMENT in found.status
+
+
+def test_where_the_log_has_not_been_is_said(model):
+    estimator = Learned(model)
+    middle = {name: 0.5 * sum(model.spans[name]) for name in model.columns}
+
+    def words(time, **changes):
+        known = middle | changes
+        values = [known[name] for name in model.columns] + [np.nan] * 2
+        state, _ = estimator.sample(estimator.initial_state(), 0.0, values)
+        return estimator.sample(state, time, values)[1].status
+
+    sensor = model.sensors[0]
+    assert words(60.0) == Status.OK
+    assert Status.BEYOND_TEMPERATURE in words(60.0, **{sensor: middle[sensor] + 50.0})
+    assert Status.BEYOND_HEAT in words(60.0, n_rpm=2.0 * model.spans["n_rpm"][1])
+    assert Status.BEYOND_TIME in words(10.0 * model.duration_s)
+
+
+def test_the_band_grows_where_the_log_has_not_been(model):
+    estimator = Learned(model)
+    sensor = model.sensors[0]
+
+    def band(rise):
+        known = {name: 0.5 * sum(model.spans[name]) for name in model.columns}
+        known[sensor] += rise
+        values = [known[name] for name in model.columns] + [np.nan] * 2
+        return estimator.sample(estimator.initial_state(), 0.0, values)[1].band
+
+    assert (band(60.0) > 1.5 * band(0.0)).all()
+
+
+def test_bad_samples_are_refused_and_the_state_may_be_used_again(model):
+    estimator = Learned(model)
+    good = [0.5 * sum(model.spans[name]) for name in model.columns] + [np.nan] * 2
+    state, _ = estimator.sample(estimator.initial_state(), 5.0, good)
+    for time, values in ((5.0, good), (np.nan, good), (6.0, good[:-1]), (6.0, [np.inf, *good[1:]])):
+        with pytest.raises(InputError):
+            estimator.sample(state, time, values)
+    estimator.sample(state, 6.0, good)
+
+
+def test_relaxations_are_those_of_the_differential_equation():
+    times = np.array([0.0, 100.0, 250.0, 900.0])
+    ramp = 0.01 * times[:, None]
+    found = relax_all(times, ramp, np.array([300.0]), np.zeros(1))[:, 0]
+    exact = 0.01 * (times - 300.0 * (1.0 - np.exp(-times / 300.0)))
+    assert found == pytest.approx(exact, rel=1e-12, abs=1e-15)
+
+
+def test_errors_on_blocks_held_out_are_those_of_fitting_without_them():
+    draw = np.random.default_rng(3)
+    rows = draw.standard_normal((400, 5)) + 2.0
+    blocks = sums.blocks_of(rows, 3, 60.0, 4)
+    [weights] = sums.weights_of(blocks, [0, 2], [0.5])
+    found = sums.held_out(blocks, weights[:-1])
+    for k, (first, end) in enumerate(((0, 100), (100, 200), (200, 300), (300, 400))):
+        away = np.ones(400, dtype=bool)
+        away[max(0, first - 30) : end + 30] = False
+        kept, mean = rows[away], rows[away].mean(axis=0)
+        x, y = (kept - mean)[:, [0, 2]], (kept - mean)[:, 3:]
+        w = np.linalg.solve(x.T @ x + 0.5 * 60.0 * np.eye(2), x.T @ y)
+        error = (rows[first:end] - mean)[:, 3:] - (rows[first:end] - mean)[:, [0, 2]] @ w
+        assert found[k] == pytest.approx((error**2).mean(axis=0), rel=1e-9)
+
+
+def test_a_long_log_becomes_a_table_of_bounded_size(monkeypatch):
+    monkeypatch.setattr(thinning, "MOST_ROWS", 200)
+    pieces = [LOG.part(slice(first, first + 100)) for first in range(0, len(LOG.times), 100)]
+    table = thinned(pieces, ())
+    assert len(table.times) <= 200
+    assert table.interval == pytest.approx(480.0)
+    assert table.starts == (0,)
+    assert table.samples == len(LOG.times)
+    whole = LOG.at("T3_degC").mean()
+    assert table.values[:, LOG.index("T3_degC")].mean() == pytest.approx(whole, abs=0.05)
+
+
+def test_a_log_of_one_day_may_have_gaps_and_uneven_samples():
+    draw = np.random.default_rng(1)
+    kept = np.sort(draw.choice(len(LOG.times), 500, replace=False))
+    kept = kept[(kept < 300) | (kept > 340)]
+    uneven = made(
+        LOG.times[kept],
+        LOG.names,
+        np.stack([c.from_si(v) for c, v in zip(LOG.columns, LOG.values[kept].T, strict=True)], 1),
+    )
+    for row in judge("day", Learned(learn([uneven], AXES, 4)), DAY):
+        assert row["rms_error_um"] < 0.2 * row["rms_uncompensated_um"]
