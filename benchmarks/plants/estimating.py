@@ -17,6 +17,7 @@ from estimator.baselines.starting import regressions
 from estimator.interface import follow
 from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.judge import validate
@@ -66,6 +67,12 @@ def joint_aware(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) ->
     """Calibrate the joint-aware estimator."""
     # One search for each: that others come to the same is reported for single machines.
     found = calibrate_machine(machine, responses, starts=0)
+    return Calibrated(observing(JointAware(found.model)), report(found.fit))
+
+
+def kalman_linear(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+    """Calibrate the Kalman filter on the machine with a linear joint."""
+    found = calibrate_linear_joint(machine, responses, starts=0)
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
@@ -128,6 +135,7 @@ def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> C
 #: What is calibrated with a plant's responses; another estimator is one more entry.
 ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calibrated]] = {
     "joint-aware": joint_aware,
+    "kalman-linear": kalman_linear,
     "fchs": fchs,
     "baselines": baselines,
 }

@@ -48,7 +48,7 @@ class Noise:
     heat_walk: float = 0.05
     ambient_walk: float = 0.01
     joint_flow: float = 0.5
-    lasting: float = 1.0
+    lasting: float = 6.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import xarray as xr
 
 from estimator.joint_aware.calibration import JointAwareCalibration, calibrate_machine
 from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.physics_fit import STARTS
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.joint_aware.sticking import sticking_tangent
 
@@ -49,7 +50,8 @@ def calibrate_linear_joint(
     responses: Mapping[str, xr.Dataset],
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
+    starts: int = STARTS,
 ) -> JointAwareCalibration:
     """Return the Kalman filter of a machine; as `estimator.joint_aware.calibration`."""
-    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted)
+    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, starts)
     return replace(found, model=replace(found.model, kind="kalman-linear"))

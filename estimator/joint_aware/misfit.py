@@ -32,8 +32,8 @@ from estimator.joint_aware.remainder import (
 MOST_SAMPLES = 120
 #: What the model is not trusted to, for every sample: temperature, K, and displacement, m. A model
 #: errs alike from sample to sample, so that a whole run tells little more than one of them would:
-#: these are errors of 0.03 K and 0.14 um that last for a run.
-TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 1.5e-6
+#: these are errors of 0.03 K and 0.05 um that last for a run.
+TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 0.5e-6
 #: ... and of the remainder, which is there to follow what is left sample by sample.
 REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
 #: Sensors of which the model leaves this, K, or as much as of the median one are trusted alike.

@@ -195,6 +195,9 @@ def _unexplained(
 ) -> tuple[Array, Array]:
     """What no possible change of the heat explains; as `sensor_faults.Explain`."""
     covariance = observer.innovation_covariance(expected.excess)
+    if expected.memory == UNKNOWN:
+        # The state is still a guess: what lasts in the readings may be all that it is made of.
+        covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
     most = ONSET * observer.model.calibrated.heat * power
