@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.arrays import Array
 from artefacts.files import write_text
-from benchmarks.joint_aware import MODEL, PLACES, PLANT
+from benchmarks.hand_placed import MODEL, PLACES, PLANT
 from benchmarks.sensor_count import CALIBRATED, STEP, Plant, candidates_on, drawn, with_sensors
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.ageing import AgeingJointAware

@@ -29,16 +29,18 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.arrays import Array
 from artefacts.files import write_text
-from benchmarks.joint_aware import MODEL, PLACES, PLANT, machine_data
+from benchmarks.hand_placed import MODEL, PLACES, PLANT, machine_data
 from estimator.interface import follow
 from estimator.joint_aware import placement, plant_family
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.misfit import Run
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.open_band import random_levels
+from estimator.joint_aware.open_band import DURATION
 from estimator.joint_aware.parameters import active, factors_of, with_factors
 from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.physics_fit import Fit, Run, fit_physics
+from estimator.joint_aware.physics_fit import Fit, fit_physics
+from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import (
     ReducedMachine,
     along,
@@ -161,7 +163,7 @@ def study() -> dict[str, Any]:
     """Return all figures."""
     model, other = candidates_on(MODEL), candidates_on(PLANT)
     rng = np.random.default_rng(SEED)
-    heat = random_levels(rng, STEP, 2.0, model.power.size)
+    heat = random_levels(rng, DURATION, STEP, 2.0, model.power.size)
     ambient = np.cumsum(rng.normal(size=len(heat)))
     ambient *= 3.0 / np.abs(ambient).max()
     day = np.column_stack([heat * model.power, ambient])

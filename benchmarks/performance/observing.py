@@ -1,0 +1,85 @@
+"""A sample of the joint-aware estimator, against FCHS's and against a step of the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter_ns
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from artefacts.arrays import Array
+from benchmarks.performance.cases import calibrated, reference_machine
+from benchmarks.performance.streaming import INTERVAL, SHORT, Measured, stream_times
+from benchmarks.performance.timing import Row
+from estimator.joint_aware.assembling import make_observer
+from estimator.joint_aware.calibration import calibrated_range
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.physics_fit import fit_physics
+from estimator.joint_aware.readings import run_in, samples_in
+from estimator.joint_aware.reduced_machine import along, reduce_machine
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+from models.assembly import assemble
+from models.sensors import readings, roles_in
+from thermojoint.paper.inputs import CALIBRATION
+from thermojoint.paper.observers import observer_case
+
+REPEATS = 20
+LEVEL = "step-2.0"
+
+
+def rows(repeats: int = REPEATS) -> Iterator[Row]:
+    """Yield the rows of the joint-aware estimator, with the equal-heights machine."""
+    found, responses = calibrated()
+    case, model, response = reference_machine(), found.model, responses[LEVEL]
+    setup = set_up(case)
+    roles = {} if found.placement is None else found.placement.roles
+    known = observer_case(case, {role: setup.probes[name] for role, name in roles.items()})
+    machine = along(reduce_machine(known, set_up(known), tuple(roles)), ["x", "y"])
+    runs = [run_in(responses[name], machine, name) for name in CALIBRATION]
+    fit = fit_physics(machine, runs, [])
+    estimator = JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
+    seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
+    measured = Measured(np.column_stack((seen.delta_T, seen.temperatures))[1:])
+    assembled, count = assemble(model, INTERVAL, SHORT), round(SHORT / INTERVAL)
+    marched = case.model_copy(
+        update={"march": case.march.model_copy(update={"thermal": "reduced"})}
+    )
+    reduced = set_up(marched)
+    ours, stream, steps = [], [], []
+    with threadpool_limits(limits=1):
+        simulate(marched, setup=reduced)
+        for _ in range(repeats):
+            ours.append(sample_times(estimator, list(samples_in(response, tuple(roles)))))
+            stream.append(stream_times(assembled, measured, count)[1:])
+            begun = perf_counter_ns()
+            simulate(marched, setup=reduced)
+            steps.append(1e-3 * (perf_counter_ns() - begun) / count)
+    physics = estimator.observer.physics
+    note = (
+        f"a sample of the joint-aware estimator ({physics.modes.rates.size} modes, "
+        f"{physics.contacts} contact elements, {len(roles)} sensors, step 2.0) against {{}}; "
+        f"{repeats} runs"
+    )
+    fchs = note.format("a sample of FCHS")
+    yield _row("joint-aware-sample", ours, [float(np.mean(one)) for one in stream], fchs)
+    every, other = np.concatenate(ours), float(np.percentile(np.concatenate(stream), 99.9))
+    most = float(np.percentile(every, 99.9))
+    yield Row("joint-aware-percentile", most, other, other / most, "µs", f"{fchs}; 99.9 %")
+    yield _row("joint-aware-simulate", ours, steps, note.format("a step of the simulation"))
+
+
+def sample_times(estimator: JointAware, samples: list[tuple[float, ...]]) -> Array:
+    """Return what every sample takes, µs; the first is left out."""
+    state, taken = estimator.initial_state(), np.empty(len(samples))
+    for k, (time, *values) in enumerate(samples):
+        begun = perf_counter_ns()
+        state, _ = estimator.sample(state, time, values)
+        taken[k] = perf_counter_ns() - begun
+    return 1e-3 * taken[1:]
+
+
+def _row(name: str, ours: list[Array], other: list[float], note: str) -> Row:
+    mean, theirs = float(np.mean(np.concatenate(ours))), float(np.mean(other))
+    return Row(name, mean, theirs, theirs / mean, "µs", f"{note}; means")
