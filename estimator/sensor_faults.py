@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.arrays import Array
+from fesim.machine_code import compiled
 
 Flags = NDArray[np.bool_]
 #: From the innovations (n,), K, and the channels that count (indices): what of them no possible
@@ -157,23 +158,18 @@ def judge_sample(
         Lowest and highest reading that is possible, K.
     """
     present = np.isfinite(readings)
-    innovation = readings - predicted
-    seen = _seen(watch, time, readings, predicted)
+    seen = Watch(*np.array(watch))
+    odd, near = np.empty_like(present), np.empty_like(present)
+    _look(seen, time, readings, predicted, noise, *limits, odd, near)
     doubted = watch.distrusted > 0.0
-    # NaN compares as False: what is not there, or was never there, shows no fault.
-    with np.errstate(invalid="ignore"):
-        impossible = (readings < limits[0]) | (readings > limits[1])
-        hasty = np.abs(readings - watch.last) > RATE * (time - watch.read) + JUMP
-        near = np.abs(innovation) <= GATE * model_error(predicted)
-    odd = present & (impossible | hasty | _stuck(seen, time, predicted, noise))
-    trusted = present & ~odd & ~doubted
-    contradicted = _contradicted(innovation, model_error(predicted), explain, trusted)
     credible = present & ~odd
+    contradicted = _contradicted(readings - predicted, predicted, explain, credible & ~doubted)
+    if not (odd.any() or doubted.any() or contradicted.any()):
+        return Verdict(present, False, seen)
     first = not np.isfinite(watch.read).any()
     lost = bool(contradicted.any()) and _mostly(contradicted | doubted, credible, first)
     if lost:
-        faulty = odd
-        doubted = doubted & ~credible
+        faulty, doubted = odd, doubted & ~credible
     else:
         faulty = odd | contradicted | (doubted & present & ~near)
     fault = np.where(faulty, time, seen.fault)
@@ -187,48 +183,68 @@ def model_error(predicted: Array) -> Array:
     return np.asarray(MODEL_ERROR + MODEL_SHARE * np.abs(predicted))
 
 
-def _seen(watch: Watch, time: float, readings: Array, predicted: Array) -> Watch:
-    """The watch with the readings of a sample in it."""
-    present = np.isfinite(readings)
-    change = np.abs(readings - watch.last)
-    same = change <= ROUNDING
-    new = present & ~same
-    run = watch.repeats + 1.0
-    kept = (1.0 - 1.0 / LEARNT) ** run
-    habit = kept * watch.habit + (1.0 - kept) * watch.repeats / run
-    ratio = np.fmax(change, watch.finest) / np.where(new, np.fmin(change, watch.finest), 1.0)
-    odd = np.abs(ratio - np.rint(ratio))
-    return watch._replace(
-        read=np.where(present, time, watch.read),
-        last=np.where(new, readings, watch.last),
-        changed=np.where(new, time, watch.changed),
-        expected=np.where(new, predicted, watch.expected),
-        repeats=np.where(new, 0.0, watch.repeats + same),
-        habit=np.where(new, habit, watch.habit),
-        finest=np.where(new, np.fmin(watch.finest, change), watch.finest),
-        grain=np.where(new & (odd >= 0.0), watch.grain + (odd - watch.grain) / SEEN, watch.grain),
-    )
+@compiled
+def _stuck(watch: Watch, channel: int, time: float, said: float, noise: float) -> bool:
+    """Whether a channel repeats its last value although it should not."""
+    repeats, finest = watch.repeats[channel], watch.finest[channel]
+    if repeats < REPEATS or time - watch.changed[channel] < STUCK:
+        return False
+    unlike = repeats * math.log(max(watch.habit[channel], 1e-300)) < math.log(IMPROBABLE)
+    if unlike and (finest < noise or watch.grain[channel] > GRAIN):
+        return True
+    step = max(finest, noise) if finest >= 0.0 else max(UNKNOWN, noise)
+    return abs(said - watch.expected[channel]) > STEPS * step
 
 
-def _stuck(watch: Watch, time: float, predicted: Array, noise: Array) -> Flags:
-    """Channels that repeat their last value although they should not."""
-    repeated = (watch.repeats >= REPEATS) & (time - watch.changed >= STUCK)
-    if not repeated.any():
-        return np.asarray(repeated)
-    unlike = watch.repeats * np.log(np.maximum(watch.habit, 1e-300)) < math.log(IMPROBABLE)
-    fine = (watch.finest < noise) | (watch.grain > GRAIN)
-    finest = np.where(np.isnan(watch.finest), UNKNOWN, watch.finest)
-    moved = np.abs(predicted - watch.expected) > STEPS * np.maximum(finest, noise)
-    return np.asarray(repeated & ((unlike & fine) | moved))
+@compiled
+def _look(
+    watch: Watch,
+    time: float,
+    readings: Array,
+    predicted: Array,
+    noise: Array,
+    low: Array,
+    high: Array,
+    odd: Flags,
+    near: Flags,
+) -> None:
+    """Put a sample into the watch, in place; say what is odd, and what is near the model."""
+    for k in range(readings.size):
+        reading, said = readings[k], predicted[k]
+        odd[k] = near[k] = False
+        if not np.isfinite(reading):
+            continue
+        near[k] = abs(reading - said) <= GATE * (MODEL_ERROR + MODEL_SHARE * abs(said))
+        change, since = abs(reading - watch.last[k]), time - watch.read[k]
+        # Compared with what is not known yet, NaN, nothing is odd.
+        odd[k] = reading < low[k] or reading > high[k] or change > RATE * since + JUMP
+        watch.read[k] = time
+        if change <= ROUNDING:
+            watch.repeats[k] += 1.0
+            odd[k] = odd[k] or _stuck(watch, k, time, said, noise[k])
+            continue
+        run = watch.repeats[k] + 1.0
+        kept = (1.0 - 1.0 / LEARNT) ** run
+        watch.habit[k] = kept * watch.habit[k] + (1.0 - kept) * watch.repeats[k] / run
+        watch.last[k], watch.changed[k], watch.expected[k] = reading, time, said
+        watch.repeats[k] = 0.0
+        if not change >= 0.0:
+            continue
+        finest = watch.finest[k]
+        if finest >= 0.0:
+            ratio = max(change, finest) / min(change, finest)
+            watch.grain[k] += (abs(ratio - np.rint(ratio)) - watch.grain[k]) / SEEN
+        watch.finest[k] = min(change, finest) if finest >= 0.0 else change
 
 
-def _contradicted(innovation: Array, imperfect: Array, explain: Explain, trusted: Flags) -> Flags:
+def _contradicted(innovation: Array, predicted: Array, explain: Explain, trusted: Flags) -> Flags:
     """Channels that the others and the model contradict, the worst first; shape (n,)."""
     found = np.zeros_like(trusted)
     at = np.flatnonzero(trusted)
     # No statistic below exceeds |innovation| / MODEL_ERROR: the usual case costs nothing.
     if math.sqrt(innovation[at] @ innovation[at]) <= GATE * MODEL_ERROR:
         return found
+    imperfect = model_error(predicted)
     while at.size:
         rest, covariance = explain(innovation, at)
         whole = covariance + np.diag(imperfect**2)

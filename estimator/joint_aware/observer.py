@@ -172,9 +172,11 @@ class Observer:
     def sigma(self, relaxed: Array, memory: float) -> Array:
         """What the model may be wrong by, m, one standard deviation, shape (axes,)."""
         band, rates = self.model.band, self.model.remainder.rates.size
-        square = np.square(relaxed.reshape(-1, rates)).mean(axis=0)
+        sources = relaxed.size // rates
+        square = np.square(relaxed.reshape(sources, rates)).sum(axis=0) / sources
         indistinct = band.open @ np.concatenate([relaxed, relaxed**2])
-        variance = band.constant + band.square @ square + np.square(indistinct).mean(axis=1)
+        drawn = np.einsum("ad,ad->a", indistinct, indistinct) / indistinct.shape[1]
+        variance = band.constant + band.square @ square + drawn
         if memory != KNOWN:
             variance = variance + band.history
         return np.asarray(np.sqrt(variance))

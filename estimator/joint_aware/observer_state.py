@@ -80,11 +80,22 @@ class ObserverState:
         )
 
 
-def shapes(
-    states: int, contacts: int, columns: int, channels: int, axes: int
-) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every part, in order."""
-    return {
+@dataclass(frozen=True)
+class Layout:
+    """Where the parts of a flat state stand.
+
+    Attributes
+    ----------
+    parts : tuple of (str, slice, tuple of int)
+        Name, place and shape of each, in order.
+    """
+
+    parts: tuple[tuple[str, slice, tuple[int, ...]], ...]
+
+
+def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -> Layout:
+    """Return where the parts of the state of an observer stand."""
+    shapes: dict[str, tuple[int, ...]] = {
         "time": (),
         "begun": (),
         "memory": (),
@@ -94,26 +105,19 @@ def shapes(
         "pressure": (contacts,),
         "change": (3, contacts),
         "excess": (states, columns),
-        **{f"watch.{name}": (channels,) for name in Watch._fields},
-        **{f"model_error.{name}": (axes,) for name in ModelError._fields},
+        "watch": (len(Watch._fields), channels),
+        "model_error": (len(ModelError._fields), axes),
         **{f"suspicion.{name}": () for name in Suspicion._fields[:-1]},
         "suspicion.linear": (states,),
     }
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
+    places = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+    return Layout(tuple(zip(shapes, places, shapes.values(), strict=True)))
 
 
-def unpacked(state: Array, parts: dict[str, tuple[int, ...]]) -> ObserverState:
+def unpacked(state: Array, known: Layout) -> ObserverState:
     """Return views of the parts of a flat state."""
-    at, found = 0, {}
-    for name, shape in parts.items():
-        size = math.prod(shape)
-        found[name] = state[at : at + size].reshape(shape)
-        at += size
-    groups = {
-        group: kind(*(found.pop(f"{group}.{name}") for name in kind._fields))
-        for group, kind in (
-            ("watch", Watch),
-            ("model_error", ModelError),
-            ("suspicion", Suspicion),
-        )
-    }
-    return ObserverState(**found, **groups)  # type: ignore[arg-type]
+    found = {name: state[at].reshape(shape) for name, at, shape in known.parts}
+    suspicion = Suspicion(*(found.pop(f"suspicion.{name}") for name in Suspicion._fields))
+    watch, error = Watch(*found.pop("watch")), ModelError(*found.pop("model_error"))
+    return ObserverState(watch=watch, model_error=error, suspicion=suspicion, **found)

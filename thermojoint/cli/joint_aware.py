@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from artefacts.arrays import Array
     from estimator.joint_aware.ageing import AgeingJointAware
     from estimator.joint_aware.estimator import JointAware
+    from fesim.case.schema import Case
 
 Sample = tuple[float, ...]
 
@@ -50,31 +51,64 @@ def calibrate(
     case: Path | None, responses: Sequence[Path], out: Path, report_file: Path | None
 ) -> None:
     """Fit the machine of a case to its responses, and write the observer made of it."""
-    from artefacts.files import write_text
     from artefacts.response import read_response
-    from estimator.joint_aware.calibration import calibrate_joint_aware, report
-    from estimator.joint_aware.calibration_report import whole_report
-    from estimator.joint_aware.model_file import write_observer
+    from thermojoint.cli import console, plausibility
+
+    machine = _machine(case, responses, out, report_file)
+    if len(set(responses)) < len(responses):
+        raise InputError("--input: a response is given twice; give each once")
+    read = {str(path): read_response(path) for path in responses}
+    for name, response in read.items():
+        console.warn(plausibility.of_response(response, name))
+    _fitted(machine, read, out, report_file)
+
+
+def learn(
+    case: Path | None,
+    logs: Sequence[Path],
+    displacement: Sequence[str],
+    renamed: Mapping[str, str],
+    out: Path,
+) -> None:
+    """Fit the machine of a case to the runs of a measured log."""
+    from artefacts.log_file import read_log
+
+    machine = _machine(case, logs, out, None)
+    log = read_log(logs, renamed)
+    from estimator.joint_aware.measured_runs import runs_of
+
+    _fitted(machine, runs_of(log, machine, displacement), out, None)
+
+
+def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Path | None) -> Case:
+    """Read the case, and check what is to be written."""
     from fesim.case.schema import read_case
     from thermojoint.cli import console, plausibility
 
     if case is None:
         raise InputError("--kind joint-aware: needs the machine; add --case MACHINE.toml")
     machine = read_case(case)
-    inputs = [case, *arguments.files_of(machine), *responses]
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.OBSERVER),
             "--report": (report_file, file_kinds.CALIBRATION_REPORT),
         },
-        inputs,
+        [case, *arguments.files_of(machine), *data],
     )
-    if len(set(responses)) < len(responses):
-        raise InputError("--input: a response is given twice; give each once")
     console.warn(plausibility.of_case(machine, str(case)))
-    read = {str(path): read_response(path) for path in responses}
-    for name, response in read.items():
-        console.warn(plausibility.of_response(response, name))
+    return machine
+
+
+def _fitted(
+    machine: Case, read: Mapping[str, xr.Dataset], out: Path, report_file: Path | None
+) -> None:
+    """Calibrate, write and show."""
+    from artefacts.files import write_text
+    from estimator.joint_aware.calibration import calibrate_joint_aware, report
+    from estimator.joint_aware.calibration_report import whole_report
+    from estimator.joint_aware.model_file import write_observer
+    from thermojoint.cli import console
+
     with console.progress_bars() as progress:
         progress("calibrating", 0, 1)
         calibrated = calibrate_joint_aware(machine, read)

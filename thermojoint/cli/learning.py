@@ -7,12 +7,12 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO, cast
 
 import typer
 
 from artefacts.errors import InputError
-from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
     from artefacts.arrays import Array
@@ -28,6 +28,7 @@ class LearnedKind(StrEnum):
     LINEAR = "linear"
     RIDGE = "ridge"
     ARX = "arx"
+    JOINT_AWARE = "joint-aware"
 
 
 def learn(
@@ -38,8 +39,12 @@ def learn(
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
     max_sensors: Annotated[int, typer.Option(help="How many temperatures the model may use.")] = 4,
     kind: Annotated[
-        LearnedKind, typer.Option(help="learned, or a baseline on all temperatures.")
+        LearnedKind,
+        typer.Option(help="learned; a baseline on all temperatures; or the physics of --case."),
     ] = LearnedKind.LEARNED,
+    case: Annotated[
+        Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
+    ] = None,
     column: Annotated[
         list[str] | None,
         typer.Option(help="THEIRS=OURS: what a column of the log is called, with its unit."),
@@ -61,17 +66,30 @@ def learn(
 
     Example: [bold]thermojoint learn monday.csv tuesday.csv --displacement z_um --column
     'Zeit=time_s' --out model.json[/bold]
+
+    Where there is a mesh, its physics learns from the same log: temperatures named after the
+    probes, the heat as heat_W, every run from rest.
+
+    Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
+    --case machine.toml --out model.h5[/bold]
     """
     from artefacts.log_file import log_pieces
+    from calibrate.learning.learn import Kind
     from calibrate.learning.learn import learn as learned
     from models.learned import write_learned
     from thermojoint.cli import console
 
-    arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
     renamed = _renamed(column, mapping)
+    if kind is LearnedKind.JOINT_AWARE:
+        joint_aware.learn(case, logs, displacement, renamed, out)
+        return
+    arguments.only_for("--kind joint-aware", {"--case": case})
+    arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
     pieces = (piece for path in logs for piece in log_pieces(path, renamed))
     files = [path.name for path in logs]
-    model = learned(pieces, displacement, max_sensors, kind.value, ignore or (), files, renamed)
+    model = learned(
+        pieces, displacement, max_sensors, cast("Kind", kind.value), ignore or (), files, renamed
+    )
     write_learned(model, out)
     _show(model)
     console.wrote(out)

@@ -1,0 +1,131 @@
+"""Runs of a measured log as responses: what the machine's physics is calibrated with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.log import Log
+from artefacts.response import make_response
+from fesim.case.schema import Case
+from fesim.setup.loads import source_power
+from fesim.solid.elasticity import DIRECTIONS
+
+#: Part of the samples that may lack a reading.
+MOST_MISSING = 0.2
+#: At rest every sensor is within this of the others, K: what is more is no offset.
+COLD = 3.0
+
+
+def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.Dataset]:
+    """Return every run of a log as a response.
+
+    A run starts at rest: its first readings are the cold machine's, its first displacement is zero.
+    Samples that lack a reading are left out.
+
+    Parameters
+    ----------
+    log : Log
+        With a temperature for each probe of the case that is a sensor, one power, W, that goes
+        into all sources together, and the displacements; ``ambient_degC`` if it was measured.
+    case : Case
+        The machine.
+    displacement : sequence of str
+        Columns named after the axis and the unit: ``x_um``.
+
+    Raises
+    ------
+    InputError
+        A column is missing, a run begins warm, or too much of it is missing.
+    """
+    moved = {_axis(log, name): log.at(name) for name in displacement}
+    sensed = {
+        column.base: log.at(column.name)
+        for column in log.columns
+        if column.quantity == "temperature" and column.base in case.probes
+    }
+    if not sensed:
+        known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
+        raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
+    power = _power(log)
+    room = next((log.at(name) for name in log.of("temperature") if name == "ambient_degC"), None)
+    every = [*moved.values(), *sensed.values(), power, *([] if room is None else [room])]
+    whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
+    ends = (*log.starts[1:], len(log.times))
+    return {
+        f"run {number}": _response(
+            f"run {number}",
+            np.flatnonzero(whole[first:end]) + first,
+            end - first,
+            log.times,
+            moved,
+            sensed,
+            power / sum(source_power(source) for source in case.sources.values()),
+            room,
+        )
+        for number, (first, end) in enumerate(zip(log.starts, ends, strict=True), 1)
+    }
+
+
+def _response(
+    where: str,
+    kept: NDArray[np.int64],
+    count: int,
+    times: Array,
+    moved: dict[str, Array],
+    sensed: dict[str, Array],
+    heat: Array,
+    room: Array | None,
+) -> xr.Dataset:
+    if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
+        raise InputError(
+            f"{where}: {count - len(kept)} of {count} samples lack a reading; mend the log"
+        )
+    temperatures = np.column_stack(list(sensed.values()))[kept]
+    first = temperatures[0]
+    cold = float(np.median(first)) if room is None else float(room[kept[0]])
+    warmest = int(np.argmax(np.abs(first - cold)))
+    if abs(first[warmest] - cold) > COLD:
+        raise InputError(
+            f"{where}: {list(sensed)[warmest]} begins {first[warmest] - cold:+.1f} K from the "
+            f"ambient; begin with the machine at rest, cold through"
+        )
+    displacement = np.zeros((len(kept), len(DIRECTIONS)))
+    for axis, read in moved.items():
+        displacement[:, DIRECTIONS.index(axis)] = read[kept] - read[kept[0]]
+    values = {
+        "heat_input": heat[kept],
+        "temperature": temperatures - cold,
+        "displacement": displacement,
+    }
+    if room is not None:
+        values["ambient"] = room[kept] - cold
+    return make_response(
+        values,
+        {"time": times[kept] - times[kept[0]], "probe": list(sensed), "axis": list(DIRECTIONS)},
+    )
+
+
+def _axis(log: Log, name: str) -> str:
+    """The axis that a column of displacements is along."""
+    column = log.columns[log.index(name)]
+    if column.quantity != "length" or column.base not in DIRECTIONS:
+        raise InputError(
+            f"--displacement {name}: with --case it is named after its axis; map it to x_um, y_um "
+            "or z_um"
+        )
+    return column.base
+
+
+def _power(log: Log) -> Array:
+    """What all sources give together, W."""
+    names = log.of("power")
+    if len(names) != 1:
+        found = ", ".join(names) or "none"
+        raise InputError(f"log: one column of the heat in W is needed, e.g. heat_W; found {found}")
+    return log.at(names[0])

@@ -1,0 +1,87 @@
+"""A measured log calibrates the machine's physics where there is a mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from observed import SENSORS, observed_data, run, step
+from typer.testing import CliRunner
+
+from artefacts.errors import InputError
+from artefacts.log_file import read_log
+from estimator.joint_aware.measured_runs import runs_of
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.cli.app import app
+
+
+@pytest.fixture(scope="module")
+def case(coarse_data):
+    return observed_data(coarse_data) | {"probes": probes(coarse_data)}
+
+
+def probes(coarse_data):
+    found = observed_data(coarse_data)["probes"]
+    return {name: found[name] for name in SENSORS}
+
+
+@pytest.fixture(scope="module")
+def response(case):
+    return run(case, set_up(case_from_data(case, "case", Path())), step(2.0))
+
+
+def log_of(response, path, warm=0.0):
+    """The response as a logger would have written it, in degrees and micrometres."""
+    temperatures = response["temperature"].sel(probe=list(SENSORS)).to_numpy() + 21.5 + warm
+    moved = 1e6 * response["displacement"].sel(axis=["x", "y"]).to_numpy() + [3.0, -2.0]
+    heat = response["source_power"].to_numpy()[:, :1]
+    table = np.column_stack([response["time"].to_numpy(), heat, temperatures, moved])
+    header = ",".join(["time_s", "heat_W", *(f"{name}_degC" for name in SENSORS), "x_um", "y_um"])
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    return path
+
+
+def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_path):
+    log = read_log([log_of(response, tmp_path / "log.csv")])
+    found = runs_of(log, case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    one = found["run 1"]
+    wanted = response["temperature"].sel(probe=list(SENSORS)).to_numpy()
+    assert one["temperature"].to_numpy() == pytest.approx(wanted, abs=1e-6)
+    assert one["heat_input"].to_numpy() == pytest.approx(
+        response["heat_input"].to_numpy(), abs=1e-9
+    )
+    moved = response["displacement"].sel(axis=["x", "y"]).to_numpy()
+    assert one["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(moved, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("replaced", "by", "what"),
+    [
+        ("heat_W", "heat_A", "one column of the heat in W"),
+        ("s_degC,b_degC,T1_degC,T2_degC", "p_degC,q_degC,r_degC,t_degC", "no temperature of a pr"),
+        ("x_um", "tip_um", "no column|named 'x_um'"),
+    ],
+)
+def test_a_log_that_lacks_what_the_machine_needs_is_refused(
+    case, response, tmp_path, replaced, by, what
+):
+    path = log_of(response, tmp_path / "log.csv")
+    path.write_text(path.read_text("utf-8").replace(replaced, by, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=what) as caught:
+        runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_that_begins_warm_is_refused(case, response, tmp_path):
+    path = log_of(response.isel(time=slice(200, None)), tmp_path / "log.csv")
+    with pytest.raises(InputError, match="begin with the machine at rest"):
+        runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um"])
+
+
+def test_the_command_needs_the_machine(response, tmp_path):
+    log = log_of(response, tmp_path / "log.csv")
+    out = tmp_path / "model.h5"
+    given = ["learn", str(log), "--displacement", "x_um", "--kind", "joint-aware"]
+    result = CliRunner().invoke(app, [*given, "--out", str(out)])
+    assert "--case" in str(result.exception)
+    assert not out.exists()
