@@ -11,10 +11,10 @@ from typing import Annotated
 
 import typer
 
+from thermojoint.cli import compensating, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
-from thermojoint.cli import thermal_test
 from thermojoint.pictures import fonts
 
 #: In the order of the help page.
@@ -25,6 +25,7 @@ COMMANDS = (
     models.assemble,
     models.estimate,
     models.validate,
+    compensating.compensate,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

@@ -92,6 +92,12 @@ def _is_estimate(path: Path) -> bool:
     return header.startswith(b"time_s,") and header.endswith(b",status")
 
 
+def _is_offsets(path: Path) -> bool:
+    with path.open("rb") as file:
+        header = file.readline(1 << 16).strip()
+    return header.startswith(b"time_s,offset_") and header.endswith(b",state")
+
+
 def _is_test_report(path: Path) -> bool:
     with path.open("rb") as file:
         return b'content="thermojoint iso230-3"' in file.read(1 << 10)
@@ -122,6 +128,7 @@ ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
 VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks"))
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
+OFFSETS = Kind("a preview of offsets", _is_offsets)
 TEST_REPORT = Kind("a report of a thermal test", _is_test_report)
 TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))

@@ -1,0 +1,49 @@
+"""Commands for what is done about an estimated displacement."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.errors import InputError
+from thermojoint.cli import arguments, file_kinds
+
+
+def compensate(
+    estimate: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ESTIMATE", help="CSV of 'estimate', '-' for standard input.", allow_dash=True
+        ),
+    ],
+    settings: Annotated[Path, typer.Option(help="Settings of the compensation output (TOML).")],
+    out: Annotated[
+        Path, typer.Option(help="CSV to write, '-' for standard output.", allow_dash=True)
+    ],
+) -> None:
+    """Preview what a control will receive: the offset of each axis in every cycle.
+
+    Axes and signs, resolution, rate, dead band, filter, largest total, and what happens without a
+    usable estimate, by the settings. It takes the estimate of any estimator.
+
+    Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
+    offsets.csv[/bold]
+    """
+    from compensation.offsets.preview import header, preview, read_estimate, row_of
+    from compensation.offsets.settings import read_settings
+    from thermojoint.cli import console
+
+    arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
+    wanted = read_settings(settings)
+    with arguments.opened(estimate) as source:
+        if source is None:
+            raise InputError(f"{estimate}: a response is no estimate; run 'estimate' on it first")
+        axes, rows = read_estimate(source, arguments.shown(estimate))
+    with arguments.output(out) as target:
+        writer = csv.writer(target, lineterminator="\n")
+        writer.writerow(header(wanted))
+        writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
+    console.wrote(None if str(out) == "-" else out)
