@@ -230,6 +230,7 @@ def test_an_old_estimate_is_no_estimate():
         ('follows = "y"', 'follows = "z"', "'z'"),
         ("cycle_s = 1.0", 'cycle_s = 1.0\nunusable = ["unsetled"]', "'unsettled'"),
         ("resolution_um = 0.1", "resolution_um = 1e6", "largest_um"),
+        ("resolution_um = 0.1", "resolution_um = 1e-300", "largest_um"),
         ("cycle_s = 1.0", "cycle_s 1.0", "TOML"),
     ],
 )

@@ -17,6 +17,9 @@ from compensation.toml_file import validated
 
 _MICRO = 1e-6
 
+#: More steps than this in the range of an axis or of a heater are a slip of the units.
+MOST_STEPS = 1e9
+
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
@@ -86,10 +89,10 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
     for reason in given.unusable:
         if reason not in known:
             raise unknown_name("reason", reason, known, f"{where}: unusable")
-    if given.largest_um < given.resolution_um:
+    if not 1.0 <= given.largest_um / given.resolution_um <= MOST_STEPS:
         raise InputError(
-            f"{where}: largest_um {given.largest_um:g} is less than one step of resolution_um "
-            f"{given.resolution_um:g}; make it larger"
+            f"{where}: largest_um {given.largest_um:g} is not 1 to {MOST_STEPS:.0e} steps of "
+            f"resolution_um {given.resolution_um:g}; change one of them"
         )
     widest = given.widest_band_um
     return Settings(

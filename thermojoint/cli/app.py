@@ -26,6 +26,7 @@ COMMANDS = (
     models.estimate,
     models.validate,
     compensating.compensate,
+    compensating.control,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

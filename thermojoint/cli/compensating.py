@@ -47,3 +47,43 @@ def compensate(
         writer.writerow(header(wanted))
         writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
     console.wrote(None if str(out) == "-" else out)
+
+
+def control(
+    loop: Annotated[Path, typer.Argument(help="File of the closed loop (TOML).")],
+    out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="Margins and residuals to write (JSON).")
+    ] = None,
+) -> None:
+    """Close the loop: a marched machine, its estimator, a heater under PID, offsets of the axes.
+
+    The controller is tuned by the model's transfer functions to the margins that the file asks
+    for; the machine it is then tried on is not the model.
+
+    Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
+    """
+    from compensation.loop.schema import read_loop
+
+    given = read_loop(loop)
+    # After the file: a mistake in it is told before the libraries are loaded.
+    from compensation.loop.judging import as_content
+    from compensation.loop.report import report_html, write_content, write_report
+    from compensation.loop.run import close_loop
+    from thermojoint.cli import console
+
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.LOOP_REPORT),
+            "--figures": (figures, file_kinds.LOOP_FIGURES),
+        },
+        [loop, given.plant.case, given.estimator.model, given.offsets],
+    )
+    closed = close_loop(given, console.say)
+    content = as_content(closed)
+    if out:
+        write_report(report_html(closed, content), out)
+    if figures:
+        write_content(content, figures)
+    console.show_loop(console.out(), content)
+    console.wrote(out, figures)

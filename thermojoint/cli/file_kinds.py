@@ -98,9 +98,14 @@ def _is_offsets(path: Path) -> bool:
     return header.startswith(b"time_s,offset_") and header.endswith(b",state")
 
 
-def _is_test_report(path: Path) -> bool:
-    with path.open("rb") as file:
-        return b'content="thermojoint iso230-3"' in file.read(1 << 10)
+def _is_report(command: str) -> Callable[[Path], bool]:
+    """A page that says which command made it."""
+
+    def holds(path: Path) -> bool:
+        with path.open("rb") as file:
+            return f'content="thermojoint {command}"'.encode() in file.read(1 << 10)
+
+    return holds
 
 
 def _is_picture(path: Path) -> bool:
@@ -129,8 +134,10 @@ VALIDATION = Kind("a validation", _json("rows", "vectors", "as_printed", "blocks
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 OFFSETS = Kind("a preview of offsets", _is_offsets)
-TEST_REPORT = Kind("a report of a thermal test", _is_test_report)
+TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"))
 TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
+LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"))
+LOOP_FIGURES = Kind("figures of a closed loop", _json(schema="thermojoint-control"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.
