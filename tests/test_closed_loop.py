@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from observed import observed_data, observer, run
+from short_runs import quick_bands
 from typer.testing import CliRunner
 
 from artefacts.errors import InputError
@@ -33,6 +35,7 @@ from compensation.offsets.settings import settings_from_data
 from estimator.joint_aware.filter_design import correct
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.readings import run_in
 from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
@@ -352,6 +355,24 @@ def test_the_command_writes_margins_residuals_and_a_page(folder):
     assert isinstance(done.exception, InputError)
 
 
+def test_a_heater_that_is_too_weak_is_said_to_be(folder):
+    path = folder / "loop.toml"
+    text = path.read_text("utf-8").replace("largest_W = 5000.0", "largest_W = 500.0")
+    path.write_text(re.sub(r"tried_delays_s = .*", "", text), "utf-8")
+    done = CliRunner().invoke(app, ["control", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "gives no more than 500 W" in " ".join(done.output.split())
+
+
+def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setup):
+    driven = copy.deepcopy(data)
+    driven["sources"]["heater"]["heat_input"] = {"kind": "step", "level": 2.0}
+    response = run(driven, setup, {"kind": "step", "level": 0.5}, 1.0)
+    machine = reduce_machine(case_from_data(data, "case", Path()), setup, SENSORS)
+    inputs = run_in(response, machine, "run").inputs
+    assert inputs[:, :2] == pytest.approx(np.tile([0.5 * machine.power[0], 3000.0], (30, 1)))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -360,6 +381,7 @@ def test_the_command_writes_margins_residuals_and_a_page(folder):
         ('against = "bearings"', 'against = "spindle"', "no source named 'spindle'"),
         ("largest_W", "largest_kW", "did you mean 'largest_W'"),
         ("resolution_W = 10.0", "resolution_W = 1e-9", "heater: resolution_W"),
+        ("delay_s = 0.0", "delay_s = 3.0", "no whole number"),
         ("delay_s = 0.0", "delay_s = -1.0", "estimator.delay_s"),
         ("gain_margin_dB = 6.0", "gain_margin_dB = 60.0", "no crossover"),
     ],
@@ -388,3 +410,28 @@ def test_the_example_loops_fit_their_machine(name):
     assert known.structure.element_size_mm > case.structure.element_size_mm
     kept = ("materials", "joints", "sources", "probes", "heat_input", "supports")
     assert all(getattr(known, part) == getattr(case, part) for part in kept)
+
+
+def test_the_commands_of_the_page_follow_one_another(tmp_path, monkeypatch):
+    """On coarser meshes and in longer steps; the estimator's mesh is not the plant's, either."""
+    for path in EXAMPLE.glob("*.*"):
+        if path.suffix in (".toml", ".csv"):
+            text = path.read_text("utf-8").replace("step_s = 2.0", "step_s = 10.0")
+            text = re.sub(r"joint_element_size_mm = .*", "", text)
+            text = text.replace("element_size_mm = 40.0", "element_size_mm = 80.0")
+            text = text.replace("element_size_mm = 50.0", "element_size_mm = 100.0")
+            text = text.replace("cycle_s = 2.0", "cycle_s = 10.0")
+            text = re.sub(r"tried_delays_s = .*", "", text)
+            (tmp_path / path.name).write_text(text, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    page = (EXAMPLE.parents[1] / "docs" / "closing-the-loop.md").read_text("utf-8")
+    (block,) = (one for one in re.findall(r"```sh\n(.*?)```", page, re.S) if "control" in one)
+    with quick_bands():
+        for command in block.strip().splitlines():
+            done = CliRunner().invoke(app, shlex.split(command)[1:])
+            assert done.exit_code == 0, done.output
+    content = json.loads((tmp_path / "step.json").read_text("utf-8"))
+    free, heated = (run["axes"]["x"] for run in content["runs"])
+    assert free["displacement"]["largest_um"] > 200.0
+    assert heated["displacement"]["largest_um"] < 0.05 * free["displacement"]["largest_um"]
+    assert free["with_offsets"]["largest_um"] < 0.05 * free["displacement"]["largest_um"]

@@ -111,8 +111,8 @@ def _extent(times: Array, values: Array) -> dict[str, float]:
 
 def reached(closed: Closed, course: Course) -> str:
     """Say what the heater reached on its axis, and what it could not, and why."""
-    heater, design = closed.loop.heater, closed.design
-    if heater is None or design is None:
+    heater = closed.loop.heater
+    if heater is None:
         return ""
     at = closed.axes.index(heater.axis)
     left = np.abs(course.displacement[:, at])
@@ -121,18 +121,19 @@ def reached(closed: Closed, course: Course) -> str:
         f"{heater.axis} within {left.max() / _MICRO:.3g} um, where the free machine moves "
         f"{free / _MICRO:.3g} um"
     )
-    most = heater.largest_W - heater.resolution_W
-    reasons = []
-    for state, why in (
+    limits = (
         (
-            course.heater >= most,
+            course.heater >= heater.largest_W - heater.resolution_W,
             f"the heater gives no more than {heater.largest_W:.4g} W",
         ),
         (course.heater <= 0.0, "the heater cannot cool"),
-    ):
-        # From the start on it has nothing to do until something moves.
-        share = float(state[course.times > design.tuned.controller.integral_time].mean())
+    )
+    # Before it gives anything for the first time there was nothing to do.
+    begun = int(np.argmax(course.heater > 0.0))
+    reasons = []
+    for stands, why in limits:
+        share = float(stands[begun:].mean())
         if share > NOTICED:
-            held = float(left[state].max()) / _MICRO
+            held = float(left[begun:][stands[begun:]].max()) / _MICRO
             reasons.append(f"{why}: {share:.0%} of the time, up to {held:.3g} um")
     return "; ".join([found, *reasons])

@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError, unknown_name
-from compensation.loop.controller import AT_REST, Controller, control
-from compensation.offsets.output import at_zero, cycle, followed, offsets_of
+from compensation.loop.controller import AT_REST, Controller, ControllerState, control
+from compensation.offsets.output import OutputState, at_zero, cycle, followed, offsets_of
 from compensation.offsets.settings import Settings
 from compensation.offsets.usable import usable
 from estimator.interface import Estimate
@@ -119,45 +119,66 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
     sensors = _sensor_rows(plant, estimator)
     axes = [DIRECTIONS.index(axis) for axis in estimator.axes]
     disturbances = [k for k in range(layout.sources) if k != acting.heater]
-    plant_state, observed = initial_state(machine), estimator.initial_state()
-    controlled, heat = AT_REST, 0.0
-    output = None if acting.offsets is None else at_zero(acting.offsets.output)
-    moved = np.zeros(len(axes))
+    state, observed = initial_state(machine), estimator.initial_state()
+    act = _at_rest(acting, len(axes))
     sent: list[Estimate] = []
     rows = []
     for index, added in enumerate(noise):
         time = index * estimator.model.step
         ambient = inputs(time)[layout.ambient] if index else 0.0
-        read = [*(sensors @ plant_state.temperature + added), ambient]
+        read = [*(sensors @ state.temperature + added), ambient]
         observed, estimate = estimator.sample(observed, time, read)
         sent.append(estimate)
         arrived = sent[index - acting.delay] if index >= acting.delay else None
-        if acting.controller is not None and arrived is not None:
-            controlled, heat = control(
-                acting.controller,
-                controlled,
-                float(arrived.displacement[acting.axis]),
-                float(arrived.details[acting.disturbance]),
-            )
-        if acting.offsets is not None and output is not None:
-            wanted = _target(acting.offsets, estimator.axes, arrived, time)
-            output = cycle(acting.offsets.output, output, time, wanted)
-            moved = added_by(
-                acting.offsets, estimator.axes, offsets_of(acting.offsets.output, output)
-            )
-        for step in _steps(plant, inputs, plant_state, each, acting.heater, heat):
-            plant_state = step.state
+        act = _act(acting, act, estimator.axes, arrived, time)
+        for step in _steps(plant, inputs, state, each, acting.heater, act.heat):
+            state = step.state
             rows.append(
                 (
-                    plant_state.index * machine.thermal.step,
+                    state.index * machine.thermal.step,
                     *step.displacement[axes],
                     *estimate.displacement,
-                    *moved,
-                    heat,
+                    *act.moved,
+                    act.heat,
                     step.inputs[disturbances].sum(),
                 )
             )
     return _course(np.array(rows), len(axes))
+
+
+class _Act(NamedTuple):
+    """What acts between two samples: the heat, W, and what offsets add to the displacement, m."""
+
+    controlled: ControllerState
+    output: OutputState | None
+    heat: float
+    moved: Array
+
+
+def _at_rest(acting: Acting, axes: int) -> _Act:
+    output = None if acting.offsets is None else at_zero(acting.offsets.output)
+    return _Act(AT_REST, output, 0.0, np.zeros(axes))
+
+
+def _act(
+    acting: Acting, before: _Act, axes: tuple[str, ...], arrived: Estimate | None, time: float
+) -> _Act:
+    """What acts after a sample, in which an estimate has arrived, or none yet."""
+    after = before
+    if acting.controller is not None and arrived is not None:
+        controlled, heat = control(
+            acting.controller,
+            before.controlled,
+            float(arrived.displacement[acting.axis]),
+            float(arrived.details[acting.disturbance]),
+        )
+        after = after._replace(controlled=controlled, heat=heat)
+    if acting.offsets is not None and before.output is not None:
+        wanted = _target(acting.offsets, axes, arrived, time)
+        output = cycle(acting.offsets.output, before.output, time, wanted)
+        offsets = offsets_of(acting.offsets.output, output)
+        after = after._replace(output=output, moved=added_by(acting.offsets, axes, offsets))
+    return after
 
 
 def steps_of(plant: Plant, estimator: JointAware) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from artefacts.arrays import Array
-from artefacts.errors import unknown_name
+from artefacts.errors import InputError, unknown_name
 from compensation.loop.controller import Controller
 from compensation.loop.linear import (
     Margins,
@@ -201,8 +201,18 @@ def _acting(
         disturbance=0 if heater is None else model.sources.index(heater.against),
         axis=0 if heater is None else model.axes.index(heater.axis),
         offsets=settings,
-        delay=round(delay / model.step),
+        delay=_samples(delay, model.step),
     )
+
+
+def _samples(delay: float, step: float) -> int:
+    """A delay (s) in samples."""
+    if abs(delay / step - round(delay / step)) > 1e-6:
+        raise InputError(
+            f"delay of {delay:g} s: no whole number of the estimator's steps of {step:g} s; make "
+            "it one"
+        )
+    return round(delay / step)
 
 
 def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:

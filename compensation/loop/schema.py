@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from artefacts import toml
 from compensation.offsets.settings import MOST_STEPS
 from compensation.toml_file import validated
-from fesim.case.schema import HeatInput
+from fesim.case.schema import HeatInput, SampledInput
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -82,6 +82,15 @@ class Loop(_Section):
         if self.heater is None and self.offsets is None:
             raise ValueError("nothing acts on the machine: add [heater] or offsets")
         return self
+
+
+def files_of(loop: Loop) -> list[Path]:
+    """Return the files that a loop names, but for those that its machine's case names."""
+    history = loop.plant.heat_input
+    named = [loop.plant.case, loop.estimator.model, loop.offsets]
+    if isinstance(history, SampledInput):
+        named.append(history.file)
+    return [path for path in named if path is not None]
 
 
 def read_loop(path: Path | str) -> Loop:

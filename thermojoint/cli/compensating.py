@@ -63,7 +63,8 @@ def control(
 
     Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
     """
-    from compensation.loop.schema import read_loop
+    from compensation.loop.schema import files_of, read_loop
+    from fesim.case.schema import read_case
 
     given = read_loop(loop)
     # After the file: a mistake in it is told before the libraries are loaded.
@@ -77,7 +78,7 @@ def control(
             "--out": (out, file_kinds.LOOP_REPORT),
             "--figures": (figures, file_kinds.LOOP_FIGURES),
         },
-        [loop, given.plant.case, given.estimator.model, given.offsets],
+        [loop, *files_of(given), *arguments.files_of(read_case(given.plant.case))],
     )
     closed = close_loop(given, console.say)
     content = as_content(closed)
