@@ -297,6 +297,13 @@ def test_the_heater_holds_its_axis_and_offsets_do_the_rest(plant, estimator, tun
     assert held.heater[0] == pytest.approx(0.0)
 
 
+def test_a_setpoint_is_reached_and_kept(plant, estimator, tuned):
+    controller = replace(tuned.controller, setpoint=15.0 * MICRO)
+    off = course(plant, estimator, replace(tuned, controller=controller))
+    assert off.displacement[-50:, 0] == pytest.approx(15.0 * MICRO, abs=0.5 * MICRO)
+    assert off.heater.mean() > course(plant, estimator, tuned).heater.mean()
+
+
 def test_a_delay_beyond_its_margin_makes_the_heater_swing(plant, estimator, tuned):
     most = math.ceil(2.5 * tuned.nominal.delay / estimator.model.step)
     good, bad = course(plant, estimator, tuned), course(plant, estimator, tuned, delay=most)
@@ -401,7 +408,7 @@ def test_a_loop_in_which_nothing_acts_is_refused():
         loop_from_data({"title": "t", "plant": plant, "estimator": {"model": "m"}}, "l", Path())
 
 
-@pytest.mark.parametrize("name", ["step", "duty", "break"])
+@pytest.mark.parametrize("name", ["step", "duty", "break", "warm"])
 def test_the_example_loops_fit_their_machine(name):
     loop = read_loop(EXAMPLE / f"{name}.toml")
     case = read_case(loop.plant.case)

@@ -1,8 +1,8 @@
 """PID with feed-forward on one heater (Eq. 17), which can only heat, and only so much.
 
-The controlled value is an estimated displacement, which should be zero:
+The controlled value is an estimated displacement, which should be at a setpoint δ0:
 
-u = k_g F(s) Q_d + K (1 + 1/(T_i s) + T_d s/(1 + T_f s)) e,   e = -sign δ,
+u = k_g F(s) Q_d + K (1 + 1/(T_i s) + T_d s/(1 + T_f s)) e,   e = sign (δ0 - δ),
 
 sign that of what the heater does to δ, F a first-order low-pass; sampled by backward differences.
 """
@@ -38,6 +38,8 @@ class Controller:
         Step of the heat, W; 0 for none.
     interval : float
         Between samples, s.
+    setpoint : float
+        δ0, m. Away from zero it keeps the heater warm, so that it can give less.
     """
 
     gain: float
@@ -50,6 +52,7 @@ class Controller:
     largest: float
     resolution: float
     interval: float
+    setpoint: float = 0.0
 
 
 class ControllerState(NamedTuple):
@@ -92,7 +95,7 @@ def control(
         Estimated disturbing heat, W.
     """
     step = controller.interval
-    error = -controller.sign * displacement
+    error = controller.sign * (controller.setpoint - displacement)
     slow = controller.derivative_filter
     derivative = (slow * state.derivative + controller.derivative_time * (error - state.error)) / (
         slow + step

@@ -69,13 +69,14 @@ def _decibel(factor: float) -> float | None:
     return 20.0 * math.log10(factor) if math.isfinite(factor) and factor > 0.0 else None
 
 
-def _run(closed: Closed, name: str, course: Course, heated: bool) -> dict[str, Any]:
-    heater = closed.loop.heater
+def _run(closed: Closed, name: str, run: Course, heated: bool) -> dict[str, Any]:
+    heater, course = closed.loop.heater, judged(closed, run)
+    aim = setpoints(closed, heated)
     content: dict[str, Any] = {
         "run": name,
         "axes": {
             axis: {
-                "displacement": _extent(course.times, course.displacement[:, k]),
+                "displacement": _extent(course.times, course.displacement[:, k] - aim[k]),
                 "estimate_error": _extent(
                     course.times, course.estimate[:, k] - course.displacement[:, k]
                 ),
@@ -95,7 +96,7 @@ def _run(closed: Closed, name: str, course: Course, heated: bool) -> dict[str, A
             "at_largest": float((course.heater >= heater.largest_W - heater.resolution_W).mean()),
             "at_zero": float((course.heater <= 0.0).mean()),
         }
-        content["reached"] = reached(closed, course)
+        content["reached"] = reached(closed, run)
     return content
 
 
@@ -109,16 +110,31 @@ def _extent(times: Array, values: Array) -> dict[str, float]:
     }
 
 
-def reached(closed: Closed, course: Course) -> str:
+def judged(closed: Closed, course: Course) -> Course:
+    """Return the part of a course that is judged: from `plant.judged_from_min` on."""
+    kept = course.times >= 60.0 * closed.loop.plant.judged_from_min
+    return Course(*(part[kept] for part in course))
+
+
+def setpoints(closed: Closed, heated: bool) -> Array:
+    """Return where each axis of a run should be, m, shape (axes,)."""
+    heater, found = closed.loop.heater, np.zeros(len(closed.axes))
+    if heater is not None and heated:
+        found[closed.axes.index(heater.axis)] = _MICRO * heater.setpoint_um
+    return found
+
+
+def reached(closed: Closed, run: Course) -> str:
     """Say what the heater reached on its axis, and what it could not, and why."""
     heater = closed.loop.heater
     if heater is None:
         return ""
-    at = closed.axes.index(heater.axis)
-    left = np.abs(course.displacement[:, at])
-    free = float(np.abs(closed.free.displacement[:, at]).max())
+    course, at = judged(closed, run), closed.axes.index(heater.axis)
+    left = np.abs(course.displacement[:, at] - setpoints(closed, True)[at])
+    free = float(np.abs(judged(closed, closed.free).displacement[:, at]).max())
+    where = f" of {heater.setpoint_um:g} um" if heater.setpoint_um else ""
     found = (
-        f"{heater.axis} within {left.max() / _MICRO:.3g} um, where the free machine moves "
+        f"{heater.axis} within {left.max() / _MICRO:.3g} um{where}, where the free machine moves "
         f"{free / _MICRO:.3g} um"
     )
     limits = (

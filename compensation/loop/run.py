@@ -164,6 +164,7 @@ def _design(loop: Loop, heater: HeaterSection, estimator: JointAware) -> Design:
         largest=heater.largest_W,
         resolution=heater.resolution_W,
         interval=model.step,
+        setpoint=1e-6 * heater.setpoint_um,
     )
     asked = loop.tuning
     tuned = tune(

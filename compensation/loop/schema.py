@@ -26,6 +26,13 @@ class PlantSection(_Section):
     case: Path
     heat_input: HeatInput
     duration_min: Positive
+    judged_from_min: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _judged_within(self) -> PlantSection:
+        if self.judged_from_min >= self.duration_min:
+            raise ValueError("judged_from_min is not before the end at duration_min")
+        return self
 
 
 class EstimatorSection(_Section):
@@ -45,6 +52,7 @@ class HeaterSection(_Section):
     against: str
     largest_W: Positive
     resolution_W: NotNegative = 0.0
+    setpoint_um: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
     def _countable(self) -> HeaterSection:
