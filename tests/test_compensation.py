@@ -2,7 +2,9 @@
 
 import csv
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from artefacts import toml
 from artefacts.errors import InputError
 from compensation.offsets.output import OutputSettings, at_zero, cycle, followed, offsets_of
 from compensation.offsets.preview import Row, preview, read_estimate
@@ -266,3 +269,11 @@ def test_the_command_refuses_a_response_and_leaves_nothing(files):
     done = CliRunner().invoke(app, command)
     assert isinstance(done.exception, InputError)
     assert not out.exists()
+
+
+def test_the_settings_of_the_page_are_settings():
+    page = (Path(__file__).parents[1] / "docs" / "closing-the-loop.md").read_text("utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    settings = settings_from_data(toml.parse(block, "page"), "page")
+    assert settings.output.signs == (-1, -1)
+    assert settings.trust.widest_band == pytest.approx(5.0 * MICRO)

@@ -71,15 +71,17 @@ def control(
     from compensation.loop.judging import as_content
     from compensation.loop.report import report_html, write_content, write_report
     from compensation.loop.run import close_loop
-    from thermojoint.cli import console
+    from thermojoint.cli import console, plausibility
 
+    machine = read_case(given.plant.case)
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.LOOP_REPORT),
             "--figures": (figures, file_kinds.LOOP_FIGURES),
         },
-        [loop, *files_of(given), *arguments.files_of(read_case(given.plant.case))],
+        [loop, *files_of(given), *arguments.files_of(machine)],
     )
+    console.warn(plausibility.of_case(machine, str(given.plant.case)))
     closed = close_loop(given, console.say)
     content = as_content(closed)
     if out:
