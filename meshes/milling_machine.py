@@ -99,7 +99,8 @@ def box_milling_machine(
     -------
     Structure
         Bodies ``column``, ``table``, ``screw``; surfaces ``exterior``, ``interior``,
-        ``column_base``, ``screw_foot``, ``bearings``, ``knee.a`` (strips), ``knee.b`` (table) and,
+        ``column_base``, ``screw_foot``, ``bearings``, ``rear`` (of the column's outside; part of
+        the exterior), ``knee.a`` (strips), ``knee.b`` (table) and,
         for the half, ``symmetry``; joint ``knee``.
 
     Raises
@@ -264,6 +265,7 @@ def _surfaces(
         "column_base": of_column & foot,
         "screw_foot": ~of_column & foot,
         "bearings": source,
+        "rear": of_column & at(x, 0.0),
         "knee.a": joint & of_column,
         "knee.b": joint & ~of_column,
     } | ({"symmetry": cut} if half else {})

@@ -18,6 +18,7 @@ ARROWS = {
     "calibrate": {"artefacts", "models"},
     "estimator": {"artefacts", "models", "fesim"},
     "standards": {"artefacts"},
+    "compensation": {"artefacts", "models", "fesim", "estimator"},
     "thermojoint": {
         "artefacts",
         "meshes",
@@ -27,6 +28,7 @@ ARROWS = {
         "calibrate",
         "estimator",
         "standards",
+        "compensation",
     },
 }
 

@@ -204,7 +204,7 @@ def test_wrong_usage_ends_with_2(command, arguments):
     "name",
     [
         *("simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"),
-        *("verify", "mesh", "inspect", "iso230-3"),
+        *("verify", "mesh", "inspect", "iso230-3", "compensate", "control"),
     ],
 )
 def test_every_command_has_help_with_an_example(command, name):

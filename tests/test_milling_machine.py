@@ -69,6 +69,7 @@ def exact_areas(d):
         "column_base": base,
         "screw_foot": foot,
         "bearings": 2 * d.source_height * d.source_width,
+        "rear": d.column_height * d.width,
         "knee.a": joint,
         "knee.b": joint,
     }
@@ -142,9 +143,11 @@ def test_boundaries_are_closed_and_named_once():
     structure = box_milling_machine(element_size=0.1)
     facets = structure.mesh.boundary_facets()
     assert np.allclose(outward_areas(structure.mesh, facets).sum(axis=0), 0.0, atol=1e-12)
-    parts = [structure.surfaces[name] for name in structure.surfaces if name != "bearings"]
+    parts_of = {"bearings": "interior", "rear": "exterior"}
+    parts = [at for name, at in structure.surfaces.items() if name not in parts_of]
     assert np.array_equal(np.sort(np.concatenate(parts)), facets)
-    assert np.isin(structure.surfaces["bearings"], structure.surfaces["interior"]).all()
+    for part, whole in parts_of.items():
+        assert np.isin(structure.surfaces[part], structure.surfaces[whole]).all()
 
 
 def test_the_whole_machine_is_its_own_mirror_image():

@@ -7,7 +7,18 @@ import sys
 import pytest
 
 HEAVY = {
-    *("h5py", "jinja2", "matplotlib", "meshio", "numba", "numpy", "pandas", "scipy", "skfem"),
+    *(
+        "control",
+        "h5py",
+        "jinja2",
+        "matplotlib",
+        "meshio",
+        "numba",
+        "numpy",
+        "pandas",
+        "scipy",
+        "skfem",
+    ),
     *("xarray", "zarr"),
 }
 
@@ -37,6 +48,7 @@ def loaded(*arguments):
         ["simulate", "--help"],
         ["reproduce", "--help"],
         ["iso230-3", "--help"],
+        ["control", "--help"],
     ],
 )
 def test_help_and_version_load_none_of_the_libraries(arguments):
@@ -53,6 +65,8 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
         ["view", "no.toml", "--out", "no.png"],
         ["place", "no.toml", "--out", "sensors.toml"],
         ["batch", "no.toml", "--out", "no"],
+        ["compensate", "no.csv", "--settings", "no.toml", "--out", "o.csv"],
+        ["control", "no.toml"],
     ):
         assert not loaded(*arguments) & drawn_or_kept
     elements = {"meshio", "skfem"}

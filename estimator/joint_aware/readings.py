@@ -62,14 +62,23 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     grid = machine.step * np.arange(1, count + 1)
     # A value of the heat holds over the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    heat = response["heat_input"].to_numpy().astype(float)[at]
+    driven = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
     # The first, at rest, tells the offsets.
     kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
     return Run(
-        inputs=np.column_stack([heat[:, None] * machine.power, ambient]),
+        inputs=np.column_stack([driven, ambient]),
         times=times[kept],
         temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
         displacement=columns_of(response, "displacement", machine.axes)[kept],
         length=machine.step,
     )
+
+
+def _powers(response: xr.Dataset, machine: ReducedMachine) -> Array:
+    """Heat of every source of the machine, W, shape (n, s): as recorded, if there are several."""
+    names = machine.source_names
+    if len(names) > 1 and "source_power" in response:
+        return columns_of(response, "source_power", names)
+    heat = response["heat_input"].to_numpy().astype(float)
+    return np.asarray(heat[:, None] * machine.power)

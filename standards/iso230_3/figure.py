@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,16 +64,6 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     panels[-1].set_xlim(first / 3600.0, last / 3600.0)
     panels[-1].set_xlabel("time (h)")
     return figure
-
-
-def as_svg(figure: Figure) -> bytes:
-    """Return a figure as SVG, the same bytes for the same figure."""
-    import matplotlib as mpl
-
-    target = BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "iso230-3"}):
-        figure.savefig(target, format="svg", metadata={"Date": None})
-    return target.getvalue()
 
 
 def _shown(record: Record, evaluation: Evaluation) -> tuple[float, float]:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from artefacts.files import write_text
+from artefacts.svg import as_svg
 from standards.iso230_3.evaluation import Evaluation
-from standards.iso230_3.figure import SHOWN, as_svg, figure_of
+from standards.iso230_3.figure import SHOWN, figure_of
 from standards.iso230_3.parameters import Parameter
 from standards.iso230_3.protocol import Protocol
 from standards.iso230_3.record import Record
@@ -63,7 +64,7 @@ def report_html(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    drawn = base64.b64encode(as_svg(figure_of(record, evaluation))).decode("ascii")
+    drawn = base64.b64encode(as_svg(figure_of(record, evaluation), "iso230-3")).decode("ascii")
     return environment.get_template("report.html.j2").render(
         title=evaluation.protocol.heading,
         moves=evaluation.protocol is not Protocol.ETVE,

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.cli import learning, placing, thermal_test
+from thermojoint.cli import compensating, learning, placing, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -27,6 +27,8 @@ COMMANDS = (
     models.estimate,
     models.validate,
     placing.place,
+    compensating.compensate,
+    compensating.control,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

@@ -138,6 +138,48 @@ def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
     _titled(console, title, table)
 
 
+def show_loop(console: Console, content: Mapping[str, Any]) -> None:
+    """Print margins and residuals of a closed loop."""
+    design = content["design"]
+    if design is not None:
+        margins = Table()
+        for name in ("delay (s)", "gain margin (dB)", "phase margin (°)", "more delay (s)"):
+            margins.add_column(name, justify="right")
+        for delay, found in {"as it is": design["margins"], **design["late"]}.items():
+            gain = "unstable" if found["phase_margin_deg"] < 0.0 else "no limit"
+            if gain != "unstable" and found["gain_margin_dB"] is not None:
+                gain = number(found["gain_margin_dB"], 3)
+            rest = (found["phase_margin_deg"], found["delay_margin_s"])
+            margins.add_row(delay, gain, *(number(value, 3) for value in rest))
+        _titled(
+            console,
+            f"The heater's loop: {number(design['gain_W_um'])} W/µm, integral time "
+            f"{number(design['integral_time_s'])} s, feed-forward "
+            f"{number(design['feed_forward_W_W'])} W/W",
+            margins,
+        )
+        worst = design["worst_gain_margin_dB"]
+        console.print(
+            f"At worst: {'no limit' if worst is None else f'{worst:.3g} dB'}, "
+            f"{design['worst_phase_margin_deg']:.3g}°."
+        )
+    table = Table()
+    table.add_column("run")
+    table.add_column("axis")
+    for name in ("moves (µm)", "with offsets (µm)", "estimate's error (µm)"):
+        table.add_column(name, justify="right")
+    for run in content["runs"]:
+        for axis, found in run["axes"].items():
+            left = found.get("with_offsets", {"largest_um": None})
+            values = (found["displacement"], left, found["estimate_error"])
+            shown = (number(one["largest_um"], 3) for one in values)
+            table.add_row(run["run"], axis, *shown)
+    _titled(console, content["title"], table)
+    for run in content["runs"]:
+        if run.get("reached"):
+            console.print(f"{run['run']}: {run['reached']}.")
+
+
 def show_validation(console: Console, rows: Sequence[Row]) -> None:
     """Print the errors of the estimators, from temperatures alone."""
     from thermojoint.paper.verdict import paper_claim

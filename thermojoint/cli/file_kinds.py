@@ -103,9 +103,20 @@ def _is_estimate(path: Path) -> bool:
     return header.startswith(b"time_s,") and header.endswith(b",status")
 
 
-def _is_test_report(path: Path) -> bool:
+def _is_offsets(path: Path) -> bool:
     with path.open("rb") as file:
-        return b'content="thermojoint iso230-3"' in file.read(1 << 10)
+        header = file.readline(1 << 16).strip()
+    return header.startswith(b"time_s,offset_") and header.endswith(b",state")
+
+
+def _is_report(command: str) -> Callable[[Path], bool]:
+    """A page that says which command made it."""
+
+    def holds(path: Path) -> bool:
+        with path.open("rb") as file:
+            return f'content="thermojoint {command}"'.encode() in file.read(1 << 10)
+
+    return holds
 
 
 def _is_picture(path: Path) -> bool:
@@ -134,9 +145,12 @@ ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
 VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
-TEST_REPORT = Kind("a report of a thermal test", _is_test_report)
+OFFSETS = Kind("a preview of offsets", _is_offsets)
+TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"))
 TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
 SENSORS = Kind("a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"))
+LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"))
+LOOP_FIGURES = Kind("figures of a closed loop", _json(schema="thermojoint-control"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.

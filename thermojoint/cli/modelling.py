@@ -37,11 +37,15 @@ EstimatorFile = Annotated[
 
 def calibrate(
     reference: Annotated[Path, typer.Option(help="Response to the reference step (NetCDF).")],
-    given: Annotated[
-        list[str],
-        typer.Option("--input", help="Another step: LEVEL=RESPONSE; give two or more."),
-    ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
+    given: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            help="Another step: LEVEL=RESPONSE; give two or more. A joint-aware model may do "
+            "without, and takes runs of any heat input.",
+        ),
+    ] = None,
     distances: Annotated[
         str | None,
         typer.Option(
@@ -87,12 +91,14 @@ def calibrate(
     from thermojoint.cli import console, plausibility
     from thermojoint.paper.tables import printed_tables, tables_json
 
-    pairs = [arguments.level_and_file(text) for text in given]
+    pairs = [arguments.level_and_file(text) for text in given or []]
     inputs = [reference, *(path for _, path in pairs)]
     if kind is Kind.JOINT_AWARE:
         arguments.only_for("--kind fchs", {"--distances-mm": distances, "--baselines": baselines})
         joint_aware.calibrate(case, inputs, out, report_file)
         return
+    if not pairs:
+        raise InputError("--input: the paper's models need two steps beside the reference; give it")
     arguments.only_for("--kind joint-aware", {"--case": case, "--report": report_file})
     arguments.check_outputs(
         {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
@@ -101,7 +107,7 @@ def calibrate(
     base = read_response(reference)
     named = [(level, path, read_response(path)) for level, path in pairs]
     others = {level: response for level, _, response in named}
-    if len(others) < len(given):
+    if len(others) < len(pairs):
         raise InputError("--input: a heat input is given twice; give each once")
     for path, response in ((reference, base), *((path, response) for _, path, response in named)):
         console.warn(plausibility.of_response(response, str(path)))

@@ -1,0 +1,1 @@
+"""The closed loop: a marched machine, an estimator that reads it, a heater and axes that act."""

@@ -1,0 +1,115 @@
+"""PID with feed-forward on one heater (Eq. 17), which can only heat, and only so much.
+
+The controlled value is an estimated displacement, which should be at a setpoint δ0:
+
+u = k_g F(s) Q_d + K (1 + 1/(T_i s) + T_d s/(1 + T_f s)) e,   e = sign (δ0 - δ),
+
+sign that of what the heater does to δ, F a first-order low-pass; sampled by backward differences.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Its settings.
+
+    Attributes
+    ----------
+    gain : float
+        K, W/m; positive.
+    integral_time, derivative_time : float
+        T_i and T_d, s.
+    derivative_filter : float
+        T_f, s.
+    sign : float
+        1 if heat of the heater makes the displacement larger, else -1.
+    feed_forward : float
+        k_g, W per W of the disturbing heat.
+    feed_forward_filter : float
+        Time constant of F, s.
+    largest : float
+        Most heat, W; the least is 0.
+    resolution : float
+        Step of the heat, W; 0 for none.
+    interval : float
+        Between samples, s.
+    setpoint : float
+        δ0, m. Away from zero it keeps the heater warm, so that it can give less.
+    """
+
+    gain: float
+    integral_time: float
+    derivative_time: float
+    derivative_filter: float
+    sign: float
+    feed_forward: float
+    feed_forward_filter: float
+    largest: float
+    resolution: float
+    interval: float
+    setpoint: float = 0.0
+
+
+class ControllerState(NamedTuple):
+    """What a sample leaves to the next.
+
+    Attributes
+    ----------
+    integral : float
+        W.
+    error, derivative : float
+        e, m, and the filtered derivative term, m.
+    fed : float
+        F Q_d, W.
+    """
+
+    integral: float
+    error: float
+    derivative: float
+    fed: float
+
+
+AT_REST = ControllerState(0.0, 0.0, 0.0, 0.0)
+
+
+def control(
+    controller: Controller, state: ControllerState, displacement: float, disturbing: float
+) -> tuple[ControllerState, float]:
+    """Return the state after a sample, and the heat that is asked of the heater, W.
+
+    The integral stands still where the heater can do no more, unless it leads back.
+
+    Parameters
+    ----------
+    controller : Controller
+    state : ControllerState
+        After the sample before.
+    displacement : float
+        Estimated, m.
+    disturbing : float
+        Estimated disturbing heat, W.
+    """
+    step = controller.interval
+    error = controller.sign * (controller.setpoint - displacement)
+    slow = controller.derivative_filter
+    derivative = (slow * state.derivative + controller.derivative_time * (error - state.error)) / (
+        slow + step
+    )
+    fed = state.fed + step / (step + controller.feed_forward_filter) * (disturbing - state.fed)
+    ahead = controller.feed_forward * fed + controller.gain * (error + derivative)
+    more = controller.gain * step / controller.integral_time * error
+    wanted = ahead + state.integral + more
+    beyond = (wanted > controller.largest and more > 0.0) or (wanted < 0.0 and more < 0.0)
+    integral = state.integral if beyond else state.integral + more
+    heat = min(max(ahead + integral, 0.0), controller.largest)
+    if controller.resolution > 0.0:
+        heat = min(
+            controller.resolution * round(heat / controller.resolution),
+            controller.resolution * math.floor(controller.largest / controller.resolution + 1e-9),
+        )
+    return ControllerState(integral, error, derivative, fed), heat

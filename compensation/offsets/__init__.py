@@ -1,0 +1,1 @@
+"""From estimates to the offsets that a control receives."""

@@ -1,0 +1,92 @@
+"""Commands for what is done about an estimated displacement."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.errors import InputError
+from thermojoint.cli import arguments, file_kinds
+
+
+def compensate(
+    estimate: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ESTIMATE", help="CSV of 'estimate', '-' for standard input.", allow_dash=True
+        ),
+    ],
+    settings: Annotated[Path, typer.Option(help="Settings of the compensation output (TOML).")],
+    out: Annotated[
+        Path, typer.Option(help="CSV to write, '-' for standard output.", allow_dash=True)
+    ],
+) -> None:
+    """Preview what a control will receive: the offset of each axis in every cycle.
+
+    Axes and signs, resolution, rate, dead band, filter, largest total, and what happens without a
+    usable estimate, by the settings. It takes the estimate of any estimator.
+
+    Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
+    offsets.csv[/bold]
+    """
+    from compensation.offsets.preview import header, preview, read_estimate, row_of
+    from compensation.offsets.settings import read_settings
+    from thermojoint.cli import console
+
+    arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
+    wanted = read_settings(settings)
+    with arguments.opened(estimate) as source:
+        if source is None:
+            raise InputError(f"{estimate}: a response is no estimate; run 'estimate' on it first")
+        axes, rows = read_estimate(source, arguments.shown(estimate))
+    with arguments.output(out) as target:
+        writer = csv.writer(target, lineterminator="\n")
+        writer.writerow(header(wanted))
+        writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
+    console.wrote(None if str(out) == "-" else out)
+
+
+def control(
+    loop: Annotated[Path, typer.Argument(help="File of the closed loop (TOML).")],
+    out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="Margins and residuals to write (JSON).")
+    ] = None,
+) -> None:
+    """Close the loop: a marched machine, its estimator, a heater under PID, offsets of the axes.
+
+    The controller is tuned by the model's transfer functions to the margins that the file asks
+    for; the machine it is then tried on is not the model.
+
+    Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
+    """
+    from compensation.loop.schema import files_of, read_loop
+    from fesim.case.schema import read_case
+
+    given = read_loop(loop)
+    # After the file: a mistake in it is told before the libraries are loaded.
+    from compensation.loop.judging import as_content
+    from compensation.loop.report import report_html, write_content, write_report
+    from compensation.loop.run import close_loop
+    from thermojoint.cli import console, plausibility
+
+    machine = read_case(given.plant.case)
+    arguments.check_outputs(
+        {
+            "--out": (out, file_kinds.LOOP_REPORT),
+            "--figures": (figures, file_kinds.LOOP_FIGURES),
+        },
+        [loop, *files_of(given), *arguments.files_of(machine)],
+    )
+    console.warn(plausibility.of_case(machine, str(given.plant.case)))
+    closed = close_loop(given, console.say)
+    content = as_content(closed)
+    if out:
+        write_report(report_html(closed, content), out)
+    if figures:
+        write_content(content, figures)
+    console.show_loop(console.out(), content)
+    console.wrote(out, figures)
