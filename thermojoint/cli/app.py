@@ -11,10 +11,10 @@ from typing import Annotated
 
 import typer
 
+from thermojoint.cli import exporting, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
-from thermojoint.cli import thermal_test
 from thermojoint.pictures import fonts
 
 #: In the order of the help page.
@@ -23,6 +23,7 @@ COMMANDS = (
     models.calibrate,
     models.tables,
     models.assemble,
+    exporting.export,
     models.estimate,
     models.validate,
     thermal_test.iso230_3,

@@ -1,0 +1,179 @@
+"""What every exported estimator is written with: exact numbers, tables, templates, costs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from artefacts.errors import InputError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+#: What begins a name of C, and leaves room for the rest of it.
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+
+
+class Precision(StrEnum):
+    """Of every number in the exported program."""
+
+    DOUBLE = "double"
+    SINGLE = "single"
+
+    @property
+    def c_type(self) -> str:
+        """The type in C."""
+        return "double" if self is Precision.DOUBLE else "float"
+
+    @property
+    def suffix(self) -> str:
+        """What ends a constant of the type, and the name of its functions in math.h."""
+        return "" if self is Precision.DOUBLE else "f"
+
+    @property
+    def size(self) -> int:
+        """Of one number, bytes."""
+        return 8 if self is Precision.DOUBLE else 4
+
+
+@dataclass(frozen=True)
+class Operations:
+    """Operations on real numbers of one sample; a subtraction is an addition.
+
+    Attributes
+    ----------
+    multiplications, additions, divisions, functions : int
+        Functions are those of math.h: exp, sin, cos.
+    """
+
+    multiplications: int = 0
+    additions: int = 0
+    divisions: int = 0
+    functions: int = 0
+
+    def __add__(self, other: Operations) -> Operations:
+        return Operations(
+            self.multiplications + other.multiplications,
+            self.additions + other.additions,
+            self.divisions + other.divisions,
+            self.functions + other.functions,
+        )
+
+    def times(self, count: int) -> Operations:
+        """Return those of as many repetitions."""
+        return Operations(
+            count * self.multiplications,
+            count * self.additions,
+            count * self.divisions,
+            count * self.functions,
+        )
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A program and what it costs.
+
+    Attributes
+    ----------
+    files : dict of str to str
+        Name to text.
+    constants, state : int
+        Bytes of the tables and of the state.
+    usual, worst : Operations
+        Of a sample as they usually come, and at most.
+    samples : int
+        Of the self-test.
+    """
+
+    files: dict[str, str] = field(repr=False)
+    constants: int
+    state: int
+    usual: Operations
+    worst: Operations
+    samples: int
+
+
+def literal(value: float, precision: Precision) -> str:
+    """Return a number as C99 reads it, to the last bit: in hexadecimal.
+
+    Raises
+    ------
+    InputError
+        It is not finite at that precision.
+    """
+    number = float(value)
+    if precision is Precision.SINGLE:
+        with np.errstate(over="ignore"):
+            number = float(np.float32(number))
+    if not np.isfinite(number):
+        raise InputError(
+            f"export: the constant {value:g} has no {precision} precision number; export with "
+            "--precision double"
+        )
+    if number == 0.0:
+        return f"0.0{precision.suffix}"
+    head, _, exponent = number.hex().partition("p")
+    return f"{head.rstrip('0').rstrip('.')}p{exponent}{precision.suffix}"
+
+
+def table(values: ArrayLike, precision: Precision) -> str:
+    """Return an array of any shape, real or complex, as an initialiser; complex as {re, im}."""
+    array = np.asarray(values)
+    if np.iscomplexobj(array):
+        array = np.stack((array.real, array.imag), axis=-1)
+    return _braces(array, precision)
+
+
+def _braces(array: np.ndarray, precision: Precision) -> str:
+    if array.ndim == 0:
+        return literal(float(array), precision)
+    parts = [_braces(one, precision) for one in array]
+    if array.ndim == 1:
+        return "{" + ", ".join(parts) + "}"
+    return "{\n" + ",\n".join(parts) + "\n}"
+
+
+def checked_name(name: str) -> str:
+    """Return a name that C takes at the beginning of every symbol.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    if not _IDENTIFIER.fullmatch(name):
+        raise InputError(
+            f"--name {name}: begins every symbol of the program; give a letter, then at most 30 "
+            "letters, digits and underscores"
+        )
+    return name
+
+
+def environment(precision: Precision) -> Environment:
+    """Return the templates, with ``| c`` for a number and ``| table`` for an array."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    found = Environment(
+        loader=PackageLoader("estimator.export"),
+        # C, no HTML: quotes stay quotes.
+        autoescape=False,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+    def c(value: float) -> str:
+        return literal(value, precision)
+
+    def as_table(values: Any) -> str:  # noqa: ANN401
+        return table(values, precision)
+
+    found.filters["c"] = c
+    found.filters["table"] = as_table
+    return found

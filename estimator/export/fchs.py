@@ -1,0 +1,160 @@
+"""The paper's estimator as C: the recursion of `estimator.fchs.stream`, mode by mode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from estimator.export import modes, recorded
+from estimator.export.c_source import (
+    Exported,
+    Operations,
+    Precision,
+    checked_name,
+    environment,
+    table,
+)
+from estimator.fchs.estimator import Fchs
+from estimator.interface import Status
+from estimator.measured import LARGEST
+from estimator.span import SLACK
+from models.assembly_file import fingerprint
+
+#: The status of a sample that is left out: a bit that no estimator in Python has.
+REFUSED = 1 << 15
+#: What the self-test allows: relative to the largest displacement, and m.
+RELATIVE, ABSOLUTE = 1e-12, 1e-8
+_STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
+
+
+class NamedBank(NamedTuple):
+    """A bank as it stands in the program."""
+
+    name: str
+    modes: modes.Modes
+    on_lines: bool
+
+
+def export_fchs(
+    estimator: Fchs,
+    precision: Precision,
+    name: str,
+    samples: Iterable[Sequence[float]] | None = None,
+    origin: str = "a day of a duty cycle",
+) -> Exported:
+    """Return the program of an assembled estimator.
+
+    Parameters
+    ----------
+    estimator : Fchs
+        Its assembly gives every coefficient.
+    precision : Precision
+        Of all numbers of the program.
+    name : str
+        Begins the names of its files and symbols.
+    samples : iterable of sequences, optional
+        Time, s, and readings, K, for the self-test; default: a duty cycle.
+    origin : str
+        Where these come from.
+
+    Raises
+    ------
+    InputError
+        The name is none, a sample is unusable, or a coefficient has no number of the precision.
+    """
+    checked_name(name)
+    assembly = estimator.assembly
+    channels = [channel.name for channel in estimator.channels]
+    span, dt = assembly.model.span, assembly.dt_s
+    if samples is None:
+        samples = recorded.duty_cycle(span, channels, dt).tolist()
+    kept = recorded.recorded(estimator, samples, dt, origin)
+    banks = _banks(estimator)
+    ranges = [*(span.temperatures[name] for name in channels), span.heat]
+    count = 2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks)
+    state = 4 * sum(bank.modes.states for bank in banks) + len(channels) + 4
+    double = precision is Precision.DOUBLE
+    values = {
+        "name": name,
+        "version": _version(),
+        "fingerprint": fingerprint(assembly),
+        "precision": precision,
+        "real": precision.c_type,
+        "f": precision.suffix,
+        "constants": precision.size * count,
+        "state": precision.size * state,
+        "dt": dt,
+        "channels": channels,
+        "axes": estimator.axes,
+        "statuses": [(one.name, one.value) for one in _STATUSES],
+        "refused": REFUSED,
+        "banks": banks,
+        "limits": [_with_slack(*one) for one in ranges],
+        "longest": (1.0 + SLACK) * span.duration_s,
+        "no_temperature": LARGEST,
+        "samples": kept.samples,
+        "expected": kept.displacement,
+        "words": kept.words,
+        "origin": kept.origin,
+        "relative": double,
+        "tolerance": RELATIVE if double else ABSOLUTE,
+        "tolerance_text": "of the largest displacement" if double else "in m",
+    }
+    templates = environment(precision)
+    templates.filters["wide"] = lambda array: table(array, Precision.DOUBLE)
+    return Exported(
+        files={
+            f"{name}{ending}": templates.get_template(template).render(values)
+            for ending, template in (
+                (".h", "fchs.h.j2"),
+                (".c", "fchs.c.j2"),
+                ("_selftest.c", "selftest.c.j2"),
+            )
+        },
+        constants=precision.size * count,
+        state=precision.size * state,
+        usual=(usual := _operations(banks)),
+        worst=usual + _another_interval(banks),
+        samples=len(kept.samples),
+    )
+
+
+def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
+    a = estimator.assembly
+    return (
+        NamedBank("heat", modes.on_lines(a.heat, a.dt_s), True),
+        NamedBank("linear", modes.on_constants(a.linear, a.dt_s), False),
+        NamedBank("temperature", modes.on_constants(a.temperature, a.dt_s), False),
+        NamedBank("sources", modes.on_lines(a.sources, a.dt_s), True),
+        NamedBank("nonlinear", modes.on_constants(a.nonlinear, a.dt_s), False),
+    )
+
+
+def _operations(banks: Sequence[NamedBank]) -> Operations:
+    found = Operations(additions=9)
+    for bank in banks:
+        count = modes.operations_on_lines if bank.on_lines else modes.operations_on_constants
+        found += count(bank.modes)
+    return found
+
+
+def _another_interval(banks: Sequence[NamedBank]) -> Operations:
+    found = Operations()
+    for bank in banks:
+        found += modes.operations_of_interval(bank.modes)
+    return found
+
+
+def _with_slack(low: float, high: float) -> tuple[float, float]:
+    """As `estimator.span.status_of`."""
+    slack = SLACK * (high - low)
+    return low - slack, high + slack
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("thermojoint")
+    except PackageNotFoundError:
+        return "from source"
