@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from artefacts.errors import InputError
+from estimator.export.recorded import Recorded
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+#: What a self-test allows: in double precision relative to the largest displacement, in single m.
+RELATIVE, ABSOLUTE = 1e-12, 1e-8
 #: What begins a name of C, and leaves room for the rest of it.
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
@@ -86,6 +91,8 @@ class Exported:
         Bytes of the tables and of the state.
     usual, worst : Operations
         Of a sample as they usually come, and at most.
+    labels : pair of str
+        What these two are of.
     samples : int
         Of the self-test.
     """
@@ -95,6 +102,7 @@ class Exported:
     state: int
     usual: Operations
     worst: Operations
+    labels: tuple[str, str]
     samples: int
 
 
@@ -154,8 +162,72 @@ def checked_name(name: str) -> str:
     return name
 
 
-def environment(precision: Precision) -> Environment:
-    """Return the templates, with ``| c`` for a number and ``| table`` for an array."""
+def written(
+    kind: str,
+    name: str,
+    precision: Precision,
+    values: Mapping[str, Any],
+    kept: Recorded,
+    *,
+    constants: int,
+    state: int,
+    usual: Operations,
+    worst: Operations,
+    labels: tuple[str, str],
+) -> Exported:
+    """Return the program of an estimator.
+
+    Parameters
+    ----------
+    kind : str
+        Of the templates: KIND.h.j2 and KIND.c.j2.
+    name : str
+        Begins the names of its files and symbols.
+    precision : Precision
+        Of its numbers.
+    values : mapping
+        What the templates ask for, beside what is the same for every kind.
+    kept : Recorded
+        For the self-test.
+    constants, state : int
+        Numbers in the tables and in the state.
+    usual, worst, labels
+        As in `Exported`.
+    """
+    double = precision is Precision.DOUBLE
+    common = {
+        "name": name,
+        "version": version("thermojoint"),
+        "precision": precision,
+        "real": precision.c_type,
+        "f": precision.suffix,
+        "constants": precision.size * constants,
+        "state": precision.size * state,
+        "samples": kept.samples,
+        "expected": kept.displacement,
+        "words": kept.words,
+        "origin": kept.origin,
+        "relative": double,
+        "allowed": RELATIVE if double else ABSOLUTE,
+    }
+    templates = _environment(precision)
+    sources = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
+    return Exported(
+        files={
+            f"{name}{ending}": templates.get_template(template).render(**common, **values)
+            for ending, template in sources.items()
+        },
+        constants=precision.size * constants,
+        state=precision.size * state,
+        usual=usual,
+        worst=worst,
+        labels=labels,
+        samples=len(kept.samples),
+    )
+
+
+def _environment(precision: Precision) -> Environment:
+    """The templates, with ``| c`` for a number, ``| table`` for an array, ``| wide`` in double."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     found = Environment(
@@ -176,4 +248,5 @@ def environment(precision: Precision) -> Environment:
 
     found.filters["c"] = c
     found.filters["table"] = as_table
+    found.filters["wide"] = lambda values: table(values, Precision.DOUBLE)
     return found

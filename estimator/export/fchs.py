@@ -11,8 +11,7 @@ from estimator.export.c_source import (
     Operations,
     Precision,
     checked_name,
-    environment,
-    table,
+    written,
 )
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
@@ -22,8 +21,6 @@ from models.assembly_file import fingerprint
 
 #: The status of a sample that is left out: a bit that no estimator in Python has.
 REFUSED = 1 << 15
-#: What the self-test allows: relative to the largest displacement, and m.
-RELATIVE, ABSOLUTE = 1e-12, 1e-8
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
@@ -71,19 +68,10 @@ def export_fchs(
     kept = recorded.recorded(estimator, samples, dt, origin)
     banks = _banks(estimator)
     ranges = [*(span.temperatures[name] for name in channels), span.heat]
-    count = 2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks)
-    state = 4 * sum(bank.modes.states for bank in banks) + len(channels) + 4
-    double = precision is Precision.DOUBLE
     values = {
-        "name": name,
-        "version": _version(),
         "fingerprint": fingerprint(assembly),
-        "precision": precision,
-        "real": precision.c_type,
-        "f": precision.suffix,
-        "constants": precision.size * count,
-        "state": precision.size * state,
         "dt": dt,
+        "timed": True,
         "channels": channels,
         "axes": estimator.axes,
         "statuses": [(one.name, one.value) for one in _STATUSES],
@@ -92,30 +80,19 @@ def export_fchs(
         "limits": [_with_slack(*one) for one in ranges],
         "longest": (1.0 + SLACK) * span.duration_s,
         "no_temperature": LARGEST,
-        "samples": kept.samples,
-        "expected": kept.displacement,
-        "words": kept.words,
-        "origin": kept.origin,
-        "relative": double,
-        "tolerance": RELATIVE if double else ABSOLUTE,
-        "tolerance_text": "of the largest displacement" if double else "in m",
     }
-    templates = environment(precision)
-    templates.filters["wide"] = lambda array: table(array, Precision.DOUBLE)
-    return Exported(
-        files={
-            f"{name}{ending}": templates.get_template(template).render(values)
-            for ending, template in (
-                (".h", "fchs.h.j2"),
-                (".c", "fchs.c.j2"),
-                ("_selftest.c", "selftest.c.j2"),
-            )
-        },
-        constants=precision.size * count,
-        state=precision.size * state,
-        usual=(usual := _operations(banks)),
+    usual = _operations(banks)
+    return written(
+        "fchs",
+        name,
+        precision,
+        values,
+        kept,
+        constants=2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks),
+        state=4 * sum(bank.modes.states for bank in banks) + len(channels) + 4,
+        usual=usual,
         worst=usual + _another_interval(banks),
-        samples=len(kept.samples),
+        labels=("a sample at the nominal interval", "at any other interval, at most"),
     )
 
 
@@ -149,12 +126,3 @@ def _with_slack(low: float, high: float) -> tuple[float, float]:
     """As `estimator.span.status_of`."""
     slack = SLACK * (high - low)
     return low - slack, high + slack
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("thermojoint")
-    except PackageNotFoundError:
-        return "from source"

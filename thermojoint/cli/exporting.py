@@ -109,8 +109,8 @@ def _show(found: Exported) -> None:
     out.print(f"constants  {found.constants} bytes")
     out.print(f"state      {found.state} bytes")
     out.print(f"self-test  {found.samples} samples")
-    out.print(f"a sample at the nominal interval: {_counted(found.usual)}")
-    out.print(f"at any other interval, at most: {_counted(found.worst)}")
+    for label, one in zip(found.labels, (found.usual, found.worst), strict=True):
+        out.print(f"{label}: {_counted(one)}")
 
 
 def _counted(one: Operations) -> str:
