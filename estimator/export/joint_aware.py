@@ -28,7 +28,7 @@ from estimator.sensor_faults import GATE, MODEL_ERROR
 #: Bits of the status that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
 #: Newton steps at most, and how often one is halved.
-ITERATIONS, HALVINGS = 8, 6
+ITERATIONS, HALVINGS = 12, 6
 #: Of the gap equations in single precision, m: below it is rounding.
 SINGLE_TOLERANCE = 2e-11
 #: Samples of the self-test where none are recorded, and its load: relative to the largest
@@ -138,7 +138,7 @@ def export_joint_aware(
         values,
         kept,
         constants=sum(table.values.size for table in tables),
-        state=4 * linear + 47 * contacts + 9 * contacts**2 + 3,
+        state=4 * linear + 44 * contacts + 9 * contacts**2 + 3,
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
         worst=fixed + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
