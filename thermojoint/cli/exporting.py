@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermojoint.cli import arguments
+from thermojoint.cli import arguments, joint_aware
 
 if TYPE_CHECKING:
+    from estimator.export import c_source
     from estimator.export.c_source import Exported, Operations
-    from estimator.measured import Sample
-    from models.parameters import Model
 
 
 class Target(StrEnum):
@@ -32,7 +30,8 @@ class Precision(StrEnum):
 
 def export(
     model: Annotated[
-        Path, typer.Argument(help="Model file, or an estimator that 'assemble' wrote.")
+        Path,
+        typer.Argument(help="Model file, joint-aware model, or what 'assemble' wrote."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the program.")],
     to: Annotated[Target, typer.Option(help="c: C99.")] = Target.C,
@@ -59,29 +58,26 @@ def export(
 
     Example: [bold]thermojoint export model.json --to c --precision single --samples measured.csv
     --out spindle_c[/bold]
+
+    A joint-aware model is exported with what its usual samples need; its header says what is not.
+
+    Example: [bold]thermojoint export model.h5 --to c --out machine_c --name machine[/bold]
     """
-    from artefacts.errors import InputError
     from artefacts.files import write_text
     from artefacts.folders import whole_folder
     from estimator.export import c_source
-    from estimator.export.fchs import export_fchs
     from estimator.joint_aware.recognition import is_observer
-    from estimator.starting import started
     from thermojoint.cli import console
 
     arguments.check_whole_folder(out)
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     c_source.checked_name(name)
+    numbers = c_source.Precision(precision.value)
     if is_observer(model):
-        raise InputError(
-            f"{model}: a joint-aware model has no export yet; export a model of 'calibrate --kind "
-            "fchs', or run it with 'thermojoint estimate'"
-        )
-    estimator, _ = started(model, dt, 60.0 * length)
-    recorded = _recorded(samples, estimator.assembly.model) if samples else None
-    origin = samples.name if samples else "a day of a duty cycle"
-    found = export_fchs(estimator, c_source.Precision(precision.value), name, recorded, origin)
+        found = _joint_aware(model, numbers, name, samples)
+    else:
+        found = _fchs(model, numbers, name, samples, dt, 60.0 * length)
     with whole_folder(out) as folder:
         for file, text in found.files.items():
             write_text(folder / file, text)
@@ -89,16 +85,46 @@ def export(
     console.wrote(*(out / file for file in found.files))
 
 
-def _recorded(path: Path, model: Model) -> Iterator[Sample]:
-    """Yield the samples of a log or of a response."""
+def _fchs(
+    model: Path,
+    precision: c_source.Precision,
+    name: str,
+    samples: Path | None,
+    interval: float,
+    run_length: float,
+) -> Exported:
     from artefacts.response import read_response
     from estimator import measured
+    from estimator.export.fchs import export_fchs
+    from estimator.starting import started
 
-    with arguments.opened(path) as source:
+    estimator, _ = started(model, interval, run_length)
+    if samples is None:
+        return export_fchs(estimator, precision, name)
+    table = estimator.assembly.model
+    with arguments.opened(samples) as source:
         if source is None:
-            yield from measured.response_samples(read_response(path), model)
+            rows = measured.response_samples(read_response(samples), table)
         else:
-            yield from measured.read_samples(source, list(model.linear.direct), str(path))
+            rows = measured.read_samples(source, list(table.linear.direct), str(samples))
+        return export_fchs(estimator, precision, name, rows, samples.name)
+
+
+def _joint_aware(
+    model: Path, precision: c_source.Precision, name: str, samples: Path | None
+) -> Exported:
+    from artefacts.response import read_response
+    from estimator.export.joint_aware import export_joint_aware
+    from estimator.joint_aware.starting import started
+
+    if samples is None:
+        return export_joint_aware(started(model)[0], precision, name)
+    with arguments.opened(samples) as source:
+        response = read_response(samples) if source is None else None
+        estimator, _, rows = joint_aware.opened(
+            model, source, response, str(samples), joint_aware.Start()
+        )
+        return export_joint_aware(estimator, precision, name, rows, samples.name)
 
 
 def _show(found: Exported) -> None:
