@@ -252,7 +252,7 @@ def _solve(size: int) -> Operations:
 def _look(contacts: int) -> Operations:
     """Law and residual once."""
     unknowns = 3 * contacts
-    law = Operations(45, 25, 12, 4).times(contacts)
+    law = Operations(35, 15, 8, 3).times(contacts)
     return law + Operations(unknowns * (unknowns + 2), unknowns * (unknowns + 4))
 
 
