@@ -3,6 +3,7 @@
 import copy
 import ctypes
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selfte
 from artefacts.errors import InputError
 from estimator.export.c_source import Precision, literal
 from estimator.export.fchs import REFUSED, export_fchs
+from estimator.export.modes import divided_differences
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples
@@ -19,6 +21,7 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from models.assembly import assemble
 from models.assembly_file import write_assembly
+from models.filters.bank import phi_functions
 from thermojoint.cli.app import app
 
 DT = 20.0
@@ -64,6 +67,35 @@ def test_the_program_holds_at_any_interval_over_gaps_and_with_every_warning(
     found = export_fchs(estimator, precision, "spindle")
     done, _ = selftest(written(found, tmp_path), "spindle", "-O2", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_a_pole_that_lies_near_the_leak_costs_no_digits(
+    hand_made_model, estimator, precision, tmp_path
+):
+    """Their residues cancel to 3 parts in 100 000; the program takes the leak out again."""
+    poles = estimator.assembly.sources.poles
+    slow = np.sort(poles.real[poles.imag == 0.0])[-3]
+    leaking = replace(hand_made_model, leak=float(-slow * (1.0 + 3e-5)))
+    model = Fchs(assemble(leaking, DT, 7200.0))
+    found = export_fchs(model, precision, "spindle")
+    done, figures = selftest(written(found, tmp_path), "spindle", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    if precision is Precision.SINGLE:
+        assert figures["largest difference"] < 1e-9
+
+
+def test_divided_differences_are_means_of_derivatives_however_near_the_two_are():
+    """f[a, z] is the mean of f' from a to z; φ_0' = φ_0, φ_1' = φ_1 - φ_2."""
+    z = np.array([-1e-9, -1e-3, -1e-3 * (1 + 1e-9), -0.7 + 0.4j, -5.0, -5.0 + 2j, -9.0, 0.0])
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for at in (0.0, -1e-3, -0.7, -5.0 * (1 + 1e-12), -7.0):
+        direct, mean = divided_differences(at, z)
+        along = at + 0.5 * (1.0 + nodes[:, None]) * (z - at)
+        phi = phi_functions(along)
+        np.testing.assert_allclose(direct, 0.5 * weights @ phi[0], rtol=1e-13)
+        np.testing.assert_allclose(mean, 0.5 * weights @ (phi[1] - phi[2]), rtol=1e-13)
 
 
 @needs_gcc

@@ -174,6 +174,7 @@ def written(
     usual: Operations,
     worst: Operations,
     labels: tuple[str, str],
+    rounding: float = 0.0,
 ) -> Exported:
     """Return the program of an estimator.
 
@@ -193,6 +194,8 @@ def written(
         Numbers in the tables and in the state.
     usual, worst, labels
         As in `Exported`.
+    rounding : float
+        What rounding does to the displacement in Python, m.
     """
     double = precision is Precision.DOUBLE
     common = {
@@ -209,6 +212,7 @@ def written(
         "origin": kept.origin,
         "relative": double,
         "allowed": RELATIVE if double else ABSOLUTE,
+        "rounding": rounding,
     }
     templates = _environment(precision)
     sources = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}

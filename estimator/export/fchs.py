@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from artefacts.arrays import Array
 from estimator.export import modes, recorded
 from estimator.export.c_source import (
     Exported,
@@ -17,10 +20,14 @@ from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
 from estimator.measured import LARGEST
 from estimator.span import SLACK
+from models.assembly import Assembly
 from models.assembly_file import fingerprint
+from models.filters.bank import Bank
 
 #: The status of a sample that is left out: a bit that no estimator in Python has.
 REFUSED = 1 << 15
+#: What rounding leaves of nearly cancelling terms, in units of their spacing.
+ROUNDINGS = 4.0
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
@@ -89,11 +96,32 @@ def export_fchs(
         values,
         kept,
         constants=2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks),
-        state=4 * sum(bank.modes.states for bank in banks) + len(channels) + 4,
+        state=4 * sum(bank.modes.states for bank in banks)
+        + 2 * sum(bank.modes.drive.shape[1] for bank in banks if bank.on_lines)
+        + len(channels)
+        + 4,
         usual=usual,
         worst=usual + _another_interval(banks),
+        rounding=_rounding(assembly, kept.samples[:, 2:]),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
     )
+
+
+def _rounding(assembly: Assembly, readings: Array) -> float:
+    """What rounding does to the displacement in Python, m.
+
+    Residues of the inverse that nearly cancel (a pole that lies near the leak's) leave of their sum
+    a few times its largest term by the spacing of numbers.
+    """
+
+    def terms(bank: Bank) -> Array:
+        size = np.abs(bank.gain / bank.poles) + np.abs(bank.double / bank.poles**2)
+        found: Array = size @ np.abs(bank.drive)
+        return found
+
+    strengths = terms(assembly.sources) @ np.abs(readings).max(axis=0)
+    spacing = float(np.finfo(float).eps)
+    return ROUNDINGS * spacing * float((terms(assembly.nonlinear) @ strengths).max())
 
 
 def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
@@ -102,7 +130,7 @@ def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
         NamedBank("heat", modes.on_lines(a.heat, a.dt_s), True),
         NamedBank("linear", modes.on_constants(a.linear, a.dt_s), False),
         NamedBank("temperature", modes.on_constants(a.temperature, a.dt_s), False),
-        NamedBank("sources", modes.on_lines(a.sources, a.dt_s), True),
+        NamedBank("sources", modes.on_lines(a.sources, a.dt_s, a.model.leak), True),
         NamedBank("nonlinear", modes.on_constants(a.nonlinear, a.dt_s), False),
     )
 
@@ -118,7 +146,7 @@ def _operations(banks: Sequence[NamedBank]) -> Operations:
 def _another_interval(banks: Sequence[NamedBank]) -> Operations:
     found = Operations()
     for bank in banks:
-        found += modes.operations_of_interval(bank.modes)
+        found += modes.operations_of_interval(bank.modes, bank.on_lines)
     return found
 
 
