@@ -26,8 +26,9 @@ from models.filters.bank import Bank
 
 #: The status of a sample that is left out: a bit that no estimator in Python has.
 REFUSED = 1 << 15
-#: What rounding leaves of nearly cancelling terms, in units of their spacing.
-ROUNDINGS = 4.0
+#: What rounding leaves of nearly cancelling terms, in units of their spacing: the root of the number
+#: of samples, about a thousand, that the slowest of them remember.
+ROUNDINGS = 32.0
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
@@ -111,7 +112,7 @@ def _rounding(assembly: Assembly, readings: Array) -> float:
     """What rounding does to the displacement in Python, m.
 
     Residues of the inverse that nearly cancel (a pole that lies near the leak's) leave of their sum
-    a few times its largest term by the spacing of numbers.
+    so many times its largest term by the spacing of numbers.
     """
 
     def terms(bank: Bank) -> Array:
