@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,6 +79,49 @@ class Operations:
         )
 
 
+class Variable(NamedTuple):
+    """A number that a program takes or gives.
+
+    Attributes
+    ----------
+    name, unit : str
+        The unit in SI, ``1`` if it has none.
+    place : str
+        Of a reading or of a member of the estimate in C, e.g. ``displacement[0]``.
+    """
+
+    name: str
+    unit: str
+    place: str
+
+
+@dataclass(frozen=True)
+class Interface:
+    """How a program is called.
+
+    Attributes
+    ----------
+    name : str
+        Begins its symbols.
+    kind, fingerprint : str
+        Of the estimator.
+    interval : float
+        Nominal, s.
+    timed : bool
+        Whether any other interval may follow.
+    inputs, outputs : tuple of Variable
+        Readings, and what it says beside its status.
+    """
+
+    name: str
+    kind: str
+    fingerprint: str
+    interval: float
+    timed: bool
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+
+
 @dataclass(frozen=True)
 class Exported:
     """A program and what it costs.
@@ -95,6 +138,8 @@ class Exported:
         What these two are of.
     samples : int
         Of the self-test.
+    interface : Interface
+        How it is called.
     """
 
     files: dict[str, str] = field(repr=False)
@@ -104,6 +149,7 @@ class Exported:
     worst: Operations
     labels: tuple[str, str]
     samples: int
+    interface: Interface
 
 
 def literal(value: float, precision: Precision) -> str:
@@ -163,8 +209,7 @@ def checked_name(name: str) -> str:
 
 
 def written(
-    kind: str,
-    name: str,
+    interface: Interface,
     precision: Precision,
     values: Mapping[str, Any],
     kept: Recorded,
@@ -180,10 +225,8 @@ def written(
 
     Parameters
     ----------
-    kind : str
-        Of the templates: KIND.h.j2 and KIND.c.j2.
-    name : str
-        Begins the names of its files and symbols.
+    interface : Interface
+        Its kind is that of the templates: KIND.h.j2 and KIND.c.j2.
     precision : Precision
         Of its numbers.
     values : mapping
@@ -197,9 +240,13 @@ def written(
     rounding : float
         What rounding does to the displacement in Python, m.
     """
-    double = precision is Precision.DOUBLE
+    double, name, kind = precision is Precision.DOUBLE, interface.name, interface.kind
     common = {
         "name": name,
+        "fingerprint": interface.fingerprint,
+        "dt": interface.interval,
+        "timed": interface.timed,
+        "channels": [one.name for one in interface.inputs],
         "version": version("thermojoint"),
         "precision": precision,
         "real": precision.c_type,
@@ -227,7 +274,13 @@ def written(
         worst=worst,
         labels=labels,
         samples=len(kept.samples),
+        interface=interface,
     )
+
+
+def listed(name: str, unit: str, of: Sequence[str]) -> list[Variable]:
+    """Return the members of an array of the estimate."""
+    return [Variable(f"{name}_{one}", unit, f"{name}[{k}]") for k, one in enumerate(of)]
 
 
 def _environment(precision: Precision) -> Environment:

@@ -11,9 +11,12 @@ from artefacts.arrays import Array
 from estimator.export import modes, recorded
 from estimator.export.c_source import (
     Exported,
+    Interface,
     Operations,
     Precision,
+    Variable,
     checked_name,
+    listed,
     written,
 )
 from estimator.fchs.estimator import Fchs
@@ -26,8 +29,8 @@ from models.filters.bank import Bank
 
 #: The status of a sample that is left out: a bit that no estimator in Python has.
 REFUSED = 1 << 15
-#: What rounding leaves of nearly cancelling terms, in units of their spacing: the root of the number
-#: of samples, about a thousand, that the slowest of them remember.
+#: What rounding leaves of nearly cancelling terms, in units of their spacing: the root of the
+#: number of samples, about a thousand, that the slowest of them remember.
 ROUNDINGS = 32.0
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
@@ -77,10 +80,6 @@ def export_fchs(
     banks = _banks(estimator)
     ranges = [*(span.temperatures[name] for name in channels), span.heat]
     values = {
-        "fingerprint": fingerprint(assembly),
-        "dt": dt,
-        "timed": True,
-        "channels": channels,
         "axes": estimator.axes,
         "statuses": [(one.name, one.value) for one in _STATUSES],
         "refused": REFUSED,
@@ -91,8 +90,7 @@ def export_fchs(
     }
     usual = _operations(banks)
     return written(
-        "fchs",
-        name,
+        _interface(estimator, name),
         precision,
         values,
         kept,
@@ -105,6 +103,27 @@ def export_fchs(
         worst=usual + _another_interval(banks),
         rounding=_rounding(assembly, kept.samples[:, 2:]),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
+    )
+
+
+def _interface(estimator: Fchs, name: str) -> Interface:
+    assembly, axes, sensors = estimator.assembly, estimator.axes, estimator.assembly.sensors
+    numbers = [str(k + 1) for k in range(len(sensors))]
+    return Interface(
+        name=name,
+        kind="fchs",
+        fingerprint=fingerprint(assembly),
+        interval=assembly.dt_s,
+        timed=True,
+        inputs=tuple(Variable(*one, "") for one in estimator.channels),
+        outputs=(
+            *listed("displacement", "m", axes),
+            Variable("heat", "1", "heat"),
+            *listed("sources", "1", numbers),
+            *listed("deviation", "K", sensors),
+            *listed("linear", "m", axes),
+            *listed("nonlinear", "m", axes),
+        ),
     )
 
 

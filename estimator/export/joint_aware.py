@@ -15,7 +15,16 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator.export import recorded
-from estimator.export.c_source import Exported, Operations, Precision, checked_name, written
+from estimator.export.c_source import (
+    Exported,
+    Interface,
+    Operations,
+    Precision,
+    Variable,
+    checked_name,
+    listed,
+    written,
+)
 from estimator.interface import Status
 from estimator.joint_aware.compiled_march import JointKernel
 from estimator.joint_aware.estimator import SLACK, WIDTH, JointAware
@@ -103,10 +112,6 @@ def export_joint_aware(
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
     values = {
-        "fingerprint": fingerprint(model),
-        "dt": model.step,
-        "timed": False,
-        "channels": (*model.sensors, "ambient"),
         "sources": model.sources,
         "axes": model.axes,
         "statuses": [(one.name, one.value) for one in _STATUSES],
@@ -132,8 +137,7 @@ def export_joint_aware(
     }
     fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
     return written(
-        "joint_aware",
-        name,
+        _interface(estimator, name),
         precision,
         values,
         kept,
@@ -142,6 +146,27 @@ def export_joint_aware(
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
         worst=fixed + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
+    )
+
+
+def _interface(estimator: JointAware, name: str) -> Interface:
+    model, axes = estimator.model, estimator.axes
+    readings = estimator.channels[: len(model.sensors) + 1]
+    return Interface(
+        name=name,
+        kind="joint_aware",
+        fingerprint=fingerprint(model),
+        interval=model.step,
+        timed=False,
+        inputs=tuple(Variable(*one, "") for one in readings),
+        outputs=(
+            *listed("displacement", "m", axes),
+            *listed("band", "m", axes),
+            *listed("heat", "W", model.sources),
+            Variable("estimated_ambient", "K", "ambient"),
+            Variable("lowest_pressure", "Pa", "lowest_pressure"),
+            Variable("highest_pressure", "Pa", "highest_pressure"),
+        ),
     )
 
 
