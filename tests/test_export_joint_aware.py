@@ -12,6 +12,7 @@ from observed import SENSORS, observed_data, observer, run, step
 from artefacts.errors import InputError
 from estimator.export import joint_aware
 from estimator.export.c_source import Precision
+from estimator.export.fmu import Standard, write_fmu
 from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED, export_joint_aware
 from estimator.interface import Status, follow
 from estimator.joint_aware.model_file import write_observer
@@ -206,3 +207,29 @@ def test_the_command_exports_a_joint_aware_model_with_a_log(estimator, samples, 
     done, figures = selftest(Path(names[1]), "m", "-O1")
     assert done.returncode == 0, done.stdout
     assert figures["samples"] == 60
+
+
+@needs_gcc
+@pytest.mark.parametrize("standard", Standard)
+def test_as_a_unit_for_co_simulation_it_says_the_same(
+    estimator, samples, expected, standard, tmp_path
+):
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    step, names = estimator.model.step, (*SENSORS, "ambient")
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    write_fmu(found, tmp_path / "m.fmu", standard)
+    # A sample at t holds over the step that ends at t.
+    rows = [(time - step, *values) for time, *values in samples[:60]]
+    given = np.array(rows, dtype=[("time", float), *((name, float) for name in names)])
+    result = fmpy.simulate_fmu(
+        str(tmp_path / "m.fmu"),
+        input=given,
+        start_time=-step,
+        stop_time=58.0 * step,
+        step_size=step,
+        output_interval=step,
+        output=["displacement_x", "status"],
+    )
+    there = [one.displacement[0] for one in expected[: len(result) - 1]]
+    assert len(there) > 50
+    assert result["displacement_x"][1:] == pytest.approx(there, rel=1e-9, abs=1e-15)

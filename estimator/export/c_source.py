@@ -140,6 +140,10 @@ class Exported:
         Of the self-test.
     interface : Interface
         How it is called.
+    precision : Precision
+        Of its numbers.
+    version : str
+        Of the program that exported it.
     """
 
     files: dict[str, str] = field(repr=False)
@@ -150,6 +154,8 @@ class Exported:
     labels: tuple[str, str]
     samples: int
     interface: Interface
+    precision: Precision
+    version: str
 
 
 def literal(value: float, precision: Precision) -> str:
@@ -241,7 +247,7 @@ def written(
         What rounding does to the displacement in Python, m.
     """
     double, name, kind = precision is Precision.DOUBLE, interface.name, interface.kind
-    common = {
+    common: dict[str, Any] = {
         "name": name,
         "fingerprint": interface.fingerprint,
         "dt": interface.interval,
@@ -261,7 +267,7 @@ def written(
         "allowed": RELATIVE if double else ABSOLUTE,
         "rounding": rounding,
     }
-    templates = _environment(precision)
+    templates = environment(precision)
     sources = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
     return Exported(
         files={
@@ -275,6 +281,8 @@ def written(
         labels=labels,
         samples=len(kept.samples),
         interface=interface,
+        precision=precision,
+        version=common["version"],
     )
 
 
@@ -283,7 +291,7 @@ def listed(name: str, unit: str, of: Sequence[str]) -> list[Variable]:
     return [Variable(f"{name}_{one}", unit, f"{name}[{k}]") for k, one in enumerate(of)]
 
 
-def _environment(precision: Precision) -> Environment:
+def environment(precision: Precision) -> Environment:
     """The templates, with ``| c`` for a number, ``| table`` for an array, ``| wide`` in double."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermojoint.cli import arguments, joint_aware
+from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
     from estimator.export import c_source
@@ -19,6 +19,8 @@ class Target(StrEnum):
     """What an estimator is exported to."""
 
     C = "c"
+    FMU = "fmu"
+    FMI2 = "fmi2"
 
 
 class Precision(StrEnum):
@@ -33,8 +35,13 @@ def export(
         Path,
         typer.Argument(help="Model file, joint-aware model, or what 'assemble' wrote."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the program.")],
-    to: Annotated[Target, typer.Option(help="c: C99.")] = Target.C,
+    out: Annotated[Path, typer.Option(help="Folder for the program, or the FMU to write.")],
+    to: Annotated[
+        Target,
+        typer.Option(
+            help="c: C99; fmu: a unit for co-simulation, FMI 3.0; fmi2: the same, FMI 2.0."
+        ),
+    ] = Target.C,
     precision: Annotated[
         Precision, typer.Option(help="Of every number in the program.")
     ] = Precision.DOUBLE,
@@ -62,14 +69,20 @@ def export(
     A joint-aware model is exported with what its usual samples need; its header says what is not.
 
     Example: [bold]thermojoint export model.h5 --to c --out machine_c --name machine[/bold]
+
+    Example: [bold]thermojoint export estimator.json --to fmu --out spindle.fmu[/bold]
     """
     from artefacts.files import write_text
     from artefacts.folders import whole_folder
     from estimator.export import c_source
+    from estimator.export.fmu import Standard, write_fmu
     from estimator.joint_aware.recognition import is_observer
     from thermojoint.cli import console
 
-    arguments.check_whole_folder(out)
+    if to is not Target.C:
+        arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples])
+    else:
+        arguments.check_whole_folder(out)
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     c_source.checked_name(name)
@@ -78,11 +91,16 @@ def export(
         found = _joint_aware(model, numbers, name, samples)
     else:
         found = _fchs(model, numbers, name, samples, dt, 60.0 * length)
-    with whole_folder(out) as folder:
-        for file, text in found.files.items():
-            write_text(folder / file, text)
+    if to is not Target.C:
+        write_fmu(found, out, Standard.FMI2 if to is Target.FMI2 else Standard.FMI3)
+        written = [out]
+    else:
+        with whole_folder(out) as folder:
+            for file, text in found.files.items():
+                write_text(folder / file, text)
+        written = [out / file for file in found.files]
     _show(found)
-    console.wrote(*(out / file for file in found.files))
+    console.wrote(*written)
 
 
 def _fchs(
