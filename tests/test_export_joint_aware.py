@@ -2,6 +2,7 @@
 
 import ctypes
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from estimator.export.c_source import Precision
 from estimator.export.fmu import Standard, write_fmu
 from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED, export_joint_aware
 from estimator.interface import Status, follow
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.physics import simulate_known
@@ -163,6 +165,25 @@ def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
         assert one.newton_steps == -1
         assert one.lowest_pressure == one.highest_pressure > 0.0
         assert np.isfinite(list(one.displacement)).all()
+
+
+@needs_gcc
+def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
+    estimator, samples, tmp_path
+):
+    def renamed(*names):
+        known = estimator.model.calibrated
+        ranges = dict(zip(names, known.temperatures.values(), strict=True))
+        calibrated = replace(known, temperatures=ranges)
+        return JointAware(replace(estimator.model, sensors=names, calibrated=calibrated))
+
+    strange = renamed("spindle-front", "b 1", 'T"1', "T<2>*/")
+    found = export_joint_aware(strange, Precision.DOUBLE, "m", samples[:5], "my */ log.csv")
+    done, _ = selftest(written(found, tmp_path), "m", "-O0")
+    assert done.returncode == 0
+    assert [one.name for one in found.interface.inputs[:2]] == ["spindle_front", "b_1"]
+    with pytest.raises(InputError, match="not distinct"):
+        export_joint_aware(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
 
 
 @needs_gxx

@@ -37,6 +37,7 @@ def loaded(*arguments):
         ["simulate", "--help"],
         ["reproduce", "--help"],
         ["iso230-3", "--help"],
+        ["export", "--help"],
     ],
 )
 def test_help_and_version_load_none_of_the_libraries(arguments):

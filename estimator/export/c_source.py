@@ -262,7 +262,8 @@ def written(
         "samples": kept.samples,
         "expected": kept.displacement,
         "words": kept.words,
-        "origin": kept.origin,
+        # It stands in a comment, which no file name may end.
+        "origin": re.sub(r"[^\w .,()-]", "_", kept.origin),
         "relative": double,
         "allowed": RELATIVE if double else ABSOLUTE,
         "rounding": rounding,
@@ -289,6 +290,27 @@ def written(
 def listed(name: str, unit: str, of: Sequence[str]) -> list[Variable]:
     """Return the members of an array of the estimate."""
     return [Variable(f"{name}_{one}", unit, f"{name}[{k}]") for k, one in enumerate(of)]
+
+
+def c_name(text: str) -> str:
+    """Return a name as C may have it: what is no letter, digit or underscore becomes one."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", text)
+
+
+def distinct(names: Sequence[str], what: str) -> tuple[str, ...]:
+    """Return names as C may have them.
+
+    Raises
+    ------
+    InputError
+        Two of them become the same.
+    """
+    found = tuple(map(c_name, names))
+    if len({one.upper() for one in found}) < len(found):
+        raise InputError(
+            f"export: the {what} {', '.join(names)} are not distinct as names in C; rename one"
+        )
+    return found
 
 
 def environment(precision: Precision) -> Environment:

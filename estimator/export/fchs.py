@@ -16,13 +16,14 @@ from estimator.export.c_source import (
     Precision,
     Variable,
     checked_name,
+    distinct,
     listed,
     written,
 )
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
 from estimator.measured import LARGEST
-from estimator.span import SLACK
+from estimator.span import SLACK, with_slack
 from models.assembly import Assembly
 from models.assembly_file import fingerprint
 from models.filters.bank import Bank
@@ -80,11 +81,11 @@ def export_fchs(
     banks = _banks(estimator)
     ranges = [*(span.temperatures[name] for name in channels), span.heat]
     values = {
-        "axes": estimator.axes,
+        "axes": distinct(estimator.axes, "axes"),
         "statuses": [(one.name, one.value) for one in _STATUSES],
         "refused": REFUSED,
         "banks": banks,
-        "limits": [_with_slack(*one) for one in ranges],
+        "limits": [with_slack(one) for one in ranges],
         "longest": (1.0 + SLACK) * span.duration_s,
         "no_temperature": LARGEST,
     }
@@ -107,7 +108,9 @@ def export_fchs(
 
 
 def _interface(estimator: Fchs, name: str) -> Interface:
-    assembly, axes, sensors = estimator.assembly, estimator.axes, estimator.assembly.sensors
+    assembly, axes = estimator.assembly, distinct(estimator.axes, "axes")
+    channels = distinct([channel.name for channel in estimator.channels], "sensors")
+    sensors = channels[1:]
     numbers = [str(k + 1) for k in range(len(sensors))]
     return Interface(
         name=name,
@@ -115,7 +118,7 @@ def _interface(estimator: Fchs, name: str) -> Interface:
         fingerprint=fingerprint(assembly),
         interval=assembly.dt_s,
         timed=True,
-        inputs=tuple(Variable(*one, "") for one in estimator.channels),
+        inputs=tuple(Variable(one, "K", "") for one in channels),
         outputs=(
             *listed("displacement", "m", axes),
             Variable("heat", "1", "heat"),
@@ -168,9 +171,3 @@ def _another_interval(banks: Sequence[NamedBank]) -> Operations:
     for bank in banks:
         found += modes.operations_of_interval(bank.modes, bank.on_lines)
     return found
-
-
-def _with_slack(low: float, high: float) -> tuple[float, float]:
-    """As `estimator.span.status_of`."""
-    slack = SLACK * (high - low)
-    return low - slack, high + slack

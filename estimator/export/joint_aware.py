@@ -22,6 +22,7 @@ from estimator.export.c_source import (
     Precision,
     Variable,
     checked_name,
+    distinct,
     listed,
     written,
 )
@@ -112,8 +113,8 @@ def export_joint_aware(
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
     values = {
-        "sources": model.sources,
-        "axes": model.axes,
+        "sources": distinct(model.sources, "sources"),
+        "axes": distinct(model.axes, "axes"),
         "statuses": [(one.name, one.value) for one in _STATUSES],
         "jumped": READING_JUMPED,
         "not_settled": NOT_SETTLED,
@@ -150,19 +151,19 @@ def export_joint_aware(
 
 
 def _interface(estimator: JointAware, name: str) -> Interface:
-    model, axes = estimator.model, estimator.axes
-    readings = estimator.channels[: len(model.sensors) + 1]
+    model, axes = estimator.model, distinct(estimator.axes, "axes")
+    readings = distinct((*model.sensors, "ambient"), "sensors")
     return Interface(
         name=name,
         kind="joint_aware",
         fingerprint=fingerprint(model),
         interval=model.step,
         timed=False,
-        inputs=tuple(Variable(*one, "") for one in readings),
+        inputs=tuple(Variable(one, "K", "") for one in readings),
         outputs=(
             *listed("displacement", "m", axes),
             *listed("band", "m", axes),
-            *listed("heat", "W", model.sources),
+            *listed("heat", "W", distinct(model.sources, "sources")),
             Variable("estimated_ambient", "K", "ambient"),
             Variable("lowest_pressure", "Pa", "lowest_pressure"),
             Variable("highest_pressure", "Pa", "highest_pressure"),
