@@ -106,6 +106,13 @@ def test_the_self_test_agrees_with_every_warning_and_sanitiser(estimator, precis
 
 
 @needs_gcc
+def test_nothing_is_undefined_where_the_joint_slides_and_opens(estimator, samples, tmp_path):
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m", samples)
+    done, _ = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
 @pytest.mark.parametrize("precision", Precision)
 def test_a_joint_that_slides_to_and_fro_is_followed(
     estimator, samples, expected, precision, tmp_path
