@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
-_LARGEST = 5000.0
+LARGEST = 5000.0
 #: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
 Sample = tuple[float, ...]
 
@@ -83,7 +83,7 @@ def read_samples(
                 f"{line}: time {values[0]:g} s does not come after {last:g} s; drop or re-order it"
             )
         for value, name in zip(values[1:], wanted[1:], strict=True):
-            if abs(value) > _LARGEST:
+            if abs(value) > LARGEST:
                 raise InputError(
                     f"{line}: {name} is {value:g}, no temperature; leave the row out, gaps are "
                     "allowed"

@@ -37,7 +37,13 @@ def status_of(
     return status
 
 
-def _beyond(value: float, span: tuple[float, float]) -> bool:
+def with_slack(span: tuple[float, float]) -> tuple[float, float]:
+    """Return the lowest and highest value that are not beyond a calibrated range."""
     low, high = span
     slack = SLACK * (high - low)
-    return not low - slack <= value <= high + slack
+    return low - slack, high + slack
+
+
+def _beyond(value: float, span: tuple[float, float]) -> bool:
+    low, high = with_slack(span)
+    return not low <= value <= high

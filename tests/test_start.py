@@ -49,6 +49,7 @@ def loaded(*arguments):
         ["reproduce", "--help"],
         ["iso230-3", "--help"],
         ["control", "--help"],
+        ["export", "--help"],
     ],
 )
 def test_help_and_version_load_none_of_the_libraries(arguments):

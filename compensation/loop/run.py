@@ -25,7 +25,7 @@ from compensation.loop.schema import HeaterSection, Loop
 from compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
 from compensation.offsets.settings import Settings, read_settings
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.starting import started
+from estimator.joint_aware.model_file import read_observer
 from estimator.noise import sensor_noise
 from fesim.case.schema import Case, StepInput, read_case, step_count
 from fesim.setup.machine import set_up
@@ -97,7 +97,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
         The machine or the estimator does not converge.
     """
     told = progress or (lambda _: None)
-    estimator, _ = started(loop.estimator.model)
+    estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
     _check_axes(settings, estimator)
     design = _design(loop, loop.heater, estimator) if loop.heater is not None else None

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.cli import compensating, learning, placing, thermal_test
+from thermojoint.cli import compensating, exporting, learning, placing, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -24,6 +24,7 @@ COMMANDS = (
     learning.learn,
     models.tables,
     models.assemble,
+    exporting.export,
     models.estimate,
     models.validate,
     placing.place,

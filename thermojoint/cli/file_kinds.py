@@ -119,6 +119,14 @@ def _is_report(command: str) -> Callable[[Path], bool]:
     return holds
 
 
+def _is_fmu(path: Path) -> bool:
+    import zipfile
+
+    with suppress(OSError, KeyError, zipfile.BadZipFile), zipfile.ZipFile(path) as archive:
+        return b'generationTool="thermojoint' in archive.read("modelDescription.xml")
+    return False
+
+
 def _is_picture(path: Path) -> bool:
     with path.open("rb") as file:
         start, rest = file.read(16), file.read(1 << 16)
@@ -142,6 +150,7 @@ BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
 ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
+FMU = Kind("an FMU of this program", _is_fmu)
 VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))

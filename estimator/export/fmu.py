@@ -1,0 +1,127 @@
+"""An exported program as a unit for co-simulation, FMI 2.0 or 3.0, with sources and library."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from enum import StrEnum
+from pathlib import Path
+
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from estimator.export.c_source import Exported, environment
+
+
+class Standard(StrEnum):
+    """The version of FMI."""
+
+    FMI2 = "fmi2"
+    FMI3 = "fmi3"
+
+
+#: Types of FMI 3.0 of which there is no number, and their names in C.
+_OTHERS = (
+    ("Float32", "float"),
+    *((f"Int{bits}", f"int{bits}_t") for bits in (8, 16, 32, 64)),
+    *((f"UInt{bits}", f"uint{bits}_t") for bits in (8, 16, 32, 64)),
+    ("Boolean", "bool"),
+)
+#: Unit to its exponents of base units, as FMI writes them.
+BASES = {
+    "1": "",
+    "K": ' K="1"',
+    "m": ' m="1"',
+    "W": ' kg="1" m="2" s="-3"',
+    "Pa": ' kg="1" m="-1" s="-2"',
+}
+#: What every member of the archive is dated with: the same program gives the same bytes.
+_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def write_fmu(found: Exported, path: Path, standard: Standard) -> None:
+    """Compile a program and write the unit, whole or not at all.
+
+    Parameters
+    ----------
+    found : Exported
+        The program.
+    path : Path
+        The archive to write.
+    standard : Standard
+        Which FMI.
+
+    Raises
+    ------
+    InputError
+        There is no C compiler, it fails, or this is no machine that units are made for.
+    """
+    place = _platform(standard)
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        raise InputError("--to fmu: needs a C compiler; install gcc, or export with --to c")
+    sources = found.files | fmi_files(found, standard)
+    description = sources.pop("modelDescription.xml")
+    name = found.interface.name
+    with tempfile.TemporaryDirectory() as folder:
+        for file, text in sources.items():
+            (Path(folder) / file).write_text(text, encoding="utf-8")
+        command = [
+            compiler,
+            "-std=c99",
+            "-O3",
+            "-shared",
+            "-fPIC",
+            f"{name}.c",
+            f"{name}_{standard}.c",
+        ]
+        done = subprocess.run(
+            [*command, "-lm", "-o", "library"], cwd=folder, capture_output=True, check=False
+        )
+        if done.returncode:
+            raise InputError(f"--to fmu: {compiler} failed: {done.stderr.decode()[:200]}")
+        library = (Path(folder) / "library").read_bytes()
+    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        members = {"modelDescription.xml": description.encode()}
+        members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
+        members[f"binaries/{place}/{name}.so"] = library
+        for member, content in members.items():
+            one = zipfile.ZipInfo(member, _DATE)
+            one.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(one, content)
+
+
+def fmi_files(found: Exported, standard: Standard) -> dict[str, str]:
+    """Return what a program needs beside itself: descriptions, and NAME_fmi2.c or NAME_fmi3.c."""
+    templates, one = environment(found.precision), found.interface
+    values = {
+        "name": one.name,
+        "kind": one.kind,
+        "fingerprint": one.fingerprint,
+        "guid": f"{{{one.kind}-{found.precision}-{one.fingerprint}}}",
+        "version": found.version,
+        "interval": repr(one.interval),
+        "timed": one.timed,
+        "inputs": one.inputs,
+        "outputs": one.outputs,
+        "units": sorted({variable.unit for variable in (*one.inputs, *one.outputs)}),
+        "bases": BASES,
+        "others": _OTHERS,
+    }
+    written = {"modelDescription.xml": f"{standard}.xml.j2"}
+    written[f"{one.name}_{standard}.c"] = f"{standard}.c.j2"
+    if standard is Standard.FMI3:
+        written["buildDescription.xml"] = "fmi3_build.xml.j2"
+    return {name: templates.get_template(form).render(values) for name, form in written.items()}
+
+
+def _platform(standard: Standard) -> str:
+    """What the folder of a library of this machine is called."""
+    if sys.platform == "linux" and platform.machine() == "x86_64":
+        return "linux64" if standard is Standard.FMI2 else "x86_64-linux"
+    raise InputError(
+        "--to fmu: a unit is made on 64-bit Linux on x86; export it there, or with --to c"
+    )

@@ -1,0 +1,291 @@
+"""The joint-aware estimator as C: its usual path, with the steady gain and few Newton steps.
+
+Expect, correct, settle, read, as `estimator.joint_aware.estimator` does where every reading is
+there and none lies. What is left out stands in the header of the program.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from estimator.export import recorded
+from estimator.export.c_source import (
+    Exported,
+    Interface,
+    Operations,
+    Precision,
+    Variable,
+    checked_name,
+    distinct,
+    listed,
+    written,
+)
+from estimator.interface import Status
+from estimator.joint_aware.compiled_march import JointKernel
+from estimator.joint_aware.estimator import SLACK, WIDTH, JointAware
+from estimator.joint_aware.model_file import fingerprint
+from estimator.joint_aware.physics import heat_step, simulate_known
+from estimator.joint_aware.remainder import relaxed
+from estimator.joint_aware.trust import possible
+from estimator.sensor_faults import GATE, MODEL_ERROR
+
+#: Bits of the status that no estimator in Python has.
+READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
+#: Newton steps at most, and how often one is halved.
+ITERATIONS, HALVINGS = 12, 6
+#: Of the gap equations in single precision, m: below it is rounding.
+SINGLE_TOLERANCE = 2e-11
+#: Samples of the self-test where none are recorded, and its load: relative to the largest
+#: calibrated, the share of a period that is on, and the period, in samples.
+SAMPLES, LOAD, ON, PERIOD = 2000, 0.6, 0.6, 800
+_STATUSES = (
+    Status.BEYOND_TIME,
+    Status.BEYOND_HEAT,
+    Status.BEYOND_TEMPERATURE,
+    Status.READING_MISSING,
+)
+
+
+class Table(NamedTuple):
+    """An array of the program."""
+
+    name: str
+    what: str
+    values: Array
+
+    @property
+    def shape(self) -> str:
+        """Its dimensions as C writes them."""
+        return "".join(f"[{size}]" for size in self.values.shape)
+
+
+def export_joint_aware(
+    estimator: JointAware,
+    precision: Precision,
+    name: str,
+    samples: Iterable[Sequence[float]] | None = None,
+    origin: str = "a duty cycle",
+) -> Exported:
+    """Return the program of a joint-aware estimator.
+
+    Parameters
+    ----------
+    estimator : JointAware
+        Its model gives every coefficient.
+    precision : Precision
+        Of all numbers of the program.
+    name : str
+        Begins the names of its files and symbols.
+    samples : iterable of sequences, optional
+        Time, s, and readings, K, for the self-test, evenly at the model's step and none missing;
+        default: a duty cycle of the model itself.
+    origin : str
+        Where these come from.
+
+    Raises
+    ------
+    InputError
+        The name is none; the joints have no law that is known in machine code, or there are none;
+        or a sample is one to which the program has no answer.
+    """
+    checked_name(name)
+    kernel = estimator.observer.physics.kernel
+    if kernel is None:
+        raise InputError(
+            "export: the machine has no joint, or one whose law is not a surface or Back-Burdekin "
+            "with a power law of the conductance; run it with 'thermojoint estimate'"
+        )
+    model = estimator.model
+    if samples is None:
+        samples = _duty_cycle(estimator)
+    kept = recorded.recorded(estimator, _even(samples, model.step, origin), model.step, origin)
+    _answerable(kept)
+    tolerance = kernel.tolerance
+    if precision is Precision.SINGLE:
+        tolerance = max(tolerance, SINGLE_TOLERANCE)
+    tables = _tables(estimator, kernel, tolerance)
+    linear, contacts = estimator.observer.system.size, kernel.preload.size
+    axes, draws, _ = model.band.open.shape
+    values = {
+        "sources": distinct(model.sources, "sources"),
+        "axes": distinct(model.axes, "axes"),
+        "statuses": [(one.name, one.value) for one in _STATUSES],
+        "jumped": READING_JUMPED,
+        "not_settled": NOT_SETTLED,
+        "jump": GATE * MODEL_ERROR,
+        "linear": linear,
+        "contacts": contacts,
+        "modes": model.modes.rates.size,
+        "rates": model.remainder.rates.size,
+        "draws": draws,
+        "iterations": ITERATIONS,
+        "halvings": HALVINGS,
+        "tables": tables,
+        "width": WIDTH,
+        "most_heat": (1.0 + SLACK) * model.calibrated.heat,
+        "least_heat": -SLACK * model.calibrated.heat,
+        "longest": (1.0 + SLACK) * model.calibrated.duration_s,
+        "root2": math.sqrt(2.0),
+        "root2pi": math.sqrt(2.0 * math.pi),
+        # Beyond, exp underflows (`fesim.joint.law`).
+        "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
+    }
+    fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
+    return written(
+        _interface(estimator, name),
+        precision,
+        values,
+        kept,
+        constants=sum(table.values.size for table in tables),
+        state=4 * linear + 44 * contacts + 9 * contacts**2 + 3,
+        usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
+        worst=fixed + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts),
+        labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
+    )
+
+
+def _interface(estimator: JointAware, name: str) -> Interface:
+    model, axes = estimator.model, distinct(estimator.axes, "axes")
+    readings = distinct((*model.sensors, "ambient"), "sensors")
+    return Interface(
+        name=name,
+        kind="joint_aware",
+        fingerprint=fingerprint(model),
+        interval=model.step,
+        timed=False,
+        inputs=tuple(Variable(one, "K", "") for one in readings),
+        outputs=(
+            *listed("displacement", "m", axes),
+            *listed("band", "m", axes),
+            *listed("heat", "W", distinct(model.sources, "sources")),
+            Variable("estimated_ambient", "K", "ambient"),
+            Variable("lowest_pressure", "Pa", "lowest_pressure"),
+            Variable("highest_pressure", "Pa", "highest_pressure"),
+        ),
+    )
+
+
+def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> list[Table]:
+    model, observer = estimator.model, estimator.observer
+    heat = heat_step(model.modes, model.step)
+    system, readings = observer.system, len(observer.system.rows)
+    gain, _ = observer.gain(np.arange(readings), np.zeros(model.warm.shape), model.step)
+    relaxing = model.step * model.remainder.rates / (1.0 + model.step * model.remainder.rates)
+    # decay - 1 without cancellation.
+    loss = -model.step * model.modes.rates * heat.decay
+    calibrated = estimator.calibrated_readings
+    band = model.band
+    return [
+        Table("loss", "What a mode loses in a step.", loss),
+        Table("drive", "Modes per W of each source and K of the ambient.", heat.drive),
+        Table("influence", "Modes per W across each contact element.", heat.influence),
+        Table("joint_influence", "Temperature jumps per W, K/W.", heat.joint_influence),
+        Table("jump", "Temperature jumps per mode, K.", kernel.jump),
+        Table("held", "Conductance times area that the modes have, W/K.", kernel.held),
+        Table("conductance", "Factor times area, W/K, hardness, Pa, exponent.", kernel.conductance),
+        Table("power", "Of each source at heat input 1, W.", model.power),
+        Table("relaxing", "What a relaxation gains in a step.", relaxing),
+        Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
+        Table("gain", "Of the readings, steady.", gain),
+        Table("offset", "What every sensor reads too much, K.", np.append(model.offset, 0.0)),
+        Table("calibrated", "Readings that were calibrated, K.", np.stack(calibrated, 1)),
+        Table("possible", "Readings that can be, K.", np.stack(possible(calibrated), 1)),
+        Table("laws", "Kind, scale, shape, start, preload, friction, stiffness.", kernel.laws),
+        Table("springs", "As stiff as the joint at its preload, Pa/m.", kernel.springs),
+        Table("compliance", "Gaps per traction, m/Pa.", kernel.compliance),
+        Table("free_gap", "Gaps per mode, m.", kernel.gap),
+        Table("preload", "Pa.", kernel.preload),
+        Table("reference", "Pa/m.", kernel.reference),
+        Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
+        Table("free_moved", "Displacement per mode, m.", kernel.free),
+        Table("remainder_moved", "... per relaxation, m.", model.remainder.displacement),
+        Table("steady", "Variance of the state after a reading, m2.", band.steady),
+        Table("constant", "What the calibration left, m2.", band.constant),
+        Table("squares", "... per square of the heat relaxed, m2.", band.square),
+        Table("open_band", "Error of machines not told apart, m.", band.open),
+        Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
+    ]
+
+
+def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
+    """Yield what the sensors of the model's own machine read under a load that is on and off."""
+    model, observer = estimator.model, estimator.observer
+    at = np.arange(1, SAMPLES)
+    level = LOAD * model.calibrated.heat * (at % PERIOD < ON * PERIOD)
+    ambient = 0.5 * np.sin(2.0 * np.pi * at / SAMPLES)
+    heat = np.repeat(level[:, None], model.power.size, axis=1)
+    inputs = np.column_stack([heat * model.power, ambient])
+    read, _ = simulate_known(observer.physics, inputs, model.step)
+    read += relaxed(heat, model.remainder.rates, model.step) @ model.remainder.temperature.T
+    rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
+    rows[:, :-1] += model.offset
+    for k, row in enumerate(rows.tolist()):
+        yield (k * model.step, *row)
+
+
+def _even(
+    samples: Iterable[Sequence[float]], step: float, origin: str
+) -> Iterator[Sequence[float]]:
+    """Yield samples that come at every step, nothing missing."""
+    last = None
+    for sample in samples:
+        late = last is not None and abs(sample[0] - last - step) > 1e-6 * step
+        if late or not all(map(math.isfinite, sample)):
+            raise InputError(
+                f"{origin}: the sample at {sample[0]:g} s is late or has a reading missing; for "
+                f"the self-test give one every {step:g} s, or leave --samples out"
+            )
+        last = sample[0]
+        yield sample
+
+
+def _answerable(kept: recorded.Recorded) -> None:
+    known = sum(one.value for one in _STATUSES)
+    for row, word in enumerate(kept.words):
+        if word & ~known:
+            raise InputError(
+                f"{kept.origin}: sample {row} is one that the exported program judges otherwise "
+                f"({Status(word).words}); give another log for the self-test, or leave --samples "
+                "out"
+            )
+
+
+def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operations:
+    """Prediction, correction, band and displacement."""
+    model = estimator.model
+    modes, inputs = model.modes.rates.size, model.power.size + 1
+    read, (axes, draws, twice) = model.offset.size + 1, model.band.open.shape
+    products = modes * (1 + inputs + 2 * contacts) + 2 * contacts**2
+    products += 3 * contacts * modes + linear * 2 * read
+    products += axes * (modes + 3 * contacts + twice + draws * (twice + 2) + twice)
+    sums = products + 8 * linear + modes * 4 + contacts**2 + 20 * read
+    return Operations(products, sums, 2 * linear, contacts) + _solve(contacts)
+
+
+def _solve(size: int) -> Operations:
+    """Gauss on so many unknowns."""
+    square = size * (size - 1)
+    inner = square * (2 * size - 1) // 6
+    return Operations(inner + 2 * square, inner + 2 * square + size, 2 * size)
+
+
+def _look(contacts: int) -> Operations:
+    """Law and residual once."""
+    unknowns = 3 * contacts
+    law = Operations(35, 15, 8, 3).times(contacts)
+    return law + Operations(unknowns * (unknowns + 2), unknowns * (unknowns + 4))
+
+
+def _newton(contacts: int, size: int, halvings: int) -> Operations:
+    """One Newton step with so many unknowns that are solved for."""
+    unknowns = 3 * contacts
+    build = Operations(3 * size * size + 3 * size, 2 * size * size + 4 * size)
+    move = Operations(unknowns * size + unknowns, unknowns * size + unknowns)
+    trial = _look(contacts) + Operations(2 * unknowns + 4, 2 * unknowns + 4, 0, 1)
+    return build + _solve(size) + move + trial.times(halvings + 1)

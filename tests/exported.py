@@ -1,0 +1,67 @@
+"""Exported programs, compiled and run, for the tests."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
+needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
+
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-Wconversion"]
+SANITISED = ["-fsanitize=address,undefined,float-divide-by-zero", "-fno-sanitize-recover=all"]
+
+
+def written(found, folder):
+    folder.mkdir(exist_ok=True)
+    for name, text in found.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+def selftest(folder, name, *flags):
+    sources = [f"{name}.c", f"{name}_selftest.c"]
+    subprocess.run(["gcc", *STRICT, *flags, *sources, "-lm", "-o", "t"], cwd=folder, check=True)
+    done = subprocess.run(["./t"], cwd=folder, check=False, capture_output=True, text=True)
+    figures = re.findall(r"^([a-z ]+?) (-?[\d.e+-]+)", done.stdout, re.M)
+    return done, {key: float(value) for key, value in figures}
+
+
+#: Numbers that count what is done with them: prepended to a program that is compiled as C++.
+COUNTED = """
+struct Counted { double value; static long mul, add, div, fun;
+  Counted() = default; constexpr Counted(double v) : value(v) {} };
+inline long Counted::mul, Counted::add, Counted::div, Counted::fun;
+#define OP(o, n) \\
+inline Counted operator o(Counted a, Counted b) { Counted::n++; return a.value o b.value; } \\
+inline Counted &operator o##=(Counted &a, Counted b) { a = a o b; return a; }
+OP(*, mul) OP(+, add) OP(-, add) OP(/, div)
+inline Counted operator-(Counted a) { return -a.value; }
+#define CMP(o) inline bool operator o(Counted a, Counted b) { return a.value o b.value; }
+CMP(<) CMP(<=) CMP(>) CMP(>=) CMP(==) CMP(!=)
+#include <math.h>
+#define FUN(f) inline Counted f(Counted a) { Counted::fun++; return f(a.value); }
+FUN(exp) FUN(sin) FUN(cos) FUN(sqrt) FUN(erfc)
+inline Counted fabs(Counted a) { return fabs(a.value); }
+inline Counted pow(Counted a, Counted b) { Counted::fun++; return pow(a.value, b.value); }
+#define CLEAR() (Counted::mul = Counted::add = Counted::div = Counted::fun = 0)
+#define PRINT() printf("%ld %ld %ld %ld\\n", Counted::mul, Counted::add, Counted::div, \\
+                       Counted::fun)
+"""
+
+
+def counts(found, folder, name, body):
+    """Multiplications, additions, divisions and functions of each of some samples."""
+    written(found, folder)
+    header = (folder / f"{name}.h").read_text()
+    (folder / f"{name}.h").write_text(header.replace("typedef double", "typedef Counted"))
+    text = f'#define restrict\n{COUNTED}\n#include "{name}.c"\n#include <stdio.h>\n{body}'
+    (folder / "all.cpp").write_text(text)
+    subprocess.run(["g++", "-std=c++17", "-O1", "-w", "all.cpp", "-o", "c"], cwd=folder, check=True)
+    done = subprocess.run(["./c"], cwd=folder, check=True, capture_output=True, text=True)
+    return [[int(value) for value in line.split()] for line in done.stdout.splitlines()]
+
+
+def operations(one):
+    return [one.multiplications, one.additions, one.divisions, one.functions]

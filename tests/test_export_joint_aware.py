@@ -1,0 +1,263 @@
+"""An exported joint-aware estimator is the one in Python where every reading is there."""
+
+import ctypes
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
+from observed import SENSORS, observed_data, observer, run, step
+
+from artefacts.errors import InputError
+from estimator.export import joint_aware
+from estimator.export.c_source import Precision
+from estimator.export.fmu import Standard, write_fmu
+from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED, export_joint_aware
+from estimator.interface import Status, follow
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.physics import simulate_known
+from estimator.joint_aware.reduced_machine import reduce_machine
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.cli.app import app
+
+NAN = float("nan")
+#: Bits that Python knows, too.
+COMMON = 0xFFF
+
+
+@pytest.fixture(scope="module")
+def estimator(coarse_data):
+    data = observed_data(coarse_data)
+    case = case_from_data(data, "case", Path())
+    setup = set_up(case)
+    machine = reduce_machine(case, setup, SENSORS)
+    return observer(machine, {"step 2": run(data, setup, step(2.0))})
+
+
+@pytest.fixture(scope="module")
+def samples(estimator):
+    """Heat input 4 for forty minutes, then none, with noise: the joint slides to and fro."""
+    model, at = estimator.model, np.arange(1, 1800)
+    load = np.minimum(at / 30.0, 1.0) * (at < 1200)
+    inputs = np.column_stack([4.0 * model.power * load[:, None], at / 900.0])
+    read, _ = simulate_known(estimator.observer.physics, inputs, model.step)
+    rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, inputs[:, -1]])])
+    rows += 0.03 * np.random.default_rng(1).standard_normal(rows.shape)
+    return [(k * model.step, *row) for k, row in enumerate(rows.tolist())]
+
+
+@pytest.fixture(scope="module")
+def expected(estimator, samples):
+    states, found = zip(*follow(estimator, samples, estimator.initial_state()), strict=True)
+    for k in (1000, -1):
+        slip = unpacked(states[k], estimator.parts).slip
+        assert np.abs(slip).max() > 0.5e-6
+    return found
+
+
+def compiled(found, folder, number=ctypes.c_double, sources=1, axes=2):
+    """The function of a program that takes rows of readings and gives estimates."""
+    fields = (
+        ("displacement", number * axes),
+        ("band", number * axes),
+        ("heat", number * sources),
+        *((name, number) for name in ("ambient", "lowest_pressure", "highest_pressure")),
+        ("newton_steps", ctypes.c_int),
+        ("status", ctypes.c_uint),
+    )
+    estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
+    written(found, folder)
+    command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", "m.c", "-lm", "-o", "m.so"]
+    subprocess.run(command, cwd=folder, check=True)
+    library = ctypes.CDLL(str(folder / "m.so"))
+
+    def estimates(rows):
+        state, readings = ctypes.create_string_buffer(found.state), number * len(rows[0])
+        library.m_init(state)
+        for row in rows:
+            result = estimate()
+            word = library.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
+            assert word == result.status
+            yield result
+
+    return estimates
+
+
+@pytest.fixture(scope="module")
+def program(estimator, tmp_path_factory):
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    return compiled(found, tmp_path_factory.mktemp("program"))
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_the_self_test_agrees_with_every_warning_and_sanitiser(estimator, precision, tmp_path):
+    found = export_joint_aware(estimator, precision, "m")
+    done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["state"] == found.state
+    assert figures["largest displacement"] > 50e-6
+    assert figures["status words of its own"] == 0
+
+
+@needs_gcc
+def test_nothing_is_undefined_where_the_joint_slides_and_opens(estimator, samples, tmp_path):
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m", samples)
+    done, _ = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_a_joint_that_slides_to_and_fro_is_followed(
+    estimator, samples, expected, precision, tmp_path
+):
+    double = precision is Precision.DOUBLE
+    number = ctypes.c_double if double else ctypes.c_float
+    estimates = compiled(export_joint_aware(estimator, precision, "m"), tmp_path, number)
+    got = list(estimates([row[1:] for row in samples]))
+    for name in ("displacement", "band"):
+        here = np.array([list(getattr(one, name)) for one in got])
+        there = np.array([getattr(one, name) for one in expected])
+        allowed = 1e-12 * np.abs(there).max() if double else 0.01e-6
+        assert np.abs(here - there).max() <= allowed, name
+    assert [one.status & COMMON for one in got] == [int(one.status) for one in expected]
+    heat = np.array([[*one.heat, one.ambient, one.lowest_pressure] for one in got])
+    there = np.array([one.details[:3] for one in expected])
+    np.testing.assert_allclose(
+        heat, there, rtol=1e-10 if double else 1e-4, atol=1e-9 if double else 1.0
+    )
+
+
+@needs_gcc
+@pytest.mark.parametrize("value", [NAN, np.inf, 9.9e37, -200.0])
+def test_where_a_reading_is_missing_the_machine_is_held_by_prediction_alone(
+    estimator, samples, program, value
+):
+    """As in Python where all are missing."""
+    rows, nothing = list(samples[:400]), (NAN,) * len(samples[0][1:])
+    gaps = [(time, *(nothing if k >= 350 else row)) for k, (time, *row) in enumerate(rows)]
+    there = [found for _, found in follow(estimator, gaps, estimator.initial_state())]
+    bad = [[value if j == k % 5 else one for j, one in enumerate(rows[k][1:])] for k in range(400)]
+    here = list(program([bad[k] if k >= 350 else rows[k][1:] for k in range(400)]))
+    for one, other in zip(here, there, strict=True):
+        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=1e-9)
+    assert all(one.status & Status.READING_MISSING for one in here[350:])
+    assert not any(one.status & Status.READING_MISSING for one in here[:350])
+
+
+@needs_gcc
+def test_a_reading_that_jumps_is_used_and_named(estimator, samples, program):
+    rows = [list(row[1:]) for row in samples[:50]]
+    rows[-1][0] += 8.0
+    words = [one.status for one in program(rows)]
+    assert words[-1] & READING_JUMPED
+    assert not any(word & READING_JUMPED for word in words[:-1])
+
+
+@needs_gcc
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
+    estimator, samples, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(joint_aware, "ITERATIONS", 0)
+    monkeypatch.setattr(joint_aware, "SAMPLES", 2)
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    for one in list(compiled(found, tmp_path)([row[1:] for row in samples[:40]]))[1:]:
+        assert one.status & NOT_SETTLED
+        assert one.newton_steps == -1
+        assert one.lowest_pressure == one.highest_pressure > 0.0
+        assert np.isfinite(list(one.displacement)).all()
+
+
+@needs_gcc
+def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
+    estimator, samples, tmp_path
+):
+    def renamed(*names):
+        known = estimator.model.calibrated
+        ranges = dict(zip(names, known.temperatures.values(), strict=True))
+        calibrated = replace(known, temperatures=ranges)
+        return JointAware(replace(estimator.model, sensors=names, calibrated=calibrated))
+
+    strange = renamed("spindle-front", "b 1", 'T"1', "T<2>*/")
+    found = export_joint_aware(strange, Precision.DOUBLE, "m", samples[:5], "my */ log.csv")
+    done, _ = selftest(written(found, tmp_path), "m", "-O0")
+    assert done.returncode == 0
+    assert [one.name for one in found.interface.inputs[:2]] == ["spindle_front", "b_1"]
+    with pytest.raises(InputError, match="not distinct"):
+        export_joint_aware(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
+
+
+@needs_gxx
+def test_no_sample_costs_more_than_is_printed(estimator, samples, tmp_path):
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    rows = ",\n".join("{" + ", ".join(map(repr, row[1:])) + "}" for row in samples[:900])
+    body = f"""
+static const m_real rows[900][5] = {{ {rows} }};
+int main() {{ static m_state state; static m_estimate found;
+  m_init(&state);
+  for (int k = 0; k < 900; k++) {{ CLEAR(); m_step(&state, rows[k], &found); PRINT(); }} }}
+"""
+    counted = np.array(counts(found, tmp_path, "m", body))
+    assert (counted <= operations(found.worst)).all()
+    usual = np.array(operations(found.usual))
+    assert (counted.min(axis=0) <= usual).all()
+    assert (np.median(counted, axis=0) >= 0.3 * usual).all()
+
+
+def test_a_log_to_which_the_program_has_no_answer_is_no_self_test(estimator, samples):
+    few, step = samples[:20], estimator.model.step
+    late = [*few[:10], *((row[0] + 0.3 * step, *row[1:]) for row in few[10:])]
+    missing = [*few[:10], (few[10][0], NAN, *few[10][2:])]
+    for rows in (late, missing):
+        with pytest.raises(InputError, match="late or has a reading missing"):
+            export_joint_aware(estimator, Precision.DOUBLE, "m", rows)
+    lying = [(row[0], row[1] + (500.0 if k == 15 else 0.0), *row[2:]) for k, row in enumerate(few)]
+    with pytest.raises(InputError, match="sensor-distrusted"):
+        export_joint_aware(estimator, Precision.DOUBLE, "m", lying)
+
+
+@needs_gcc
+def test_the_command_exports_a_joint_aware_model_with_a_log(estimator, samples, tmp_path, capsys):
+    write_observer(estimator.model, tmp_path / "model.h5")
+    header = ",".join(["time_s", *(f"{name}_K" for name in SENSORS), "ambient_K"])
+    lines = "\n".join(",".join(map(repr, row)) for row in samples[:60])
+    (tmp_path / "log.csv").write_text(f"{header}\n{lines}\n")
+    names = [str(tmp_path / name) for name in ("model.h5", "program", "log.csv")]
+    arguments = ["export", names[0], "--out", names[1], "--samples", names[2], "--name", "m"]
+    app(arguments, standalone_mode=False)
+    assert "Newton" in capsys.readouterr().out
+    done, figures = selftest(Path(names[1]), "m", "-O1")
+    assert done.returncode == 0, done.stdout
+    assert figures["samples"] == 60
+
+
+@needs_gcc
+@pytest.mark.parametrize("standard", Standard)
+def test_as_a_unit_for_co_simulation_it_says_the_same(
+    estimator, samples, expected, standard, tmp_path
+):
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    step, names = estimator.model.step, (*SENSORS, "ambient")
+    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    write_fmu(found, tmp_path / "m.fmu", standard)
+    # A sample at t holds over the step that ends at t.
+    rows = [(time - step, *values) for time, *values in samples[:60]]
+    given = np.array(rows, dtype=[("time", float), *((name, float) for name in names)])
+    result = fmpy.simulate_fmu(
+        str(tmp_path / "m.fmu"),
+        input=given,
+        start_time=-step,
+        stop_time=58.0 * step,
+        step_size=step,
+        output_interval=step,
+        output=["displacement_x", "status"],
+    )
+    there = [one.displacement[0] for one in expected[: len(result) - 1]]
+    assert len(there) > 50
+    assert result["displacement_x"][1:] == pytest.approx(there, rel=1e-9, abs=1e-15)
