@@ -20,6 +20,8 @@ from estimator.joint_aware.physics_fit import Fit
 from estimator.joint_aware.reduced_machine import Modes, ReducedMachine, diagonal_modes
 from estimator.joint_aware.sticking import sticking_tangent
 
+#: A model errs alike in a hundred samples: in the noise of one these errors count so many times.
+LASTS = 10.0
 #: Columns of the covariance that a run may carry beside the steady one.
 COLUMNS = 12
 #: Heating and cooling times of the past that a warm start reckons with, s.
@@ -53,7 +55,10 @@ def make_observer(
     """
     noise = noise or Noise()
     # A calibration without noise says nothing of readings to come.
-    noise = replace(noise, sensor=np.maximum(noise.sensor, fit.noise))
+    own = np.maximum(noise.sensor, fit.noise)
+    # ... and what the model errs by for minutes tells as little as noise that is so much larger.
+    errs = np.sqrt(np.maximum(fit.residual_temperature**2 - fit.noise**2, 0.0))
+    noise = replace(noise, sensor=np.hypot(own, LASTS * errs))
     fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)

@@ -24,6 +24,8 @@ from estimator.sensor_faults import GATE, Flags, Watch, judge_sample, model_erro
 #: A reading is impossible further than this beyond the calibrated ones, K; above them also by this
 #: many times their range.
 ROOM, FURTHER = 60.0, 3.0
+#: Noise of a thermometer, K, at most.
+THERMOMETER = 0.05
 #: The heat may jump to this many times the largest calibrated, and a part of that more or below 0.
 ONSET, SLACK = 1.5, 0.05
 
@@ -102,7 +104,9 @@ def trusted(
         watch = _distrusting(watch, int(open_.channel), moment.time)
     if judgement is not Judgement.OPEN:
         open_ = suspicion.none(expected.linear.size)
-    rows, noise = observer.system.rows, np.sqrt(observer.model.filter.noise)
+    rows = observer.system.rows
+    # The filter's noise holds what the model errs by, too.
+    noise = np.minimum(np.sqrt(observer.model.filter.noise), THERMOMETER)
     lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
         verdict = judge_sample(

@@ -13,6 +13,7 @@ METHODS = {
     "mlr": "benchmarks.thermal_error.methods.regressions:multiple_linear",
     "ridge": "benchmarks.thermal_error.methods.regressions:ridge",
     "arx": "benchmarks.thermal_error.methods.regressions:autoregression",
+    "learned": "benchmarks.thermal_error.methods.learning:learned",
     "linear": "benchmarks.thermal_error.methods.generalised:linear",
     "fchs": "benchmarks.thermal_error.methods.generalised:fchs",
     "joint-aware": "benchmarks.thermal_error.methods.machine_physics:joint_aware",
