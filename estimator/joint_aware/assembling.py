@@ -58,7 +58,8 @@ def make_observer(
     own = np.maximum(noise.sensor, fit.noise)
     # ... and what the model errs by for minutes tells as little as noise that is so much larger.
     errs = np.sqrt(np.maximum(fit.residual_temperature**2 - fit.noise**2, 0.0))
-    noise = replace(noise, sensor=np.hypot(own, LASTS * errs))
+    whole = np.hypot(own, LASTS * errs)
+    noise = replace(noise, sensor=whole, lasting=noise.lasting * whole / own)
     fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)

@@ -48,7 +48,7 @@ class Noise:
     heat_walk: float = 0.05
     ambient_walk: float = 0.01
     joint_flow: float = 0.5
-    lasting: float = 6.0
+    lasting: float | Array = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,8 @@ def design_filter(
     cross = before @ system.rows.T
     innovation = system.rows @ cross
     factor = cho_factor(innovation + np.diag(readings))
-    lasting = np.append(np.full(len(readings) - 1, noise.lasting**2), 0.0)
+    every = np.broadcast_to(np.square(noise.lasting), len(readings) - 1)
+    lasting = np.append(every, 0.0)
     after = before - cross @ cho_solve(factor, cross.T)
     found = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
     return found, 0.5 * (after + after.T)
