@@ -2,7 +2,7 @@
 
 `sensor_faults` judges a sample by itself, `suspicion` a jump by the samples after it. Where most
 readings contradict, it is the state that is wrong: then nothing is taken to be known. Where one is
-newly distrusted that saw most of a source, that source's heat is: it may have changed just then.
+newly left out that saw most of a source, that source's heat is: it may have changed just then.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def trusted(
     if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
         attempt = attempt._replace(linear=open_.linear)
         open_ = suspicion.none(expected.linear.size)
-    newly = verdict.watch.distrusted > before.watch.distrusted
+    newly = _believed_before(before) & ~verdict.believed
     if newly.any():
         attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
     innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
@@ -164,6 +164,12 @@ def _followed(
     return known, suspicion.judged(
         known, departure, moment.time, imperfect, answer, observer.model.step
     )
+
+
+def _believed_before(before: ObserverState) -> Flags:
+    """Channels that the sample before had; before the first sample all count."""
+    read = np.isnan(before.time) | (before.watch.read == before.time)
+    return np.asarray((before.watch.distrusted == 0.0) & read)
 
 
 def _distrusting(watch: Watch, channel: int, time: float) -> Watch:
