@@ -50,7 +50,7 @@ def learn(
         typer.Option(help="THEIRS=OURS: what a column of the log is called, with its unit."),
     ] = None,
     mapping: Annotated[
-        Path | None, typer.Option(help="The same for many, TOML: [columns], 'Temp 1' = 'T1_degC'.")
+        Path | None, typer.Option(help="For many, TOML: \\[columns], 'Temp 1' = 'T1_degC'.")
     ] = None,
     ignore: Annotated[
         list[str] | None, typer.Option(help="A column to leave aside; may be repeated.")

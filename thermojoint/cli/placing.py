@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def place(
-    case: Annotated[Path, typer.Argument(help="Case file with [[candidates]].")],
+    case: Annotated[Path, typer.Argument(help="Case file with \\[\\[candidates]].")],
     out: Annotated[Path, typer.Option(help="Probes to write (TOML), to be put into a case.")],
     count: Annotated[int, typer.Option(help="Number of sensors, those to be kept included.")] = 4,
     keep: Annotated[
