@@ -14,6 +14,9 @@ from typing import NamedTuple, Protocol
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 
+#: Standard deviation of a reading of the displacement, if nobody says better, m.
+READING_NOISE = 0.5e-6
+
 
 class Status(IntFlag):
     """What is to be known of an estimate: nothing, or why it is less certain than usual.

@@ -12,7 +12,7 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator import sensor_faults
-from estimator.interface import Channel, Estimate, Status
+from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import displacement_readings, suspicion
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer import Observer, Settled
@@ -33,8 +33,6 @@ SLACK = 0.05
 AMBIENT = 10.0
 #: Steps between two samples at most; after a longer silence they are longer.
 MOST_STEPS = 2000
-#: Standard deviation of a reading of the displacement, m.
-TOUCH_NOISE = 0.5e-6
 #: The excess columns forget what the readings err by for hours: the displacement is so many times
 #: less certain than they say (found on the reference machine, warm starts after 2, 4 and 6 h).
 DOUBT = 3.0
@@ -60,7 +58,7 @@ class JointAware:
     """
 
     model: ObserverModel
-    touch_noise: float = TOUCH_NOISE
+    touch_noise: float = READING_NOISE
 
     @property
     def kind(self) -> Kind:

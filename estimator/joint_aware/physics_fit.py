@@ -216,7 +216,8 @@ def _search(
             if not first:
                 raise
             found = 10.0 * first[0]
-        first.append(found)
+        if not first:
+            first.append(found)
         return np.concatenate([found, scaled])
 
     return least_squares(

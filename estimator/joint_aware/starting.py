@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from artefacts.arrays import Array
+from estimator.interface import READING_NOISE
 from estimator.joint_aware.ageing import AgeingJointAware
-from estimator.joint_aware.estimator import TOUCH_NOISE, JointAware
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.joint_aware.saved_state import load_state
 
@@ -16,7 +17,7 @@ def started(
     path: Path,
     resume: Path | None = None,
     ageing: Sequence[str] = (),
-    touch_noise: float = TOUCH_NOISE,
+    touch_noise: float = READING_NOISE,
 ) -> tuple[JointAware | AgeingJointAware, Array]:
     """Return a joint-aware estimator and the state to go on from.
 

@@ -22,7 +22,7 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.quantities import column_named
-from estimator.interface import Channel, Estimate, Status
+from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.span import SLACK
 from models.filters.relaxations import relaxed
 from models.learned import LearnedModel, at_rest, signals
@@ -38,8 +38,6 @@ MEMORY = 30.0 * 86400.0
 REFUSED = 4.0
 #: A log that begins so soon after the end of the one that was learned from goes on from it, s.
 GOES_ON = 3600.0
-#: Standard deviation of a reading, m.
-READING_NOISE = 0.5e-6
 #: An estimate is flagged where it leaves the range of the log's displacements by more than this
 #: share of it, on either side.
 REACH = 0.5

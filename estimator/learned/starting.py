@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from artefacts.arrays import Array
-from estimator.learned.estimator import READING_NOISE, Learned
+from estimator.interface import READING_NOISE
+from estimator.learned.estimator import Learned
 from estimator.learned.saved_state import load_state
 from models.learned import read_learned
 

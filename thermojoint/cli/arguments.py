@@ -19,9 +19,6 @@ from thermojoint.cli.file_kinds import Kind
 if TYPE_CHECKING:
     from fesim.case.schema import Case
 
-#: Standard deviation of a reading of the displacement, if nobody says better, µm.
-READING_NOISE_UM = 0.5
-
 
 def shown(path: Path) -> str:
     """Return the name of an input for an error message."""
@@ -188,8 +185,10 @@ def reading_noise(given_um: float | None, readings: Path | None) -> float:
     InputError
         It is not positive, or there are no readings.
     """
+    from estimator.interface import READING_NOISE
+
     if given_um is None:
-        return 1e-6 * READING_NOISE_UM
+        return READING_NOISE
     if readings is None:
         raise InputError("--reading-noise-um: goes with --readings; leave it out")
     return 1e-6 * positive("--reading-noise-um", given_um)
