@@ -160,7 +160,7 @@ def judge_sample(
     present = np.isfinite(readings)
     seen = Watch(*np.array(watch))
     odd, near = np.empty_like(present), np.empty_like(present)
-    _look(seen, time, readings, predicted, noise, *limits, odd, near)
+    look(seen, time, readings, predicted, noise, *limits, odd, near)
     doubted = watch.distrusted > 0.0
     credible = present & ~odd
     contradicted = _contradicted(readings - predicted, predicted, explain, credible & ~doubted)
@@ -197,7 +197,7 @@ def _stuck(watch: Watch, channel: int, time: float, said: float, noise: float) -
 
 
 @compiled
-def _look(
+def look(
     watch: Watch,
     time: float,
     readings: Array,

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from artefacts.errors import InputError
 from artefacts.response import write_response
-from estimator.interface import Status
+from estimator.interface import Status, follow
 from estimator.joint_aware import open_band as open_band_module
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.calibration import JointAwareCalibration, report
@@ -167,6 +167,40 @@ def test_a_day_stays_bounded_and_says_that_it_is_longer_than_the_calibration(dat
     assert np.abs(moved).max() < 1e-3
     assert np.abs(moved[-1] - moved[-180]).max() < 5.0 * MICRO
     assert Status.BEYOND_TIME in found[-1].status
+
+
+class InTheInterpreter(JointAware):
+    """Takes every sample by its general rule."""
+
+    def _usual(self, state, moment, readings, touched):
+        return None
+
+
+def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, response):
+    rng = np.random.default_rng(5)
+    rows = [
+        (time, *(np.array(values) + 0.03 * rng.standard_normal(len(values))))
+        for time, *values in samples_in(response, estimator.model.sensors)
+    ]
+    taken = []
+
+    class Counting(JointAware):
+        def _usual(self, state, moment, readings, touched):
+            taken.append(super()._usual(state, moment, readings, touched))
+            return taken[-1]
+
+    def followed(kind):
+        one = kind(estimator.model)
+        return list(follow(one, rows, one.initial_state()))
+
+    for (ours, quick), (theirs, plain) in zip(
+        followed(Counting), followed(InTheInterpreter), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(quick.displacement, plain.displacement, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(quick.band, plain.band, rtol=1e-9)
+        assert quick.words == plain.words
+    assert sum(one is None for one in taken) < 0.1 * len(taken)
 
 
 def test_a_missing_sensor_costs_little_and_is_said(estimator, response):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.joint_aware import displacement_readings, suspicion
+from estimator.joint_aware import compiled_sample, displacement_readings, suspicion
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import Kind, ObserverModel
@@ -25,7 +26,8 @@ from estimator.joint_aware.observer_state import (
     layout,
     unpacked,
 )
-from estimator.joint_aware.trust import Moment, Trusted, trusted
+from estimator.joint_aware.physics import heat_step
+from estimator.joint_aware.trust import Moment, Trusted, possible, thermometer_noise, trusted
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05
@@ -40,6 +42,33 @@ DOUBT = 3.0
 WIDTH = 1.96
 
 Names = tuple[str, ...]
+
+
+class Taken(NamedTuple):
+    """A sample that was taken.
+
+    Attributes
+    ----------
+    after : ObserverState
+        What it leaves.
+    displacement : ndarray, shape (axes,)
+        m, without what readings of it have told.
+    memory : float
+        What was known of the joint's slips before it.
+    excess : ndarray, shape (n, k)
+        What the covariance has more than the steady one, after the readings.
+    believed : ndarray of bool, shape (p + 1,)
+        Readings that were used.
+    refused : bool
+        A reading of the displacement was not.
+    """
+
+    after: ObserverState
+    displacement: Array
+    memory: float
+    excess: Array
+    believed: sensor_faults.Flags
+    refused: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +171,28 @@ class JointAware:
             suspicion=suspicion.none(size),
         ).flat()
 
+    @cached_property
+    def _filter(self) -> compiled_sample.Filter:
+        """What a usual sample needs beside the machine and its joint, in machine code."""
+        model, observer = self.model, self.observer
+        relaxing = 1.0 / (1.0 + model.step * model.remainder.rates)
+        low, high = possible(self.calibrated_readings)
+        return compiled_sample.Filter(
+            np.tile(relaxing, (model.power.size, 1)),
+            model.power,
+            np.ascontiguousarray(observer.system.rows),
+            np.ascontiguousarray(observer.usual_gain),
+            np.ascontiguousarray(model.remainder.displacement),
+            thermometer_noise(observer),
+            low,
+            high,
+            1.0 / displacement_readings.MEMORY,
+        )
+
+    @cached_property
+    def _places(self) -> compiled_sample.Places:
+        return compiled_sample.places(self.parts)
+
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
 
@@ -152,9 +203,45 @@ class JointAware:
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
-        before = unpacked(state, self.parts)
         readings, touched = self.separated(values)
-        moment = self._moment(float(before.time), time)
+        moment = self._moment(float(state[0]), time)
+        after, taken = self._usual(state, moment, readings, touched) or self._taken(
+            state, moment, readings, touched
+        )
+        return after, self._told(taken, time, readings)
+
+    def _usual(
+        self, state: Array, moment: Moment, readings: Array, touched: Array
+    ) -> tuple[Array, Taken] | None:
+        """Take a sample in machine code, if it is a usual one."""
+        kernel = self.observer.physics.kernel
+        if kernel is None or moment.steps != 1 or moment.length != self.model.step:
+            return None
+        if not np.isnan(touched).all():
+            return None
+        after, displacement = state.copy(), np.empty(len(self.axes))
+        usual = compiled_sample.usual_sample(
+            self._filter,
+            heat_step(self.model.modes, moment.length),
+            kernel,
+            self._places,
+            after,
+            moment.time,
+            moment.length,
+            readings,
+            displacement,
+        )
+        if not usual:
+            return None
+        parts = unpacked(after, self.parts)
+        memory, everything = float(parts.memory), np.ones(readings.size, dtype=bool)
+        return after, Taken(parts, displacement, memory, parts.excess, everything, False)
+
+    def _taken(
+        self, state: Array, moment: Moment, readings: Array, touched: Array
+    ) -> tuple[Array, Taken]:
+        """Take a sample, whatever it is like."""
+        before = unpacked(state, self.parts)
         expected = self.observer.expected(before, moment.length, moment.steps)
         used = trusted(self.observer, before, expected, moment, readings, self.calibrated_readings)
         linear, excess = self._corrected(used, moment, readings)
@@ -167,10 +254,9 @@ class JointAware:
             linear, excess = linear + correction.state, correction.excess
             known, refused = correction.known, correction.refused
             found = self.observer.read(linear, expected.joint, expected.memory)
-        begun = float(before.begun) if moment.steps else time
         after = ObserverState(
-            time=np.array(time),
-            begun=np.array(begun),
+            time=np.array(moment.time),
+            begun=before.begun if moment.steps else np.array(moment.time),
             memory=np.array(self.observer.remembered(expected.memory, excess)),
             linear=linear,
             **found.joint._asdict(),
@@ -178,23 +264,31 @@ class JointAware:
             watch=used.watch,
             model_error=known,
             suspicion=used.suspicion,
-        ).flat()
-        sigma = self.observer.sigma(found.relaxed, expected.memory)
-        inputs = linear[self.observer.system.decay.size :]
-        pressure = found.joint.pressure if found.joint.pressure.size else np.array([np.nan])
-        missing, distrusted = self._left_out(readings, used.believed)
-        status = self._beyond(time - begun, inputs, readings, used.believed)
+        )
+        taken = Taken(after, found.displacement, expected.memory, excess, used.believed, refused)
+        return after.flat(), taken
+
+    def _told(self, taken: Taken, time: float, readings: Array) -> Estimate:
+        """What is said of a sample."""
+        after, excess = taken.after, taken.excess
+        count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
+        sigma = self.observer.sigma(after.linear[count:dynamic], taken.memory)
+        inputs = after.linear[dynamic:]
+        pressure = after.pressure if after.pressure.size else np.array([np.nan])
+        missing, distrusted = self._left_out(readings, taken.believed)
+        status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
-            (refused, Status.READING_REFUSED),
+            (taken.refused, Status.READING_REFUSED),
             (excess.any(), Status.UNSETTLED),
         ):
-            status |= flag if holds else Status.OK
-        return after, Estimate(
+            if holds:
+                status |= flag
+        return Estimate(
             time=time,
-            displacement=found.displacement + known.mean * sigma,
-            band=self._half_band(sigma, known, excess),
+            displacement=taken.displacement + after.model_error.mean * sigma,
+            band=self._half_band(sigma, after.model_error, excess),
             status=status,
             details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
             missing=missing,

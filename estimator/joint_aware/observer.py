@@ -70,11 +70,11 @@ class Observer:
         return linear_system(model.modes, model.remainder, model.power, model.step)
 
     @cached_property
-    def _usual(self) -> tuple[Array, Array]:
-        """Gain of all readings with the steady covariance, and no excess columns."""
+    def usual_gain(self) -> Array:
+        """Gain of all readings with the steady covariance, shape (n, p + 1)."""
         none = np.zeros(self.model.warm.shape)
         everything = np.arange(len(self.system.rows))
-        return correct(self.model.filter, self.system.rows, everything, none, 1.0)
+        return correct(self.model.filter, self.system.rows, everything, none, 1.0)[0]
 
     @cached_property
     def onset(self) -> Array:
@@ -116,7 +116,7 @@ class Observer:
         """Gain of the readings that came, and the excess columns after them."""
         weight = max(1.0, self.model.step / length)
         if present.size == len(self.system.rows) and weight == 1.0 and not excess.any():
-            return self._usual
+            return self.usual_gain, excess
         gain, after = correct(self.model.filter, self.system.rows, present, excess, weight)
         return gain, compressed(after, self.model.filter.scale, excess.shape[1])
 

@@ -105,8 +105,7 @@ def trusted(
     if judgement is not Judgement.OPEN:
         open_ = suspicion.none(expected.linear.size)
     rows = observer.system.rows
-    # The filter's noise holds what the model errs by, too.
-    noise = np.minimum(np.sqrt(observer.model.filter.noise), THERMOMETER)
+    noise = thermometer_noise(observer)
     lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
         verdict = judge_sample(
@@ -135,6 +134,14 @@ def trusted(
         elapsed = moment.steps * moment.length or observer.model.step
         open_ = suspicion.suspected(attempt.linear, innovation, deviation, moment.time, elapsed)
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
+
+
+def thermometer_noise(observer: Observer) -> Array:
+    """Return the noise of every thermometer, K, shape (p + 1,).
+
+    The filter's own holds what the model errs by, too.
+    """
+    return np.minimum(np.sqrt(observer.model.filter.noise), THERMOMETER)
 
 
 def possible(limits: tuple[Array, Array]) -> tuple[Array, Array]:
