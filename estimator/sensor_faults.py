@@ -47,6 +47,9 @@ IMPROBABLE = 1e-6
 GRAIN, SEEN = 0.005, 10.0
 #: ... or if the model says that it should have moved by so many of its steps, or of its noise.
 STEPS = 4.0
+#: A channel that never changed is stuck as well if this many others, all that are believed, turn
+#: back in this share of their changes, as noise does, and by their habit it would have changed.
+WITNESSES, TURNING = 2, 0.25
 #: The step of a display that has shown none yet, K.
 UNKNOWN = 0.25
 #: Repetition that a channel is given at first, and the samples over which its habit is learnt.
@@ -80,6 +83,10 @@ class Watch(NamedTuple):
         The smallest change that it has shown, K.
     grain : ndarray
         How far its changes are from multiples of that, as a part of it: 0 for a coarse display.
+    rise : ndarray
+        Its last change, K.
+    turned : ndarray
+        The share of its changes that turn back: a smooth one's none, two thirds of pure noise's.
     """
 
     distrusted: Array
@@ -92,6 +99,8 @@ class Watch(NamedTuple):
     habit: Array
     finest: Array
     grain: Array
+    rise: Array
+    turned: Array
 
 
 def fresh(channels: int) -> Watch:
@@ -108,6 +117,8 @@ def fresh(channels: int) -> Watch:
         habit=np.full(channels, HABIT),
         finest=unknown,
         grain=nothing,
+        rise=unknown,
+        turned=nothing,
     )
 
 
@@ -137,6 +148,7 @@ def judge_sample(
     explain: Explain,
     noise: Array,
     limits: tuple[Array, Array],
+    thermometers: int,
 ) -> Verdict:
     """Say which readings of a sample are to be used.
 
@@ -156,11 +168,13 @@ def judge_sample(
         Standard deviation of a reading, K.
     limits : pair of ndarray, shape (n,)
         Lowest and highest reading that is possible, K.
+    thermometers : int
+        Channels, the first ones, that are thermometers in the machine; others may be constants.
     """
     present = np.isfinite(readings)
     seen = Watch(*np.array(watch))
     odd, near = np.empty_like(present), np.empty_like(present)
-    look(seen, time, readings, predicted, noise, *limits, odd, near)
+    look(seen, time, readings, predicted, noise, *limits, thermometers, odd, near)
     doubted = watch.distrusted > 0.0
     credible = present & ~odd
     contradicted = _contradicted(readings - predicted, predicted, explain, credible & ~doubted)
@@ -197,6 +211,23 @@ def _stuck(watch: Watch, channel: int, time: float, said: float, noise: float) -
 
 
 @compiled
+def _silent(watch: Watch, channel: int, thermometers: int) -> bool:
+    """Whether a channel never changed where all others have noise."""
+    if channel >= thermometers or watch.finest[channel] >= 0.0:
+        return False
+    witnesses, habit = 0, 0.0
+    for k in range(thermometers):
+        if k == channel or watch.distrusted[k] > 0.0:
+            continue
+        if watch.turned[k] < TURNING:
+            return False
+        witnesses += 1
+        habit = max(habit, watch.habit[k])
+    improbable = watch.repeats[channel] * math.log(max(habit, 1e-300)) < math.log(IMPROBABLE)
+    return witnesses >= WITNESSES and improbable
+
+
+@compiled
 def look(
     watch: Watch,
     time: float,
@@ -205,6 +236,7 @@ def look(
     noise: Array,
     low: Array,
     high: Array,
+    thermometers: int,
     odd: Flags,
     near: Flags,
 ) -> None:
@@ -222,14 +254,18 @@ def look(
         if change <= ROUNDING:
             watch.repeats[k] += 1.0
             odd[k] = odd[k] or _stuck(watch, k, time, said, noise[k])
+            odd[k] = odd[k] or _silent(watch, k, thermometers)
             continue
         run = watch.repeats[k] + 1.0
         kept = (1.0 - 1.0 / LEARNT) ** run
         watch.habit[k] = kept * watch.habit[k] + (1.0 - kept) * watch.repeats[k] / run
+        rise, before = reading - watch.last[k], watch.rise[k]
         watch.last[k], watch.changed[k], watch.expected[k] = reading, time, said
         watch.repeats[k] = 0.0
         if not change >= 0.0:
             continue
+        watch.rise[k] = rise
+        watch.turned[k] += ((1.0 if rise * before < 0.0 else 0.0) - watch.turned[k]) / SEEN
         finest = watch.finest[k]
         if finest >= 0.0:
             ratio = max(change, finest) / min(change, finest)

@@ -21,7 +21,7 @@ def followed(rows, predicted, step=STEP):
     """The verdict on every row of readings, with what the model says beside it."""
     watch, found = fresh(4), []
     for k, (row, said) in enumerate(zip(rows, predicted, strict=True)):
-        verdict = judge_sample(watch, step * k, row, said, nothing_explained, NOISE, LIMITS)
+        verdict = judge_sample(watch, step * k, row, said, nothing_explained, NOISE, LIMITS, 4)
         watch = verdict.watch
         found.append(verdict)
     return found
@@ -92,6 +92,28 @@ def test_a_coarse_display_that_stands_still_is_left_out_once_the_model_has_moved
     assert not believed(followed(coarse, said))[150:, 0].any()
 
 
+def at_rest(seed=0, count=60):
+    """A cold machine and its noisy readings, the third of which never changes."""
+    rng = np.random.default_rng(seed)
+    said = np.zeros((count, 4))
+    rows = 0.03 * rng.normal(size=said.shape)
+    rows[:, 2] = 0.01
+    return rows, said
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_channel_that_is_stuck_from_before_the_start_has_no_noise_where_others_have(seed):
+    found = believed(followed(*at_rest(seed)))
+    assert not found[30:, 2].any()
+    assert found[:, [0, 1, 3]].all()
+
+
+def test_a_channel_that_heat_has_not_reached_is_believed_where_nothing_has_noise():
+    _, said = healthy()
+    said[:, 2] = 0.0
+    assert believed(followed(said, said)).all()
+
+
 def test_where_most_contradict_it_is_the_model_that_is_lost():
     rows, said = healthy()
     found = followed(rows + 8.0, said)
@@ -113,9 +135,9 @@ def test_what_a_change_of_the_heat_explains_is_no_fault():
 
     rows[1, 0] += 4.0
     watch = followed(rows[:1], said[:1])[0].watch
-    verdict = judge_sample(watch, STEP, rows[1], said[1], heat, NOISE, LIMITS)
+    verdict = judge_sample(watch, STEP, rows[1], said[1], heat, NOISE, LIMITS, 4)
     assert verdict.believed.all()
-    verdict = judge_sample(watch, STEP, rows[1], said[1], nothing_explained, NOISE, LIMITS)
+    verdict = judge_sample(watch, STEP, rows[1], said[1], nothing_explained, NOISE, LIMITS, 4)
     assert not verdict.believed[0]
 
 
@@ -124,7 +146,7 @@ def test_no_small_innovation_is_a_fault(departures):
     """Whatever the covariance says of itself: a model is not perfect."""
     small = GATE * MODEL_ERROR / 2.0 * np.array(departures)
     watch = fresh(4)
-    verdict = judge_sample(watch, 0.0, small, np.zeros(4), nothing_explained, NOISE, LIMITS)
+    verdict = judge_sample(watch, 0.0, small, np.zeros(4), nothing_explained, NOISE, LIMITS, 4)
     assert verdict.believed.all()
 
 

@@ -141,9 +141,21 @@ def usual_sample(
         return False
     odd, near = np.empty(channels, np.bool_), np.empty(channels, np.bool_)
     watch = Watch(
-        seen[0], seen[1], seen[2], seen[3], seen[4], seen[5], seen[6], seen[7], seen[8], seen[9]
+        seen[0],
+        seen[1],
+        seen[2],
+        seen[3],
+        seen[4],
+        seen[5],
+        seen[6],
+        seen[7],
+        seen[8],
+        seen[9],
+        seen[10],
+        seen[11],
     )
-    look(watch, time, readings, predicted, own.noise, own.low, own.high, odd, near)
+    # The last channel is the ambient.
+    look(watch, time, readings, predicted, own.noise, own.low, own.high, channels - 1, odd, near)
     if odd.any():
         return False
     for k in range(size):

@@ -116,6 +116,7 @@ def trusted(
             partial(_unexplained, observer, attempt, moment),
             noise,
             possible(limits),
+            len(observer.model.sensors),
         )
         if not verdict.lost:
             break
