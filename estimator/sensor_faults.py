@@ -8,8 +8,9 @@ Everything is judged before a sample is used. A channel is distrusted when it is
   have moved by now;
 - contradicted: its innovation, given the other channels, is beyond what is to be expected.
 
-It is believed again when all that has been over for `RETURN`. Where most channels contradict the
-model, it is the model's state that is wrong (`Verdict.lost`): then all are believed.
+It is believed again when all that has been over for `RETURN`; one that was contradicted must have
+come nearer the model than the model is likely to have come to it. Where most channels contradict
+the model, it is the model's state that is wrong (`Verdict.lost`): then all are believed.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ GATE = 5.0
 MODEL_ERROR, MODEL_SHARE = 0.2, 0.01
 #: A distrusted channel is believed again after this long without a fault, s.
 RETURN = 30.0
+#: A channel that was off is believed again only if it is so much less off than it was, or so near in
+#: standard deviations of the model: a model that has lost it wanders.
+NEARER, NEAR = 0.5, 2.0
 #: No thermometer in a machine changes faster than this, K/s, beyond a jump of `JUMP`, K.
 RATE, JUMP = 2.0, 3.0
 #: A value that repeats for this long, s, and this many samples may be stuck, ...
@@ -47,8 +51,8 @@ IMPROBABLE = 1e-6
 GRAIN, SEEN = 0.005, 10.0
 #: ... or if the model says that it should have moved by so many of its steps, or of its noise.
 STEPS = 4.0
-#: A channel that never changed is stuck as well if this many others, all that are believed, turn
-#: back in this share of their changes, as noise does, and by their habit it would have changed.
+#: A channel that never changed is stuck as well if this many others turn back in this share of
+#: their changes, as noise does, and by their habit it would have changed.
 WITNESSES, TURNING = 2, 0.25
 #: The step of a display that has shown none yet, K.
 UNKNOWN = 0.25
@@ -87,6 +91,8 @@ class Watch(NamedTuple):
         Its last change, K.
     turned : ndarray
         The share of its changes that turn back: a smooth one's none, two thirds of pure noise's.
+    off : ndarray
+        How far it was from the model when that contradicted it, K.
     """
 
     distrusted: Array
@@ -101,6 +107,7 @@ class Watch(NamedTuple):
     grain: Array
     rise: Array
     turned: Array
+    off: Array
 
 
 def fresh(channels: int) -> Watch:
@@ -119,6 +126,7 @@ def fresh(channels: int) -> Watch:
         grain=nothing,
         rise=unknown,
         turned=nothing,
+        off=unknown,
     )
 
 
@@ -188,7 +196,10 @@ def judge_sample(
         faulty = odd | contradicted | (doubted & present & ~near)
     fault = np.where(faulty, time, seen.fault)
     distrusted = faulty | (doubted & (~present | (time - fault < RETURN)))
-    after = seen._replace(distrusted=distrusted.astype(float), fault=fault)
+    off = np.where(contradicted & ~doubted, np.abs(readings - predicted), seen.off)
+    after = seen._replace(
+        distrusted=distrusted.astype(float), fault=fault, off=np.where(distrusted, off, np.nan)
+    )
     return Verdict(present & ~distrusted, lost, after)
 
 
@@ -212,15 +223,13 @@ def _stuck(watch: Watch, channel: int, time: float, said: float, noise: float) -
 
 @compiled
 def _silent(watch: Watch, channel: int, thermometers: int) -> bool:
-    """Whether a channel never changed where all others have noise."""
+    """Whether a channel never changed where others have noise."""
     if channel >= thermometers or watch.finest[channel] >= 0.0:
         return False
     witnesses, habit = 0, 0.0
     for k in range(thermometers):
-        if k == channel or watch.distrusted[k] > 0.0:
+        if k == channel or watch.distrusted[k] > 0.0 or watch.turned[k] < TURNING:
             continue
-        if watch.turned[k] < TURNING:
-            return False
         witnesses += 1
         habit = max(habit, watch.habit[k])
     improbable = watch.repeats[channel] * math.log(max(habit, 1e-300)) < math.log(IMPROBABLE)
@@ -246,7 +255,11 @@ def look(
         odd[k] = near[k] = False
         if not np.isfinite(reading):
             continue
-        near[k] = abs(reading - said) <= GATE * (MODEL_ERROR + MODEL_SHARE * abs(said))
+        imperfect = MODEL_ERROR + MODEL_SHARE * abs(said)
+        limit = GATE * imperfect
+        if watch.off[k] >= 0.0:
+            limit = min(limit, max(NEAR * imperfect, NEARER * watch.off[k]))
+        near[k] = abs(reading - said) <= limit
         change, since = abs(reading - watch.last[k]), time - watch.read[k]
         # Compared with what is not known yet, NaN, nothing is odd.
         odd[k] = reading < low[k] or reading > high[k] or change > RATE * since + JUMP

@@ -84,6 +84,14 @@ def test_a_lost_sensor_widens_the_band(estimator, response):
     assert Status.SENSOR_DISTRUSTED in found[-1].status
 
 
+@pytest.mark.parametrize("jump", [3.0, 5.0])
+def test_while_a_jump_is_not_judged_the_band_holds_the_state_without_it(estimator, response, jump):
+    _, healthy = estimates(estimator, list(samples_in(response, SENSORS)))
+    _, found = estimates(estimator, faulty(response, 0, lambda values: values + jump))
+    for one, other in zip(found[ONSET : ONSET + 6], healthy[ONSET : ONSET + 6], strict=True):
+        assert np.all(np.abs(one.displacement - other.displacement) <= one.band)
+
+
 def test_the_heat_that_is_switched_on_at_once_is_no_fault(estimator, case, setup):
     response = run(case, setup, step(3.0), 4.0)
     _, found = estimates(estimator, samples_in(response, SENSORS))

@@ -153,6 +153,7 @@ def usual_sample(
         seen[9],
         seen[10],
         seen[11],
+        seen[12],
     )
     # The last channel is the ambient.
     look(watch, time, readings, predicted, own.noise, own.low, own.high, channels - 1, odd, near)

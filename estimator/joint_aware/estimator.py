@@ -288,7 +288,7 @@ class JointAware:
         return Estimate(
             time=time,
             displacement=taken.displacement + after.model_error.mean * sigma,
-            band=self._half_band(sigma, after.model_error, excess),
+            band=self._half_band(sigma, after.model_error, excess) + self._undecided(after),
             status=status,
             details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
             missing=missing,
@@ -376,6 +376,12 @@ class JointAware:
             told = np.square(self.model.band.tangent @ excess).sum(axis=1)
             variance = variance + DOUBT**2 * told
         return np.asarray(WIDTH * np.sqrt(variance))
+
+    def _undecided(self, after: ObserverState) -> Array:
+        """What a jump that is not yet judged has moved, m, shape (axes,): the band holds both."""
+        if not np.isfinite(after.suspicion.channel):
+            return np.zeros(len(self.axes))
+        return np.abs(self.model.band.tangent @ (after.linear - after.suspicion.linear))
 
     def _beyond(
         self, elapsed: float, inputs: Array, readings: Array, believed: sensor_faults.Flags

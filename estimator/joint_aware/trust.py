@@ -101,7 +101,9 @@ def trusted(
     if judgement in (Judgement.OFFSET, Judgement.SPIKE):
         expected = expected._replace(linear=open_.linear)
     if judgement is Judgement.OFFSET:
-        watch = _distrusting(watch, int(open_.channel), moment.time)
+        channel = int(open_.channel)
+        said = observer.system.rows[channel] @ open_.linear
+        watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - said)))
     if judgement is not Judgement.OPEN:
         open_ = suspicion.none(expected.linear.size)
     rows = observer.system.rows
@@ -180,11 +182,13 @@ def _believed_before(before: ObserverState) -> Flags:
     return np.asarray((before.watch.distrusted == 0.0) & read)
 
 
-def _distrusting(watch: Watch, channel: int, time: float) -> Watch:
-    """The watch with one more channel distrusted."""
-    distrusted, fault = watch.distrusted.copy(), watch.fault.copy()
-    distrusted[channel], fault[channel] = 1.0, time
-    return watch._replace(distrusted=distrusted, fault=fault)
+def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
+    """The watch with one more channel distrusted, that is off by so much (K)."""
+    changed = {"distrusted": 1.0, "fault": time, "off": off}
+    arrays = {name: getattr(watch, name).copy() for name in changed}
+    for name, value in changed.items():
+        arrays[name][channel] = value
+    return watch._replace(**arrays)
 
 
 def _heat_unknown(
