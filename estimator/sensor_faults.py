@@ -37,8 +37,8 @@ GATE = 5.0
 MODEL_ERROR, MODEL_SHARE = 0.2, 0.01
 #: A distrusted channel is believed again after this long without a fault, s.
 RETURN = 30.0
-#: A channel that was off is believed again only if it is so much less off than it was, or so near in
-#: standard deviations of the model: a model that has lost it wanders.
+#: A channel that was off is believed again only if it is so much less off than it was, or so near
+#: in standard deviations of the model: a model that has lost it wanders.
 NEARER, NEAR = 0.5, 2.0
 #: No thermometer in a machine changes faster than this, K/s, beyond a jump of `JUMP`, K.
 RATE, JUMP = 2.0, 3.0
