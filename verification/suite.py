@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from verification import (
+    bistable,
     dissimilar_rods,
     friction,
     hot_spot,
@@ -55,7 +56,8 @@ GROUPS: tuple[Group, ...] = (
         series.checks,
         "$q = A\\,\\Delta T / (L_1/k_1 + 1/h_c(p) + L_2/k_2)$: held temperatures at both ends, one "
         "step of the march so long that it ends in the steady state. The preload is the pressure; "
-        "the exact CMY model gives the conductance.",
+        "the exact CMY model gives the conductance. The last rows have the conductances beside "
+        "Eq. 11: a fixed one, air and radiation across a joint that starts 30 µm open.",
     ),
     Group(
         "Patch tests",
@@ -121,6 +123,15 @@ GROUPS: tuple[Group, ...] = (
         "states. All are found by following the condensed machine's response to a given contact "
         "pressure; the march comes to rest in two of them and leaves the middle one either way at "
         "the predicted rate.",
+    ),
+    Group(
+        "Barber's rod from a case file",
+        bistable.checks,
+        "The same through the public interface: a rod of aluminium, cold 20 µm off a rigid wall "
+        "of 24 K, with air between (conductance $k_g/(Y + M)$ in parallel with Eq. 11) and "
+        "no preload. Three steady states by the rod's balance in closed form; all three are found "
+        "with the machine's own response to a given conductance. A cold rod comes to rest in the "
+        "open one; from the middle one, off by 1 %, marches lead to the other two.",
     ),
     Group(
         "Two dissimilar rods",

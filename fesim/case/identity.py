@@ -18,6 +18,9 @@ from fesim.solid.linear_solver import default_solver
 #: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
 _LAW = {
     "preload_MPa",
+    "reference_pressure_MPa",
+    "initial_opening_um",
+    "gap",
     "roughness_um",
     "asperity_slope",
     "hardness_GPa",

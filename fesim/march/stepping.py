@@ -114,6 +114,28 @@ class CondensedMachine:
         return np.concatenate([np.empty(0), *parts])
 
     @cached_property
+    def conducts_by_pressure(self) -> bool:
+        """Whether pressures alone decide what the joints conduct."""
+        return all(law.conducts_by_pressure for law, _ in self.laws)
+
+    def conductance_in(self, state: State) -> Array:
+        """What every contact element conducts in a state, by contact and gap, W/(m2 K)."""
+        if self.conducts_by_pressure:
+            return self.conductance(state.pressure)
+        rise = self.thermal.mean @ state.temperature
+        parts = [
+            law.conducts(state.pressure[at], state.gap[0, at], rise[at])
+            for law, at in self._slices()
+        ]
+        return np.concatenate(parts)
+
+    @cached_property
+    def reference_pressure(self) -> Array:
+        """Preload of every contact element, or what stands for it where there is none, Pa."""
+        parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
+        return np.concatenate([np.empty(0), *parts])
+
+    @cached_property
     def preload(self) -> Array:
         """Preload of every contact element, Pa."""
         parts = [np.full(count, law.preload) for law, count in self.laws]
@@ -224,9 +246,18 @@ Advance = Callable[[CondensedMachine, State, Array], Step]
 
 
 def initial_state(machine: CondensedMachine) -> State:
-    """Ambient temperature everywhere, every joint at its preload."""
+    """Ambient temperature everywhere, every joint at its preload.
+
+    A joint without preload is at rest by itself only where it is open, or what little presses it
+    has pushed it open: that is found here.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium.
+    """
     count = machine.contacts
-    return State(
+    state = State(
         index=0,
         temperature=np.zeros(machine.thermal.inputs.shape[0]),
         gap=np.zeros((3, count)),
@@ -235,6 +266,11 @@ def initial_state(machine: CondensedMachine) -> State:
         change=np.zeros((3, count)),
         model=machine.thermal.model,
     )
+    if machine.preload.all():
+        return state
+    found, _ = settle_along(machine, state, np.zeros(3 * count))
+    pressure = machine.preload + found.traction.value[0]
+    return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
 
 def march(
@@ -274,8 +310,7 @@ def march(
 
 def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
-    conductance = machine.conductance(state.pressure)
-    return _step_with(machine, state, inputs, conductance)
+    return _step_with(machine, state, inputs, machine.conductance_in(state))
 
 
 def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
@@ -289,15 +324,16 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     ConvergenceError
         The pressures still change after `MAX_SWEEPS` sweeps.
     """
-    pressure = state.pressure
-    weight, last = 1.0, np.zeros_like(pressure)
+    carried = _carried(machine, state)
+    value = carried.of(state)
+    weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
     for sweep in range(MAX_SWEEPS):
-        step = _step_with(machine, state, inputs, machine.conductance(pressure))
+        step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
-        after = step.state.pressure
-        misfit = (after - pressure) / machine.preload
+        after = carried.of(step.state)
+        misfit = (after - value) / carried.scale
         change = float(np.abs(misfit).max(initial=0.0))
         enough = PRESSURE_TOLERANCE if sweep < PATIENCE else _left_open(machine)
         # Where the joint snaps the pressure leaps: none agrees with the conductance it leaps from.
@@ -308,18 +344,47 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
         weight, last = _aitken(weight, last, misfit) if slow else weight, misfit
-        ends = 0.5 * np.minimum(pressure, after), 2.0 * np.maximum(pressure, after)
-        pressure = np.clip(pressure + weight * (after - pressure), *ends)
+        ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
+        value = np.clip(value + weight * (after - value), *ends)
     raise ConvergenceError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
         f'after {MAX_SWEEPS} sweeps; take coupling = "staggered"'
     )
 
 
+@dataclass(frozen=True)
+class _Carried:
+    """What goes from one sweep of an in-step iteration to the next, m values.
+
+    Attributes
+    ----------
+    of : callable
+        Reads it in a state.
+    conductance : callable
+        Makes conductances of it, W/(m2 K).
+    scale : ndarray, shape (m,)
+        What its changes are relative to.
+    """
+
+    of: Callable[[State], Array]
+    conductance: Callable[[Array], Array]
+    scale: Array
+
+
+def _carried(machine: CondensedMachine, state: State) -> _Carried:
+    """Pressures; or conductances, where openings or temperatures are in them as well."""
+    if machine.conducts_by_pressure:
+        pressures = machine.reference_pressure
+        return _Carried(lambda found: found.pressure, machine.conductance, pressures)
+    given = machine.conductance_in(state)
+    scale = np.where(given > 0.0, given, 1.0)
+    return _Carried(machine.conductance_in, lambda values: values, scale)
+
+
 def _left_open(machine: CondensedMachine) -> float:
     """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
     stiffness = machine.gap_problem.springs[: machine.contacts]
-    left = 10.0 * machine.gap_tolerance * stiffness / machine.preload
+    left = 10.0 * machine.gap_tolerance * stiffness / machine.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 

@@ -16,6 +16,7 @@ from artefacts.toml import as_key
 from fesim.cache import remembered
 from fesim.case.identity import elasticity_key
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
 from fesim.march.reduced import (
     ThermalModes,
@@ -25,7 +26,7 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.stepping import CondensedMachine, State
-from fesim.setup.holds import checked_holds, with_friction
+from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import heat_sources, spring_stiffnesses, thermal_inputs
 from fesim.solid.condensation import (
@@ -45,6 +46,7 @@ from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 from meshes.units import UNITS
+from meshes.wall import face_of, with_wall
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000
@@ -64,12 +66,15 @@ class Parts:
         Temperature probes: those that the case names and its candidates.
     holds : Holds
         What holds the bodies; checked.
+    laws : list of (JointLaw, int)
+        The law of each joint and how many contact elements it has.
     """
 
     structure: Structure
     joints: tuple[PairedJoint, ...]
     probes: dict[str, Probe]
     holds: Holds
+    laws: list[tuple[JointLaw, int]]
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,6 @@ def set_up(case: Case) -> Setup:
     relative = _relative_rows(case, structure, spaces)
     rows = probe_rows(spaces.heat, structure, parts.probes)
 
-    laws = joint_laws(case, structure, materials, joints)
     operators = joint_operators(joints, spaces)
     heat = heat_operators(
         structure,
@@ -167,7 +171,7 @@ def set_up(case: Case) -> Setup:
             structure,
             spaces,
             materials,
-            case.supports.fixed,
+            fixed_surfaces(case),
             dict(case.supports.symmetry),
             spring_stiffnesses(case, structure),
         )
@@ -191,7 +195,7 @@ def set_up(case: Case) -> Setup:
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=CondensedMachine(thermal, elastic, laws, holds=parts.holds),
+        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds),
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
@@ -218,7 +222,9 @@ def make_parts(case: Case) -> Parts:
     } | candidate_probes(case, structure)
     if not probes:
         raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
-    return Parts(structure, joints, probes, checked_holds(case, structure, joints))
+    laws = joint_laws(case, structure, body_materials(case, structure), joints)
+    holds = checked_holds(case, structure, joints)
+    return Parts(structure, joints, probes, holds, laws)
 
 
 def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
@@ -234,7 +240,7 @@ def check_names(case: Case, structure: Structure) -> None:
     body_materials(case, structure)
     for name in case.convection_W_m2K:
         structure.surface(name, "convection_W_m2K")
-    for name in [*case.supports.fixed, *case.supports.symmetry]:
+    for name in [*fixed_surfaces(case), *case.supports.symmetry]:
         structure.surface(name, "supports")
     for name in case.supports.springs:
         structure.surface(name, "supports.springs")
@@ -256,9 +262,9 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     InputError
         Without the friction of the first case, nothing holds a body.
     """
-    check_held(setup.holds, with_friction(case, setup.joints))
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
+    check_held(setup.holds, with_friction(case, setup.joints), start_closed(case, setup.joints))
     return replace(setup, machine=replace(setup.machine, laws=laws))
 
 
@@ -284,11 +290,13 @@ def build_structure(case: Case) -> Structure:
         )
     else:
         structure = read_structure(section.file, UNITS[section.unit])
+    for name, wall in case.walls.items():
+        structure = with_wall(structure, name, wall.faces)
     sides = structure.joints
     joints = {}
     for name, joint in case.joints.items():
         if joint.side_a is not None and joint.side_b is not None:
-            joints[name] = (joint.side_a, joint.side_b)
+            joints[name] = (_side(case, joint.side_a), _side(case, joint.side_b))
         elif name in sides:
             joints[name] = sides[name]
         else:
@@ -312,6 +320,11 @@ def build_structure(case: Case) -> Structure:
         probes=structure.probes | probes,
         symmetry_factor=factor,
     )
+
+
+def _side(case: Case, name: str) -> str:
+    """Return the surface that a joint means by the name of a surface or a wall."""
+    return face_of(name) if name in case.walls else name
 
 
 def body_materials(case: Case, structure: Structure) -> dict[str, Material]:

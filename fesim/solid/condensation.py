@@ -67,8 +67,8 @@ class ThermalCondensation:
         M/dt, W/K; zero for the held unknowns.
     inputs : ndarray, shape (n, k)
         Right-hand side per unit of each input; for the held unknowns their temperature.
-    jump : scipy.sparse.csr_array, shape (m, n)
-        B.
+    jump, mean : scipy.sparse.csr_array, shape (m, n)
+        B, and the mean temperature of both sides of each contact element.
     influence : ndarray, shape (n, m)
         W = A0^-1 B^T, K/W; zero for the held unknowns.
     joint_influence : ndarray, shape (m, m)
@@ -85,6 +85,7 @@ class ThermalCondensation:
     capacity_rate: csr_array
     inputs: Array
     jump: csr_array | Array
+    mean: csr_array | Array
     influence: Array
     joint_influence: Array
     balance: HeatBalance
@@ -165,6 +166,7 @@ def condense_heat(
         capacity_rate=csr_array(diags_array(free) @ heat.capacity / step),
         inputs=inputs,
         jump=joints.jump,
+        mean=joints.mean,
         influence=influence,
         joint_influence=joints.jump @ influence,
         balance=heat_sums(heat, joints, step),

@@ -60,6 +60,13 @@ _JOINT = (
     "asperity_slope = 0.15",
     "hardness_GPa = 2.0        # of the softer side: 0.0098 x its hardness HB",
     "friction_coefficient = 0.2",
+    "# A joint that starts open, with air in it, in place of the preload:",
+    "# preload_MPa = 0.0",
+    "# initial_opening_um = 20.0",
+    "# reference_pressure_MPa = 1.0",
+    "# gap = { gas_conductivity_W_mK = 0.026, temperature_jump_um = 0.4 }",
+    '# conductance = { law = "fixed", value_W_m2K = 5000.0 }',
+    '# conductance = { law = "table", file = "conductance.csv" }',
 )
 
 
@@ -92,6 +99,10 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         *(f'{as_key(name)} = "cast_iron"' for name in found.bodies),
         *(line for name in found.joints for line in ("", f"[joints.{as_key(name)}]", *_JOINT)),
         *([] if found.joints else ["", "[joints]"]),
+        "",
+        "# A rigid wall before a surface, for a joint to press on; give it a material in [bodies].",
+        "# [walls.wall]",
+        f'# faces = "..."          # one of: {", ".join(free)}',
         "",
         "[supports]",
         f"fixed = []                # one of: {', '.join(free)}",

@@ -138,6 +138,28 @@ CASE = {
     "joints.*.preload_MPa": Quantity(
         "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
     ),
+    "joints.*.reference_pressure_MPa": Quantity(
+        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
+    ),
+    "joints.*.initial_opening_um": Quantity(
+        "µm", 0.05, 2000.0, 20.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.conductance.value_W_m2K": Quantity(
+        "W/(m2 K)",
+        0.5,
+        1e7,
+        5000.0,
+        (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("kW/(m2 K)", 1e3)),
+    ),
+    "joints.*.gap.gas_conductivity_W_mK": Quantity(
+        "W/(m K)", 0.003, 1.0, 0.026, (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2))
+    ),
+    "joints.*.gap.temperature_jump_um": Quantity(
+        "µm", 0.01, 100.0, 0.4, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.gap.mean_temperature_degC": Quantity(
+        "°C", -100.0, 1000.0, 30.0, (Slip("K", 1.0, -273.15),)
+    ),
     "joints.*.roughness_um": Quantity(
         "µm", 0.005, 200.0, 1.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
     ),
