@@ -11,6 +11,7 @@ from verification import (
     dissimilar_rods,
     friction,
     hot_spot,
+    loaded,
     manufactured,
     marching,
     nafems_heat,
@@ -132,6 +133,14 @@ GROUPS: tuple[Group, ...] = (
         "no preload. Three steady states by the rod's balance in closed form; all three are found "
         "with the machine's own response to a given conductance. A cold rod comes to rest in the "
         "open one; from the middle one, off by 1 %, marches lead to the other two.",
+    ),
+    Group(
+        "Mechanical loads",
+        loaded.checks,
+        "From case files, bars without lateral contraction: a column sinks under its weight by "
+        "$\\rho g L^2/2E$; on a joint without preload, against a rigid wall, its feet press by "
+        "its weight; a force on two preloaded bars in series, risen with a history, changes their "
+        "joint's pressure by $F/A$, and the law of rough surfaces says by how much it gives way.",
     ),
     Group(
         "Two dissimilar rods",

@@ -102,6 +102,8 @@ class ReducedMachine:
 
 def check_joints(case: Case) -> None:
     """Raise InputError if a joint of the case is none that the estimator marches."""
+    if case.loads:
+        raise InputError("joint-aware: knows no mechanical loads; leave [loads] out")
     if case.walls:
         raise InputError("joint-aware: knows no rigid walls; model [walls] as bodies, or leave out")
     for name, joint in case.joints.items():

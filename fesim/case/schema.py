@@ -268,6 +268,35 @@ class SourceSection(_Section):
         return self
 
 
+class LoadSection(_Section):
+    """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies, as gravity is one.
+
+    ``force_N`` is that of the whole structure, spread evenly over its surface. A load is constant
+    from the start, or multiplied by the ``factor`` of a CSV with ``time_s,factor``.
+    """
+
+    surface: str | None = None
+    force_N: Point | None = None
+    pressure_MPa: Finite | None = None
+    acceleration_m_s2: Point | None = None
+    bodies: Annotated[list[str], Field(min_length=1)] | None = None
+    file: Path | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> LoadSection:
+        kinds = (self.force_N, self.pressure_MPa, self.acceleration_m_s2)
+        if sum(kind is not None for kind in kinds) != 1:
+            raise ValueError("give one of 'force_N', 'pressure_MPa' and 'acceleration_m_s2'")
+        if (self.acceleration_m_s2 is None) != (self.surface is not None):
+            raise ValueError(
+                "'force_N' and 'pressure_MPa' need the 'surface' they act on, "
+                "'acceleration_m_s2' has none"
+            )
+        if self.bodies is not None and self.acceleration_m_s2 is None:
+            raise ValueError("'bodies' go with 'acceleration_m_s2'")
+        return self
+
+
 class AmbientSection(_Section):
     """``[ambient]``: a CSV with ``time_s,ambient_degC``."""
 
@@ -362,6 +391,7 @@ class Case(_Section):
     heat_input: HeatInput | None = None
     ambient: AmbientSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
+    loads: dict[str, LoadSection] = {}
     march: MarchSection
     displacement: DisplacementSection
     probes: dict[str, ProbeSection] = {}
@@ -370,7 +400,7 @@ class Case(_Section):
 
     @model_validator(mode="after")
     def _something_heats(self) -> Case:
-        if not (self.sources or self.held_temperatures or self.ambient):
+        if not (self.sources or self.held_temperatures or self.ambient or self.loads):
             raise ValueError("nothing heats the structure: add [sources.NAME]")
         for name, source in self.sources.items():
             if source.heat_input is None and self.heat_input is None:
@@ -443,6 +473,7 @@ _FILE_SECTIONS = (
     ("sources", "*", "heat_input"),
     ("ambient",),
     ("held_temperatures", "*"),
+    ("loads", "*"),
     ("joints", "*", "conductance"),
 )
 

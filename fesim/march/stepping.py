@@ -16,11 +16,12 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, ThermojointError
+from fesim.joint.cutting import cut
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
 from fesim.march.heat_step import heat_balance, heat_step
-from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class CondensedMachine:
         Largest residual of the gap equations, m.
     holds : Holds, optional
         What holds the bodies; with it, a step in which one comes loose is an error.
+    loads : LoadInfluence, optional
+        Mechanical loads; their factors stand behind the other inputs of a step.
     """
 
     thermal: ThermalCondensation
@@ -61,6 +64,7 @@ class CondensedMachine:
     laws: Sequence[tuple[JointLaw, int]]
     gap_tolerance: float = TOLERANCE
     holds: Holds | None = None
+    loads: LoadInfluence | None = None
 
     @property
     def contacts(self) -> int:
@@ -212,8 +216,8 @@ class Step:
     ----------
     state : State
         At the end of the step.
-    inputs : ndarray, shape (k,)
-        What drove the step: sources, W; ambient and held surfaces, K.
+    inputs : ndarray, shape (k + l,)
+        What drove the step: sources, W; ambient and held surfaces, K; factors of the loads.
     conductance, heat_flow : ndarray, shape (m,)
         W/(m2 K), and W from side a to side b.
     displacement : ndarray, shape (k,)
@@ -240,16 +244,21 @@ class Step:
     heat_balance: float
 
 
-#: Time at the end of a step (s) to the inputs (k,): sources, W; ambient and held surfaces, K.
+#: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
+#: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
 Advance = Callable[[CondensedMachine, State, Array], Step]
 
 
-def initial_state(machine: CondensedMachine) -> State:
-    """Ambient temperature everywhere, every joint at its preload.
+def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
+    """Ambient temperature everywhere, every joint at its preload, under the loads of the start.
 
-    A joint without preload is at rest by itself only where it is open, or what little presses it
-    has pushed it open: that is found here.
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; only the factors of mechanical loads count. Default: no load.
 
     Raises
     ------
@@ -266,9 +275,11 @@ def initial_state(machine: CondensedMachine) -> State:
         change=np.zeros((3, count)),
         model=machine.thermal.model,
     )
-    if machine.preload.all():
+    if machine.preload.all() and machine.loads is None:
         return state
-    found, _ = settle_along(machine, state, np.zeros(3 * count))
+    # A joint without preload is at rest by itself only where it is open.
+    unheated = np.zeros(3 * count)
+    found, _ = settle_along(machine, state, _loaded_gap(machine, unheated, inputs))
     pressure = machine.preload + found.traction.value[0]
     return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
@@ -283,7 +294,7 @@ def march(
     machine : CondensedMachine
         What marches.
     inputs : callable
-        Time (s) to the inputs (k,); implicit Euler takes them at the end of each step.
+        Time (s) to the inputs (k + l,); implicit Euler takes them at the end of each step.
     advance : callable
         `staggered` or `iterated`.
     start : State, optional
@@ -297,7 +308,7 @@ def march(
     InputError
         A pressure is beyond the conductance law.
     """
-    state = start if start is not None else initial_state(machine)
+    state = start if start is not None else initial_state(machine, inputs(0.0))
     while True:
         time = (state.index + 1) * machine.thermal.step
         try:
@@ -402,15 +413,21 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
     count = machine.contacts
     elastic = machine.elastic
+    thermal = inputs if machine.loads is None else inputs[: machine.thermal.inputs.shape[1]]
     temperature, heat_flow = heat_step(
-        machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
+        machine.thermal, state.temperature, thermal, conductance * elastic.area[:count]
     )
-    thermal_gap = elastic.thermal_gap @ temperature
+    thermal_gap = _loaded_gap(machine, elastic.thermal_gap @ temperature, inputs)
     found, cuts = settle_along(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
         machine.watch.check(pressure, found.traction.tangent)
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+    displacement = elastic.probe_thermal @ temperature + elastic.probe_compliance @ (
+        elastic.area * remainder
+    )
+    if machine.loads is not None:
+        displacement = displacement + machine.loads.probes @ load_factors(machine, inputs)
     return Step(
         state=State(
             index=state.index + 1,
@@ -424,16 +441,27 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         inputs=inputs,
         conductance=conductance,
         heat_flow=heat_flow,
-        displacement=elastic.probe_thermal @ temperature
-        + elastic.probe_compliance @ (elastic.area * remainder),
+        displacement=displacement,
         remainder=remainder,
         residual=found.residual,
         iterations=found.iterations,
         cuts=cuts,
         heat_balance=heat_balance(
-            machine.thermal, state.temperature, temperature, inputs, heat_flow
+            machine.thermal, state.temperature, temperature, thermal, heat_flow
         ),
     )
+
+
+def load_factors(machine: CondensedMachine, inputs: Array) -> Array:
+    """Return the factors (l,) of the mechanical loads among the inputs (k + l,) of a step."""
+    return inputs[machine.thermal.inputs.shape[1] :]
+
+
+def _loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array | None) -> Array:
+    """What heat and loads together open, (3 m,), m."""
+    if machine.loads is None or inputs is None:
+        return thermal_gap
+    return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
 
 
 def settle_along(
@@ -442,7 +470,8 @@ def settle_along(
     """Find the equilibrium that the state comes to, and how many viscous steps it took.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
-    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps.
+    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps. Where that
+    leads nowhere, either, and no body is coming loose, the step is cut.
 
     Parameters
     ----------
@@ -461,9 +490,9 @@ def settle_along(
     for guess in (state.gap + state.change, state.gap):
         with suppress(ConvergenceError):
             return machine.settle(thermal_gap, state.slip, guess), 0
-    try:
-        return relax(machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance)
-    except ConvergenceError:
-        if machine.watch is not None:
-            machine.watch.explain(machine.traction(state.gap, state.slip))
-        raise
+    step = machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance
+    with suppress(ConvergenceError):
+        return relax(*step)
+    if machine.watch is not None:
+        machine.watch.explain(machine.traction(state.gap, state.slip))
+    return cut(*step)

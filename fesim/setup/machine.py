@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, vstack
 from artefacts.errors import InputError, unknown_name
 from artefacts.toml import as_key
 from fesim.cache import remembered
-from fesim.case.identity import elasticity_key
+from fesim.case.identity import elasticity_key, load_patterns
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
@@ -25,18 +25,26 @@ from fesim.march.reduced import (
     shortest,
     thermal_modes,
 )
-from fesim.march.stepping import CondensedMachine, State
+from fesim.march.stepping import CondensedMachine, State, Step, load_factors
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
 from fesim.setup.laws import element_means, joint_laws
-from fesim.setup.loads import heat_sources, spring_stiffnesses, thermal_inputs
+from fesim.setup.loads import (
+    heat_sources,
+    mechanical_loads,
+    spring_stiffnesses,
+    thermal_inputs,
+)
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
+    LoadInfluence,
     condense_field,
     condense_heat,
+    condense_loads,
     displacement_field,
 )
 from fesim.solid.elasticity import DIRECTIONS, elastic_operators
+from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import by_cell, heat_operators
 from fesim.solid.materials import Material
 from fesim.solid.rigid_motions import Holds, check_held
@@ -101,6 +109,8 @@ class Setup:
         The reduced thermal model; None if the march has the full one.
     holds : Holds
         What holds the bodies.
+    forces : ndarray, shape (n, l)
+        Nodal forces of the mechanical loads at factor one, N.
     """
 
     structure: Structure
@@ -112,6 +122,7 @@ class Setup:
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
     holds: Holds
+    forces: NDArray[np.float64]
 
     @property
     def field(self) -> DisplacementField:
@@ -127,6 +138,17 @@ class Setup:
             Of a march of this set-up.
         """
         return state.temperature if self.modes is None else self.modes.basis @ state.temperature
+
+    def displacement(self, step: Step) -> NDArray[np.float64]:
+        """Displacement at every unknown, shape (n,), m.
+
+        Parameters
+        ----------
+        step : Step
+            Of a march of this set-up.
+        """
+        forces = self.forces @ load_factors(self.machine, step.inputs)
+        return self.field.solve(self.nodal_temperature(step.state), step.remainder, forces)
 
 
 def set_up(case: Case) -> Setup:
@@ -180,6 +202,14 @@ def set_up(case: Case) -> Setup:
     condensed = remembered(
         ElasticCondensation, key, lambda: condense_field(field(), springs, relative)
     )
+    forces = nodal_forces(structure, spaces, materials, mechanical_loads(case, structure))
+    loads = None
+    if case.loads:
+        loads = remembered(
+            LoadInfluence,
+            None if key is None else f"{key} under {load_patterns(case)}",
+            lambda: condense_loads(field(), forces, relative),
+        )
     modes = None
     if case.march.thermal == "reduced":
         modes = remembered(
@@ -195,12 +225,13 @@ def set_up(case: Case) -> Setup:
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds),
+        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads),
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
         modes=modes,
         holds=parts.holds,
+        forces=forces,
     )
 
 
@@ -247,6 +278,7 @@ def check_names(case: Case, structure: Structure) -> None:
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
+    mechanical_loads(case, structure)
     for name in measured_points(case):
         if name not in structure.probes:
             raise unknown_name("probe", name, structure.probes, "displacement")

@@ -191,6 +191,13 @@ CASE = {
     "sources.*.heat_input.level": HEAT_INPUT,
     "sources.*.heat_input.peak": HEAT_INPUT,
     "held_temperatures.*.rise_K": RISE,
+    "loads.*.force_N.*": Quantity(
+        "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
+    ),
+    "loads.*.pressure_MPa": Quantity(
+        "MPa", -1000.0, 1000.0, 1.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3))
+    ),
+    "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
     "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, (Slip("ms", 1e-3), Slip("µs", 1e-6))),
     "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
     "structure.element_size_mm": LENGTH,
