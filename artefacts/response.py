@@ -29,6 +29,7 @@ SCHEMA_VERSION = 1
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heat_input": (("time",), "1", "heat input relative to the reference step"),
     "source_power": (("time", "source"), "W", "heat of each source of the whole structure"),
+    "load_factor": (("time", "load"), "1", "factor of each mechanical load"),
     "ambient": (("time",), "K", "ambient temperature above its initial value"),
     "temperature": (("time", "probe"), "K", "temperature above the initial ambient"),
     "displacement": (("time", "axis"), "m", "relative displacement (attribute displacement_of)"),

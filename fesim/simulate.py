@@ -23,6 +23,7 @@ from fesim.march.stepping import (
     Step,
     initial_state,
     iterated,
+    load_factors,
     march,
     staggered,
 )
@@ -94,13 +95,14 @@ def simulate(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
-    first = start if start is not None else initial_state(ready.machine)
+    inputs = thermal_inputs(case)
+    first = start if start is not None else initial_state(ready.machine, inputs(0.0))
     if first.model != ready.machine.thermal.model:
         raise InputError(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
             'the start, or use thermal = "full" in [march] for both'
         )
-    steps = [] if start is not None else [at_rest(ready.machine)]
+    steps = [] if start is not None else [at_rest(ready.machine, inputs(0.0))]
     probes = [ready.probe_rows @ step.state.temperature for step in steps]
     count = step_count(case.march) - first.index
     if len(steps) + count < 2:
@@ -109,7 +111,7 @@ def simulate(
             "than two steps before the end; make march.duration_min longer"
         )
     state = first
-    marching = march(ready.machine, thermal_inputs(case), COUPLINGS[case.march.coupling], first)
+    marching = march(ready.machine, inputs, COUPLINGS[case.march.coupling], first)
     # A step is many small dense products: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for done, step in enumerate(islice(marching, count), start=1):
@@ -148,16 +150,35 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
-def at_rest(machine: CondensedMachine) -> Step:
-    """Row zero of a response: the machine at ambient temperature and at its preload."""
-    state = initial_state(machine)
+def at_rest(machine: CondensedMachine, inputs: np.ndarray) -> Step:
+    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What will march.
+    inputs : ndarray, shape (k + l,)
+        At time zero; only the factors of mechanical loads count.
+    """
+    state, elastic = initial_state(machine, inputs), machine.elastic
+    displacement = np.zeros(elastic.probe_thermal.shape[0])
+    remainder = np.zeros(3 * machine.contacts)
+    if state.gap.any():
+        value = machine.traction(state.gap, state.slip).value
+        remainder = value.ravel() + elastic.reference * state.gap.ravel()
+        displacement = elastic.probe_compliance @ (elastic.area * remainder)
+    driven = np.zeros(len(inputs))
+    if machine.loads is not None:
+        factors = load_factors(machine, inputs)
+        driven[machine.thermal.inputs.shape[1] :] = factors
+        displacement = displacement + machine.loads.probes @ factors
     return Step(
         state=state,
-        inputs=np.zeros(machine.thermal.inputs.shape[1]),
-        conductance=machine.conductance(state.pressure),
+        inputs=driven,
+        conductance=machine.conductance_in(state),
         heat_flow=np.zeros(machine.contacts),
-        displacement=np.zeros(machine.elastic.probe_thermal.shape[0]),
-        remainder=np.zeros(3 * machine.contacts),
+        displacement=displacement,
+        remainder=remainder,
         residual=0.0,
         iterations=0,
         cuts=0,
@@ -192,6 +213,8 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "cuts": np.array([step.cuts for step in steps]),
         "heat_balance": np.array([step.heat_balance for step in steps]),
     }
+    if case.loads:
+        values["load_factor"] = inputs[:, layout.count :]
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
         "source": list(case.sources),
@@ -201,6 +224,8 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
         "tangent": ["along", "across"],
         "contact": np.arange(1, machine.contacts + 1),
     }
+    if case.loads:
+        coords["load"] = list(case.loads)
     attrs: dict[str, str | float | int] = {
         "title": case.title,
         "reference_power_W": _reference_power(case),

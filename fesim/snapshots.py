@@ -90,7 +90,7 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     """
     spaces, structure = setup.spaces, setup.structure
     temperature = setup.nodal_temperature(step.state)
-    displacement = setup.field.solve(temperature, step.remainder)
+    displacement = setup.displacement(step)
     body = np.zeros(structure.mesh.nelements, dtype=np.int32)
     for number, cells in enumerate(structure.bodies.values()):
         body[cells] = number

@@ -248,6 +248,11 @@ def facet_corners(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:
     corners = mesh.p[:, mesh.facets[:, facets]].transpose(2, 1, 0)
     if corners.shape[1] == 3:
         return corners
+    return np.take_along_axis(corners, cyclic_order(corners)[..., None], axis=1)
+
+
+def cyclic_order(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the order (n, 4) of the corners (n, 4, 3) of quadrilaterals around each of them."""
     # The mesh lists a quadrilateral's vertices in any order: sort them by angle about its centre.
     centred = corners - corners.mean(axis=1, keepdims=True)
     normal = np.linalg.svd(centred)[2][:, 2]
@@ -256,7 +261,7 @@ def facet_corners(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:
     angle = np.arctan2(
         np.einsum("fvi,fi->fv", centred, second), np.einsum("fvi,fi->fv", centred, first)
     )
-    return np.take_along_axis(corners, np.argsort(angle, axis=1)[..., None], axis=1)
+    return np.argsort(angle, axis=1)
 
 
 def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -144,7 +144,6 @@ POSITIVE = [
     *(
         ("joints", "knee", name)
         for name in (
-            "preload_MPa",
             "roughness_um",
             "asperity_slope",
             "hardness_GPa",
@@ -156,7 +155,11 @@ POSITIVE = [
     ("march", "step_s"),
     ("march", "duration_min"),
 ]
-NOT_NEGATIVE = [("joints", "knee", "friction_coefficient"), ("convection_W_m2K", "exterior")]
+NOT_NEGATIVE = [
+    ("joints", "knee", "preload_MPa"),
+    ("joints", "knee", "friction_coefficient"),
+    ("convection_W_m2K", "exterior"),
+]
 FINITE = [
     ("materials", "cast_iron", "expansion_1_K"),
     ("materials", "cast_iron", "poisson_ratio"),

@@ -84,7 +84,8 @@ def plate_temperature(elements: int) -> float:
 def alone(heat: HeatOperators, step: float) -> ThermalCondensation:
     """Condense a body that touches nothing: one contact element, and it carries no heat."""
     size = heat.capacity.shape[0]
-    nothing = JointOperators(csr_array((1, size)), csr_array((3, 3 * size)), np.ones(1))
+    none = csr_array((1, size))
+    nothing = JointOperators(none, csr_array((3, 3 * size)), np.ones(1), none)
     return condense_heat(heat, nothing, step)
 
 

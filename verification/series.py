@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.special import erfcinv
 
+from fesim.case.schema import JointSection
 from fesim.joint.law import (
     Friction,
     JointLaw,
@@ -17,6 +21,7 @@ from fesim.joint.law import (
 )
 from fesim.joint.operators import joint_operators
 from fesim.march.stepping import CondensedMachine, march, staggered
+from fesim.setup.laws import law_of
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import condense_elasticity, condense_heat
 from fesim.solid.elasticity import elastic_operators
@@ -71,25 +76,76 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     return CondensedMachine(thermal, condensed, [(law_at(PRESSURES[0]), len(joints[0].area))])
 
 
+#: What a case says of a joint whose conductance is another than Eq. 11, and its h, W/(m2 K).
+_OPEN = {"preload_MPa": 0.0, "reference_pressure_MPa": 1.0, "initial_opening_um": 30.0}
+AIR, JUMP, WARM, EMISSIVITIES = 0.026, 0.4e-6, 60.0, (0.3, 0.8)
+OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
+    "fixed conductance": (
+        {"preload_MPa": 1.0, "conductance": {"law": "fixed", "value_W_m2K": 800.0}},
+        800.0,
+    ),
+    "air in an open gap": (
+        _OPEN | {"gap": {"gas_conductivity_W_mK": AIR, "temperature_jump_um": 1e6 * JUMP}},
+        # The mean planes of rough surfaces that touch are lambda roughnesses apart:
+        # erfc(lambda / sqrt 2) / 2 = 1e-6.
+        AIR / (30e-6 + math.sqrt(2.0) * float(erfcinv(2e-6)) * ROUGHNESS + JUMP),
+    ),
+    "radiation across an open gap": (
+        _OPEN
+        | {
+            "gap": {
+                "emissivity_a": EMISSIVITIES[0],
+                "emissivity_b": EMISSIVITIES[1],
+                "mean_temperature_degC": WARM,
+            }
+        },
+        4.0 * 5.670374419e-8 * (WARM + 273.15) ** 3 / (sum(1.0 / e for e in EMISSIVITIES) - 1.0),
+    ),
+}
+
+
+def other_checks() -> Iterator[Check]:
+    """Heat flow through the two bars with the conductances beside Eq. 11."""
+    cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
+    surface = {
+        "along": 3,
+        "across": 2,
+        "roughness_um": 1e6 * ROUGHNESS,
+        "asperity_slope": SLOPE,
+        "hardness_GPa": 1e-9 * HARDNESS,
+        "friction_coefficient": 0.6,
+    }
+    for name, (said, conductance) in OTHER_LAWS.items():
+        section = JointSection(**surface | said)
+        given = section.initial_opening_um
+        opening = None if given is None else np.full(cold.contacts, 1e-6 * float(given))
+        law = law_of(section, np.full(cold.contacts, IRON.conductivity), opening)
+        yield _flow_check(f"two bars, {name}", replace(cold, laws=[(law, 6)]), conductance)
+
+
 def checks() -> Iterator[Check]:
     """Heat flow through the two bars on every mesh at every pressure."""
-    area = SECTION[0] * SECTION[1]
-    # Inputs: the ambient, then the two held ends.
-    inputs = np.array([0.0, HOT, COLD])
     for mesh, (kind, left, right) in MESHES.items():
         cold = steady_machine(bars(kind, left, right))
         for pressure in PRESSURES:
             law = law_at(pressure)
-            machine = replace(cold, laws=[(law, cold.contacts)])
-            step = next(march(machine, lambda _: inputs, staggered))
             contact = float(law.conductance(np.array([pressure]))[0])
-            resistance = LEFT / IRON.conductivity + 1.0 / contact + RIGHT / STEEL.conductivity
-            yield Check(
-                name=f"two bars, {mesh}, {1e-6 * pressure:g} MPa: heat flow",
-                quantity="heat flow",
-                unit="W",
-                reference=area * (HOT - COLD) / resistance,
-                computed=float(step.heat_flow.sum()),
-                tolerance=1e-6,
-                source="closed form",
-            )
+            machine = replace(cold, laws=[(law, cold.contacts)])
+            yield _flow_check(f"two bars, {mesh}, {1e-6 * pressure:g} MPa", machine, contact)
+    yield from other_checks()
+
+
+def _flow_check(name: str, machine: CondensedMachine, conductance: float) -> Check:
+    # Inputs: the ambient, then the two held ends.
+    inputs = np.array([0.0, HOT, COLD])
+    step = next(march(machine, lambda _: inputs, staggered))
+    resistance = LEFT / IRON.conductivity + 1.0 / conductance + RIGHT / STEEL.conductivity
+    return Check(
+        name=f"{name}: heat flow",
+        quantity="heat flow",
+        unit="W",
+        reference=SECTION[0] * SECTION[1] * (HOT - COLD) / resistance,
+        computed=float(step.heat_flow.sum()),
+        tolerance=1e-6,
+        source="closed form",
+    )

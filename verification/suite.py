@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from verification import (
+    bistable,
     dissimilar_rods,
     friction,
     hot_spot,
+    loaded,
     manufactured,
     marching,
     nafems_heat,
@@ -55,7 +57,8 @@ GROUPS: tuple[Group, ...] = (
         series.checks,
         "$q = A\\,\\Delta T / (L_1/k_1 + 1/h_c(p) + L_2/k_2)$: held temperatures at both ends, one "
         "step of the march so long that it ends in the steady state. The preload is the pressure; "
-        "the exact CMY model gives the conductance.",
+        "the exact CMY model gives the conductance. The last rows have the conductances beside "
+        "Eq. 11: a fixed one, air and radiation across a joint that starts 30 µm open.",
     ),
     Group(
         "Patch tests",
@@ -121,6 +124,23 @@ GROUPS: tuple[Group, ...] = (
         "states. All are found by following the condensed machine's response to a given contact "
         "pressure; the march comes to rest in two of them and leaves the middle one either way at "
         "the predicted rate.",
+    ),
+    Group(
+        "Barber's rod from a case file",
+        bistable.checks,
+        "The same through the public interface: a rod of aluminium, cold 20 µm off a rigid wall "
+        "of 24 K, with air between (conductance $k_g/(Y + M)$ in parallel with Eq. 11) and "
+        "no preload. Three steady states by the rod's balance in closed form; all three are found "
+        "with the machine's own response to a given conductance. A cold rod comes to rest in the "
+        "open one; from the middle one, off by 1 %, marches lead to the other two.",
+    ),
+    Group(
+        "Mechanical loads",
+        loaded.checks,
+        "From case files, bars without lateral contraction: a column sinks under its weight by "
+        "$\\rho g L^2/2E$; on a joint without preload, against a rigid wall, its feet press by "
+        "its weight; a force on two preloaded bars in series, risen with a history, changes their "
+        "joint's pressure by $F/A$, and the law of rough surfaces says by how much it gives way.",
     ),
     Group(
         "Two dissimilar rods",

@@ -100,6 +100,27 @@ class ReducedMachine:
         return np.concatenate([np.empty(0), *parts]) * self.elastic.area[: len(self.jump)]
 
 
+def check_joints(case: Case) -> None:
+    """Raise InputError if a joint of the case is none that the estimator marches."""
+    if case.loads:
+        raise InputError("joint-aware: knows no mechanical loads; leave [loads] out")
+    if case.walls:
+        raise InputError("joint-aware: knows no rigid walls; model [walls] as bodies, or leave out")
+    for name, joint in case.joints.items():
+        what = {
+            "a joint without preload": joint.preload_MPa == 0.0,
+            "a conducting gap": joint.gap is not None,
+            f'conductance.law = "{joint.conductance.law}"': joint.conductance.law
+            in ("fixed", "table", "none"),
+        }
+        for one, found in what.items():
+            if found:
+                raise InputError(
+                    f"joint-aware: joints.{name} has {one}, which the estimator does not know; "
+                    "estimate this machine by another method"
+                )
+
+
 def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedMachine:
     """Return the machine of a case on the modes that its set-up has found.
 
@@ -121,6 +142,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         raise InputError(
             "joint-aware: held temperatures are no state of the estimator; model them as sources"
         )
+    check_joints(case)
     if not case.sources:
         raise InputError("joint-aware: the case has no source whose heat could be estimated")
     if setup.modes is None:

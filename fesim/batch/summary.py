@@ -76,10 +76,16 @@ def is_sliding(slip: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def preloads(response: xr.Dataset) -> NDArray[np.float64]:
-    """Return the preload of every contact element, Pa, from the case that a response carries."""
+    """Return the preload of every contact element, Pa, from the case that a response carries.
+
+    Where there is none it is the reference pressure.
+    """
     joints = json.loads(response.attrs["case"])["joints"]
-    names = response["contact_joint"].to_numpy()
-    return np.array([1e6 * joints[str(name)]["preload_MPa"] for name in names])
+    each = {
+        name: 1e6 * (joint["preload_MPa"] or joint["reference_pressure_MPa"])
+        for name, joint in joints.items()
+    }
+    return np.array([each[str(name)] for name in response["contact_joint"].to_numpy()])
 
 
 def figures_of(response: xr.Dataset) -> Figures:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from artefacts.arrays import Array
-from artefacts.errors import InputError, UnreadableError
+from artefacts.errors import InputError
+from fesim.case.columns import read_columns
 
 History = Callable[[Array], Array]
 
@@ -77,38 +77,5 @@ def read_samples(path: Path, column: str) -> tuple[Array, Array]:
     InputError
         It is no CSV, a column is missing or a value is no number.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise UnreadableError(f"{path}: no such history file; give a CSV with time_s,{column}")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            rows = [(reader.line_num, row) for row in reader if row and row[0][:1] != "#"]
-    except OSError as error:
-        raise UnreadableError(f"{path}: cannot be read; check its permissions") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV; give one with time_s,{column}") from error
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    for wanted in ("time_s", column):
-        if wanted not in header:
-            found = ", ".join(header) or "nothing"
-            raise InputError(f"{path}: column {wanted!r} is missing; found {found}")
-    for line, row in rows[1:]:
-        if len(row) != len(header):
-            raise InputError(
-                f"{path}: line {line} has {len(row)} values for {len(header)} columns; mend it"
-            )
-    times, values = (
-        np.array(
-            [_number(row[header.index(wanted)], f"{path}: line {line}") for line, row in rows[1:]]
-        )
-        for wanted in ("time_s", column)
-    )
-    return times, values
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise InputError(f"{where}: {text!r} is no number; mend it") from error
+    found = read_columns(path, ("time_s", column), "history")
+    return found["time_s"], found[column]

@@ -18,6 +18,9 @@ from fesim.solid.linear_solver import default_solver
 #: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
 _LAW = {
     "preload_MPa",
+    "reference_pressure_MPa",
+    "initial_opening_um",
+    "gap",
     "roughness_um",
     "asperity_slope",
     "hardness_GPa",
@@ -106,8 +109,14 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
         As for `case_id`.
     """
     data = _condensed(case)
+    del data["loads"]
     data["march"] = {"solver": case.march.solver or default_solver()}
     return _hash(with_digests(data, digest))
+
+
+def load_patterns(case: Case) -> list[dict[str, Any]]:
+    """Return what the mechanical loads of a case are but for their histories, in their order."""
+    return [load.model_dump(mode="json", exclude={"file"}) for load in case.loads.values()]
 
 
 def _condensed(case: Case) -> dict[str, Any]:
@@ -118,6 +127,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
     data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
     data["held_temperatures"] = list(data["held_temperatures"])
+    data["loads"] = load_patterns(case)
     data["probes"] = list(data["probes"].items())
     return data
 

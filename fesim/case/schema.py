@@ -73,31 +73,68 @@ class BackBurdekinSection(_Section):
 
 
 class ConductanceSection(_Section):
-    """``[joints.NAME.conductance]``: which constants of Eq. 11."""
+    """``[joints.NAME.conductance]``: which constants of Eq. 11, or what stands in its place.
 
-    law: Literal["cmy-1969", "yovanovich-1982", "cmy-exact", "constants"] = "cmy-1969"
+    ``file`` is a CSV with ``pressure_MPa,conductance_W_m2K``, and ``rise_K`` if h depends on it.
+    """
+
+    law: Literal[
+        "cmy-1969", "yovanovich-1982", "cmy-exact", "constants", "fixed", "table", "none"
+    ] = "cmy-1969"
     constant: Positive | None = None
     exponent: Positive | None = None
+    value_W_m2K: NotNegative | None = None
+    file: Path | None = None
 
     @model_validator(mode="after")
     def _constants_go_with_their_law(self) -> ConductanceSection:
         given = self.constant is not None, self.exponent is not None
         if (self.law == "constants") != all(given) or any(given) != all(given):
             raise ValueError("'constant' and 'exponent' go with law = \"constants\", both of them")
+        if (self.law == "fixed") != (self.value_W_m2K is not None):
+            raise ValueError("'value_W_m2K' goes with law = \"fixed\", and only with it")
+        if (self.law == "table") != (self.file is not None):
+            raise ValueError("'file' goes with law = \"table\", and only with it")
+        return self
+
+
+class GapSection(_Section):
+    """``[joints.NAME.gap]``: what passes heat beside the contact, open or closed."""
+
+    gas_conductivity_W_mK: NotNegative = 0.0
+    temperature_jump_um: NotNegative = 0.0
+    emissivity_a: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    emissivity_b: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    mean_temperature_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _something_conducts(self) -> GapSection:
+        radiation = self.emissivity_a, self.emissivity_b, self.mean_temperature_degC
+        given = [value is not None for value in radiation]
+        if any(given) and not all(given):
+            raise ValueError(
+                "radiation needs 'emissivity_a', 'emissivity_b' and 'mean_temperature_degC', all "
+                "of them"
+            )
+        if self.gas_conductivity_W_mK == 0.0 and not any(given):
+            raise ValueError("give 'gas_conductivity_W_mK', or both emissivities")
         return self
 
 
 class JointSection(_Section):
     """``[joints.NAME]``: contact elements, surfaces and friction of one joint.
 
-    What is one machine's has no default: preload, surfaces, friction.
+    What is one machine's has no default: preload, surfaces, friction. A joint without preload
+    starts open by ``initial_opening_um``, or by what separates its sides in the mesh.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
     for v = 0.25 and 0.80 for v = 0.33.
     """
 
     side_a: str | None = None
     side_b: str | None = None
-    preload_MPa: Positive
+    preload_MPa: NotNegative
+    reference_pressure_MPa: Positive | None = None
+    initial_opening_um: Finite | Literal["mesh"] | None = None
     along: Annotated[int, Field(ge=1)]
     across: Annotated[int, Field(ge=1)] = 1
     roughness_um: Positive
@@ -106,13 +143,37 @@ class JointSection(_Section):
     normal_law: Literal["surface", "back-burdekin"] = "surface"
     back_burdekin: BackBurdekinSection | None = None
     conductance: ConductanceSection = ConductanceSection()
+    gap: GapSection | None = None
     friction_coefficient: NotNegative
     tangential_stiffness_ratio: Positive = 0.844
+
+    @model_validator(mode="after")
+    def _preload_or_opening(self) -> JointSection:
+        if self.preload_MPa > 0.0:
+            if self.initial_opening_um is not None or self.reference_pressure_MPa is not None:
+                raise ValueError(
+                    "'initial_opening_um' and 'reference_pressure_MPa' are for a joint without "
+                    "preload; set preload_MPa = 0, or leave them out"
+                )
+            return self
+        if self.initial_opening_um is None or self.reference_pressure_MPa is None:
+            raise ValueError(
+                "preload_MPa = 0 needs 'initial_opening_um' (0 if the sides touch, or \"mesh\") "
+                "and 'reference_pressure_MPa', at which the stiffness is taken"
+            )
+        if self.initial_opening_um != "mesh" and self.initial_opening_um < 0.0:
+            raise ValueError(
+                "initial_opening_um is negative: the joint starts interpenetrated; give 0 or "
+                "more, or a preload_MPa"
+            )
+        return self
 
     @model_validator(mode="after")
     def _preload_below_hardness(self) -> JointSection:
         if self.preload_MPa >= 500.0 * self.hardness_GPa:
             raise ValueError("preload_MPa must be below half of the hardness")
+        if (self.reference_pressure_MPa or 0.0) >= 500.0 * self.hardness_GPa:
+            raise ValueError("reference_pressure_MPa must be below half of the hardness")
         if self.along * self.across > MOST_CONTACTS:
             raise ValueError(
                 f"along x across is more than {MOST_CONTACTS} contact elements a patch"
@@ -125,6 +186,15 @@ class JointSection(_Section):
                 "exponent = ... }"
             )
         return self
+
+
+class WallSection(_Section):
+    """``[walls.NAME]``: a rigid body that lies against a surface; a joint takes it as a side.
+
+    It has the temperature that ``[held_temperatures.NAME]`` gives; without one, no heat passes.
+    """
+
+    faces: str
 
 
 class SpringSection(_Section):
@@ -195,6 +265,35 @@ class SourceSection(_Section):
     def _one_region(self) -> SourceSection:
         if (self.surface is None) == (self.body is None):
             raise ValueError("give either 'surface' or 'body'")
+        return self
+
+
+class LoadSection(_Section):
+    """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies, as gravity is one.
+
+    ``force_N`` is that of the whole structure, spread evenly over its surface. A load is constant
+    from the start, or multiplied by the ``factor`` of a CSV with ``time_s,factor``.
+    """
+
+    surface: str | None = None
+    force_N: Point | None = None
+    pressure_MPa: Finite | None = None
+    acceleration_m_s2: Point | None = None
+    bodies: Annotated[list[str], Field(min_length=1)] | None = None
+    file: Path | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> LoadSection:
+        kinds = (self.force_N, self.pressure_MPa, self.acceleration_m_s2)
+        if sum(kind is not None for kind in kinds) != 1:
+            raise ValueError("give one of 'force_N', 'pressure_MPa' and 'acceleration_m_s2'")
+        if (self.acceleration_m_s2 is None) != (self.surface is not None):
+            raise ValueError(
+                "'force_N' and 'pressure_MPa' need the 'surface' they act on, "
+                "'acceleration_m_s2' has none"
+            )
+        if self.bodies is not None and self.acceleration_m_s2 is None:
+            raise ValueError("'bodies' go with 'acceleration_m_s2'")
         return self
 
 
@@ -285,12 +384,14 @@ class Case(_Section):
     materials: dict[str, MaterialSection]
     bodies: dict[str, str]
     joints: dict[str, JointSection] = {}
+    walls: dict[str, WallSection] = {}
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
     sources: dict[str, SourceSection] = {}
     heat_input: HeatInput | None = None
     ambient: AmbientSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
+    loads: dict[str, LoadSection] = {}
     march: MarchSection
     displacement: DisplacementSection
     probes: dict[str, ProbeSection] = {}
@@ -299,7 +400,7 @@ class Case(_Section):
 
     @model_validator(mode="after")
     def _something_heats(self) -> Case:
-        if not (self.sources or self.held_temperatures or self.ambient):
+        if not (self.sources or self.held_temperatures or self.ambient or self.loads):
             raise ValueError("nothing heats the structure: add [sources.NAME]")
         for name, source in self.sources.items():
             if source.heat_input is None and self.heat_input is None:
@@ -372,6 +473,8 @@ _FILE_SECTIONS = (
     ("sources", "*", "heat_input"),
     ("ambient",),
     ("held_temperatures", "*"),
+    ("loads", "*"),
+    ("joints", "*", "conductance"),
 )
 
 

@@ -29,6 +29,7 @@ from fesim.joint.gap import (
     unconverged,
 )
 from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+from fesim.joint.opening import OpenLaw
 from fesim.machine_code import compiled
 
 #: Columns of the table of laws, one row for each contact element.
@@ -95,14 +96,19 @@ def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> Co
         row = _row(law)
         if row is None:
             return None
-        rows.append(np.tile(row, (count, 1)))
+        table = np.tile(row, (count, 1))
+        if isinstance(law.normal, OpenLaw):
+            # Both laws take the opening from where they have their reference pressure.
+            sign = 1.0 if row[_KIND] == _SURFACE else -1.0
+            table[:, _START] += sign * law.normal.shift
+        rows.append(table)
     return CompiledGap(problem, np.concatenate([np.empty((0, 7)), *rows]))
 
 
 def _row(law: JointLaw) -> list[float] | None:
     friction = [law.friction.coefficient, law.friction.stiffness]
     # Not isinstance: a law that is derived from these may say something else.
-    match law.normal:
+    match law.normal.law if isinstance(law.normal, OpenLaw) else law.normal:
         case SurfaceNormalLaw() as surface if type(surface) is SurfaceNormalLaw:
             scale, shape, start = surface.hardness, surface.roughness, surface.separation
             return [_SURFACE, scale, shape, start, law.preload, *friction]

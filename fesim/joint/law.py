@@ -15,6 +15,7 @@ from scipy.special import erfc, erfcinv
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
+from fesim.joint.conductance import ConductanceTable
 
 
 class NormalLaw(Protocol):
@@ -134,6 +135,11 @@ class JointLaw:
         Shear traction against slip.
     conductance : callable
         Pressure (Pa) to contact conductance, W/(m2 K).
+    reference : NormalLaw, optional
+        Law whose state at opening zero is what springs, tangential stiffness and relative errors go
+        by; default `normal`. A joint without preload has no stiffness of its own there.
+    gap : callable, optional
+        Opening from the start (m) to what the gap conducts beside the contact, W/(m2 K).
 
     Raises
     ------
@@ -144,11 +150,14 @@ class JointLaw:
     normal: NormalLaw
     friction: Friction
     conductance: Callable[[Array], Array]
+    reference: NormalLaw | None = None
+    gap: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
         """Check what a normal law promises."""
         at_rest = float(self.normal.pressure(np.zeros(1))[0])
-        if abs(at_rest - self.preload) > 1e-9 * self.preload:
+        # Without preload the pressure of rough surfaces at rest is next to none, not zero.
+        if self.preload > 0.0 and abs(at_rest - self.preload) > 1e-9 * self.preload:
             raise InputError(
                 f"joint law: the pressure at opening zero is {at_rest:g} Pa, the preload "
                 f"{self.preload:g} Pa; make them one in the normal law"
@@ -160,10 +169,40 @@ class JointLaw:
         return self.normal.preload
 
     @property
+    def reference_pressure(self) -> float:
+        """Preload, or the pressure that stands for it where there is none, Pa."""
+        return (self.reference or self.normal).preload
+
+    @property
     def stiffness(self) -> tuple[float, float, float]:
         """Normal and tangential stiffness at the preload while the joint sticks, Pa/m."""
-        normal = -float(self.normal.slope(np.zeros(1))[0])
+        normal = -float((self.reference or self.normal).slope(np.zeros(1))[0])
         return normal, self.friction.stiffness, self.friction.stiffness
+
+    @property
+    def conducts_by_pressure(self) -> bool:
+        """Whether the pressure alone decides what the joint conducts."""
+        return self.gap is None and not self._knows_temperature
+
+    @property
+    def _knows_temperature(self) -> bool:
+        table = self.conductance
+        return isinstance(table, ConductanceTable) and table.knows_temperature
+
+    def conducts(self, pressure: Array, opening: Array, rise: Array) -> Array:
+        """Conductance of contact and gap together, W/(m2 K), shape (m,).
+
+        Parameters
+        ----------
+        pressure, opening, rise : ndarray, shape (m,)
+            Pa; m from the start; mean temperature of both sides above the initial ambient, K.
+        """
+        table = self.conductance
+        if isinstance(table, ConductanceTable):
+            contact = table.at(pressure, rise)
+        else:
+            contact = table(pressure)
+        return contact if self.gap is None else contact + self.gap(opening)
 
 
 def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:

@@ -55,6 +55,8 @@ class Watch:
         Gram matrix of what the supports hold.
     friction : ndarray, shape (m,)
         mu.
+    preload : ndarray, shape (m,)
+        Pa.
     """
 
     holds: Holds
@@ -63,6 +65,7 @@ class Watch:
     rows: Array
     supports: Array
     friction: Array
+    preload: Array
 
     def check(self, pressure: Array, tangent: Array) -> None:
         """Raise ConvergenceError if a converged state leaves a body loose.
@@ -90,7 +93,7 @@ class Watch:
         traction : Traction
             The law in the last state that could be reached.
         """
-        pressure = traction.value[0] + self.table[:, _LEAST] / NOTHING
+        pressure = traction.value[0] + self.preload
         size = np.hypot(*traction.value[1:])
         slides = size > (1.0 - SPARE) * self.friction * pressure
         first, second = traction.value[1:] / np.where(size > 0.0, size, 1.0)
@@ -116,7 +119,7 @@ class Watch:
 def watch_of(holds: Holds, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
     """Prepare the check for the joints' laws and their numbers of contact elements."""
     count = len(holds.centre)
-    per_law = [(NOTHING * law.preload, _rough_stiffness(law)) for law, _ in laws]
+    per_law = [(NOTHING * law.reference_pressure, _rough_stiffness(law)) for law, _ in laws]
     counts = [n for _, n in laws]
     sides, group = np.unique(np.round(holds.share, 9), axis=0, return_inverse=True)
     group = group.ravel()
@@ -133,6 +136,7 @@ def watch_of(holds: Holds, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
         rows=np.einsum("mp,mdi->mdpi", holds.share, rows).reshape(count, 3, width),
         supports=holds.supports.T @ holds.supports,
         friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
+        preload=np.repeat([law.preload for law, _ in laws], counts),
     )
 
 

@@ -30,39 +30,47 @@ class JointOperators:
         displacements along the first tangent, then along the second.
     area : ndarray, shape (m,)
         Area of each contact element, m2.
+    mean : scipy.sparse.csr_array, shape (m, n_heat)
+        Mean temperature of both sides.
     """
 
     jump: csr_array
     gap: csr_array
     area: NDArray[np.float64]
+    mean: csr_array
 
 
 def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOperators:
     """Assemble B and G for the paired `joints`."""
     if not joints:
-        return JointOperators(
-            csr_array((0, spaces.heat.N)), csr_array((0, spaces.displacement_size)), np.empty(0)
-        )
+        nothing = csr_array((0, spaces.heat.N))
+        none_moves = csr_array((0, spaces.displacement_size))
+        return JointOperators(nothing, none_moves, np.empty(0), nothing)
     area = np.concatenate([joint.area for joint in joints])
-    jump = vstack([-_means(joint, spaces.heat) for joint in joints], format="csr")
+    sides = [_sides(joint, spaces.heat) for joint in joints]
+    jump = vstack([side_a - side_b for side_a, side_b in sides], format="csr")
+    mean = vstack([0.5 * (side_a + side_b) for side_a, side_b in sides], format="csr")
     by_direction: list[csr_array] = []
-    means = [_means(joint, spaces.elastic) for joint in joints]
+    moves = [
+        side_b - side_a for joint in joints for side_a, side_b in [_sides(joint, spaces.elastic)]
+    ]
     for k in range(3):
         rows = [
-            _along(mean, joint.normal if k == 0 else joint.tangents[:, k - 1])
-            for joint, mean in zip(joints, means, strict=True)
+            _along(move, joint.normal if k == 0 else joint.tangents[:, k - 1])
+            for joint, move in zip(joints, moves, strict=True)
         ]
         by_direction.append(vstack(rows, format="csr"))
-    return JointOperators(csr_array(jump), csr_array(vstack(by_direction, format="csr")), area)
+    gap = csr_array(vstack(by_direction, format="csr"))
+    return JointOperators(csr_array(jump), gap, area, csr_array(mean))
 
 
-def _means(joint: PairedJoint, basis: CellBasis) -> csr_array:
-    """Mean over each contact element on side b, less that on side a."""
+def _sides(joint: PairedJoint, basis: CellBasis) -> tuple[csr_array, csr_array]:
+    """Means over each contact element on side a and on side b."""
     weights = joint.weights / joint.area[joint.element]
     count = len(joint.area)
     side_a = interpolation(basis, joint.points_a, joint.cells_a, joint.element, weights, count)
     side_b = interpolation(basis, joint.points_b, joint.cells_b, joint.element, weights, count)
-    return side_b - side_a
+    return side_a, side_b
 
 
 def _along(scalar_rows: csr_array, direction: NDArray[np.float64]) -> csr_array:

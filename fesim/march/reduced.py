@@ -142,6 +142,7 @@ def project_heat(
         ),
         inputs=projected,
         jump=jump,
+        mean=joints.mean @ modes.basis,
         influence=influence,
         joint_influence=jump @ influence,
         balance=replace(

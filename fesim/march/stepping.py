@@ -16,11 +16,12 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, ThermojointError
+from fesim.joint.cutting import cut
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
 from fesim.march.heat_step import heat_balance, heat_step
-from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class CondensedMachine:
         Largest residual of the gap equations, m.
     holds : Holds, optional
         What holds the bodies; with it, a step in which one comes loose is an error.
+    loads : LoadInfluence, optional
+        Mechanical loads; their factors stand behind the other inputs of a step.
     """
 
     thermal: ThermalCondensation
@@ -61,6 +64,7 @@ class CondensedMachine:
     laws: Sequence[tuple[JointLaw, int]]
     gap_tolerance: float = TOLERANCE
     holds: Holds | None = None
+    loads: LoadInfluence | None = None
 
     @property
     def contacts(self) -> int:
@@ -111,6 +115,28 @@ class CondensedMachine:
     def conductance(self, pressure: Array) -> Array:
         """Eq. 11 at every contact element, W/(m2 K)."""
         parts = [law.conductance(pressure[at]) for law, at in self._slices()]
+        return np.concatenate([np.empty(0), *parts])
+
+    @cached_property
+    def conducts_by_pressure(self) -> bool:
+        """Whether pressures alone decide what the joints conduct."""
+        return all(law.conducts_by_pressure for law, _ in self.laws)
+
+    def conductance_in(self, state: State) -> Array:
+        """What every contact element conducts in a state, by contact and gap, W/(m2 K)."""
+        if self.conducts_by_pressure:
+            return self.conductance(state.pressure)
+        rise = self.thermal.mean @ state.temperature
+        parts = [
+            law.conducts(state.pressure[at], state.gap[0, at], rise[at])
+            for law, at in self._slices()
+        ]
+        return np.concatenate(parts)
+
+    @cached_property
+    def reference_pressure(self) -> Array:
+        """Preload of every contact element, or what stands for it where there is none, Pa."""
+        parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
         return np.concatenate([np.empty(0), *parts])
 
     @cached_property
@@ -190,8 +216,8 @@ class Step:
     ----------
     state : State
         At the end of the step.
-    inputs : ndarray, shape (k,)
-        What drove the step: sources, W; ambient and held surfaces, K.
+    inputs : ndarray, shape (k + l,)
+        What drove the step: sources, W; ambient and held surfaces, K; factors of the loads.
     conductance, heat_flow : ndarray, shape (m,)
         W/(m2 K), and W from side a to side b.
     displacement : ndarray, shape (k,)
@@ -218,15 +244,29 @@ class Step:
     heat_balance: float
 
 
-#: Time at the end of a step (s) to the inputs (k,): sources, W; ambient and held surfaces, K.
+#: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
+#: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
 Advance = Callable[[CondensedMachine, State, Array], Step]
 
 
-def initial_state(machine: CondensedMachine) -> State:
-    """Ambient temperature everywhere, every joint at its preload."""
+def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
+    """Ambient temperature everywhere, every joint at its preload, under the loads of the start.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; only the factors of mechanical loads count. Default: no load.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium.
+    """
     count = machine.contacts
-    return State(
+    state = State(
         index=0,
         temperature=np.zeros(machine.thermal.inputs.shape[0]),
         gap=np.zeros((3, count)),
@@ -235,6 +275,13 @@ def initial_state(machine: CondensedMachine) -> State:
         change=np.zeros((3, count)),
         model=machine.thermal.model,
     )
+    if machine.preload.all() and machine.loads is None:
+        return state
+    # A joint without preload is at rest by itself only where it is open.
+    unheated = np.zeros(3 * count)
+    found, _ = settle_along(machine, state, _loaded_gap(machine, unheated, inputs))
+    pressure = machine.preload + found.traction.value[0]
+    return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
 
 def march(
@@ -247,7 +294,7 @@ def march(
     machine : CondensedMachine
         What marches.
     inputs : callable
-        Time (s) to the inputs (k,); implicit Euler takes them at the end of each step.
+        Time (s) to the inputs (k + l,); implicit Euler takes them at the end of each step.
     advance : callable
         `staggered` or `iterated`.
     start : State, optional
@@ -261,7 +308,7 @@ def march(
     InputError
         A pressure is beyond the conductance law.
     """
-    state = start if start is not None else initial_state(machine)
+    state = start if start is not None else initial_state(machine, inputs(0.0))
     while True:
         time = (state.index + 1) * machine.thermal.step
         try:
@@ -274,8 +321,7 @@ def march(
 
 def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
-    conductance = machine.conductance(state.pressure)
-    return _step_with(machine, state, inputs, conductance)
+    return _step_with(machine, state, inputs, machine.conductance_in(state))
 
 
 def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
@@ -289,15 +335,16 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     ConvergenceError
         The pressures still change after `MAX_SWEEPS` sweeps.
     """
-    pressure = state.pressure
-    weight, last = 1.0, np.zeros_like(pressure)
+    carried = _carried(machine, state)
+    value = carried.of(state)
+    weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
     for sweep in range(MAX_SWEEPS):
-        step = _step_with(machine, state, inputs, machine.conductance(pressure))
+        step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
-        after = step.state.pressure
-        misfit = (after - pressure) / machine.preload
+        after = carried.of(step.state)
+        misfit = (after - value) / carried.scale
         change = float(np.abs(misfit).max(initial=0.0))
         enough = PRESSURE_TOLERANCE if sweep < PATIENCE else _left_open(machine)
         # Where the joint snaps the pressure leaps: none agrees with the conductance it leaps from.
@@ -308,18 +355,47 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
         weight, last = _aitken(weight, last, misfit) if slow else weight, misfit
-        ends = 0.5 * np.minimum(pressure, after), 2.0 * np.maximum(pressure, after)
-        pressure = np.clip(pressure + weight * (after - pressure), *ends)
+        ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
+        value = np.clip(value + weight * (after - value), *ends)
     raise ConvergenceError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
         f'after {MAX_SWEEPS} sweeps; take coupling = "staggered"'
     )
 
 
+@dataclass(frozen=True)
+class _Carried:
+    """What goes from one sweep of an in-step iteration to the next, m values.
+
+    Attributes
+    ----------
+    of : callable
+        Reads it in a state.
+    conductance : callable
+        Makes conductances of it, W/(m2 K).
+    scale : ndarray, shape (m,)
+        What its changes are relative to.
+    """
+
+    of: Callable[[State], Array]
+    conductance: Callable[[Array], Array]
+    scale: Array
+
+
+def _carried(machine: CondensedMachine, state: State) -> _Carried:
+    """Pressures; or conductances, where openings or temperatures are in them as well."""
+    if machine.conducts_by_pressure:
+        pressures = machine.reference_pressure
+        return _Carried(lambda found: found.pressure, machine.conductance, pressures)
+    given = machine.conductance_in(state)
+    scale = np.where(given > 0.0, given, 1.0)
+    return _Carried(machine.conductance_in, lambda values: values, scale)
+
+
 def _left_open(machine: CondensedMachine) -> float:
     """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
     stiffness = machine.gap_problem.springs[: machine.contacts]
-    left = 10.0 * machine.gap_tolerance * stiffness / machine.preload
+    left = 10.0 * machine.gap_tolerance * stiffness / machine.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 
@@ -337,15 +413,21 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
     count = machine.contacts
     elastic = machine.elastic
+    thermal = inputs if machine.loads is None else inputs[: machine.thermal.inputs.shape[1]]
     temperature, heat_flow = heat_step(
-        machine.thermal, state.temperature, inputs, conductance * elastic.area[:count]
+        machine.thermal, state.temperature, thermal, conductance * elastic.area[:count]
     )
-    thermal_gap = elastic.thermal_gap @ temperature
+    thermal_gap = _loaded_gap(machine, elastic.thermal_gap @ temperature, inputs)
     found, cuts = settle_along(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
         machine.watch.check(pressure, found.traction.tangent)
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+    displacement = elastic.probe_thermal @ temperature + elastic.probe_compliance @ (
+        elastic.area * remainder
+    )
+    if machine.loads is not None:
+        displacement = displacement + machine.loads.probes @ load_factors(machine, inputs)
     return Step(
         state=State(
             index=state.index + 1,
@@ -359,16 +441,27 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         inputs=inputs,
         conductance=conductance,
         heat_flow=heat_flow,
-        displacement=elastic.probe_thermal @ temperature
-        + elastic.probe_compliance @ (elastic.area * remainder),
+        displacement=displacement,
         remainder=remainder,
         residual=found.residual,
         iterations=found.iterations,
         cuts=cuts,
         heat_balance=heat_balance(
-            machine.thermal, state.temperature, temperature, inputs, heat_flow
+            machine.thermal, state.temperature, temperature, thermal, heat_flow
         ),
     )
+
+
+def load_factors(machine: CondensedMachine, inputs: Array) -> Array:
+    """Return the factors (l,) of the mechanical loads among the inputs (k + l,) of a step."""
+    return inputs[machine.thermal.inputs.shape[1] :]
+
+
+def _loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array | None) -> Array:
+    """What heat and loads together open, (3 m,), m."""
+    if machine.loads is None or inputs is None:
+        return thermal_gap
+    return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
 
 
 def settle_along(
@@ -377,7 +470,8 @@ def settle_along(
     """Find the equilibrium that the state comes to, and how many viscous steps it took.
 
     The first guess goes on as the last step did, which suits a smooth march, then it stays where
-    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps.
+    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps. Where that
+    leads nowhere, either, and no body is coming loose, the step is cut.
 
     Parameters
     ----------
@@ -396,9 +490,9 @@ def settle_along(
     for guess in (state.gap + state.change, state.gap):
         with suppress(ConvergenceError):
             return machine.settle(thermal_gap, state.slip, guess), 0
-    try:
-        return relax(machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance)
-    except ConvergenceError:
-        if machine.watch is not None:
-            machine.watch.explain(machine.traction(state.gap, state.slip))
-        raise
+    step = machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance
+    with suppress(ConvergenceError):
+        return relax(*step)
+    if machine.watch is not None:
+        machine.watch.explain(machine.traction(state.gap, state.slip))
+    return cut(*step)

@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.case.schema import Case
+from fesim.setup.laws import initial_opening
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.rigid_motions import Holds, check_held, holds_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
+
+#: A contact element that starts open by less than this is closed, m: rounding of coordinates.
+CLOSED = 1e-9
 
 
 def checked_holds(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> Holds:
@@ -25,12 +29,26 @@ def checked_holds(case: Case, structure: Structure, joints: Sequence[PairedJoint
     holds = holds_of(
         structure,
         joints,
-        case.supports.fixed,
+        fixed_surfaces(case),
         dict(case.supports.symmetry),
         spring_stiffnesses(case, structure),
     )
-    check_held(holds, with_friction(case, joints))
+    check_held(holds, with_friction(case, joints), start_closed(case, joints))
     return holds
+
+
+def fixed_surfaces(case: Case) -> list[str]:
+    """Return the surfaces held in all directions: fixed ones, and those of rigid walls."""
+    return [*case.supports.fixed, *case.walls]
+
+
+def start_closed(case: Case, joints: Sequence[PairedJoint]) -> NDArray[np.bool_]:
+    """Which contact elements do not start open, shape (m,)."""
+    parts = [np.empty(0, dtype=bool)]
+    for joint in joints:
+        opening = initial_opening(case.joints[joint.name], joint)
+        parts.append(np.ones(len(joint.area), bool) if opening is None else opening < CLOSED)
+    return np.concatenate(parts)
 
 
 def with_friction(case: Case, joints: Sequence[PairedJoint]) -> NDArray[np.bool_]:

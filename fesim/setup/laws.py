@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case.schema import Case, JointSection
+from artefacts.errors import InputError
+from fesim.case.columns import read_columns
+from fesim.case.schema import Case, ConductanceSection, GapSection, JointSection
+from fesim.joint.conductance import (
+    ConductanceTable,
+    FixedConductance,
+    GapConductance,
+    linear_radiation,
+)
 from fesim.joint.law import (
     BackBurdekinLaw,
     Friction,
@@ -17,6 +26,7 @@ from fesim.joint.law import (
     harmonic_conductivity,
     power_law_conductance,
 )
+from fesim.joint.opening import OpenLaw, touching_distance, touching_opening
 from fesim.solid.heat import by_cell
 from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint
@@ -34,9 +44,20 @@ def joint_laws(
 ) -> list[tuple[JointLaw, int]]:
     """Return the law of each joint and how many contact elements it has."""
     return [
-        (joint_law(case.joints[joint.name], structure, materials, joint), len(joint.area))
+        (
+            joint_law(_as_walled(case, case.joints[joint.name]), structure, materials, joint),
+            len(joint.area),
+        )
         for joint in joints
     ]
+
+
+def _as_walled(case: Case, section: JointSection) -> JointSection:
+    """Return a joint's section; against a wall that has no temperature it passes no heat."""
+    adiabatic = set(case.walls) - set(case.held_temperatures)
+    if adiabatic.isdisjoint({section.side_a, section.side_b}):
+        return section
+    return section.model_copy(update={"conductance": ConductanceSection(law="none"), "gap": None})
 
 
 def joint_law(
@@ -46,7 +67,8 @@ def joint_law(
     joint: PairedJoint,
 ) -> JointLaw:
     """Law of one joint; its harmonic conductivity comes from the bodies on the two sides."""
-    return law_of(section, joint_conductivity(structure, materials, joint))
+    conductivity = joint_conductivity(structure, materials, joint)
+    return law_of(section, conductivity, initial_opening(section, joint))
 
 
 def joint_conductivity(
@@ -64,33 +86,139 @@ def joint_conductivity(
     )
 
 
-def law_of(section: JointSection, conductivity: NDArray[np.float64]) -> JointLaw:
-    """Law of a joint whose contact elements have the harmonic conductivity (m,), W/(m K)."""
-    hardness, roughness = 1e9 * section.hardness_GPa, 1e-6 * section.roughness_um
-    preload = 1e6 * section.preload_MPa
-    slope = section.asperity_slope
-    normal: SurfaceNormalLaw | BackBurdekinLaw
-    given = section.back_burdekin
-    if section.normal_law == "surface" or given is None:
-        normal = SurfaceNormalLaw(hardness, roughness, preload)
-    else:
-        coefficient = 1e-6 * given.coefficient_um / 1e6**given.exponent
-        normal = BackBurdekinLaw(coefficient, given.exponent, preload)
-    stiffness = -float(normal.slope(np.zeros(1))[0])
-    chosen = section.conductance
-    if chosen.law == "cmy-exact":
-        conductance = exact_conductance(slope, roughness, conductivity, hardness)
-    else:
-        constant, exponent = CONDUCTANCE_CONSTANTS.get(
-            chosen.law, (chosen.constant or 0.0, chosen.exponent or 0.0)
+def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.float64] | None:
+    """Opening of the contact elements at the start, m, shape (m,); None for a preloaded joint.
+
+    Raises
+    ------
+    InputError
+        The mesh has the sides of a joint in each other.
+    """
+    given = section.initial_opening_um
+    if given is None:
+        return None
+    if given != "mesh":
+        return np.full(len(joint.area), 1e-6 * given)
+    apart = (joint.points_b - joint.points_a).T
+    separation = element_means(joint, (apart * joint.normal[joint.element]).sum(axis=1))
+    # Coordinates of a mesh file are good to about this part of the size of what they describe.
+    if separation.min() < -1e-6 * np.sqrt(joint.area.sum()):
+        raise InputError(
+            f"joints.{joint.name}: its sides are {-1e6 * separation.min():.4g} um in each other in "
+            "the mesh: it starts interpenetrated; mend the mesh, or give initial_opening_um"
         )
-        conductance = power_law_conductance(
-            constant, exponent, slope, roughness, conductivity, hardness
-        )
+    return np.maximum(separation, 0.0)
+
+
+def law_of(
+    section: JointSection,
+    conductivity: NDArray[np.float64],
+    opening: NDArray[np.float64] | None = None,
+) -> JointLaw:
+    """Law of a joint.
+
+    Parameters
+    ----------
+    section : JointSection
+        What the case says of it.
+    conductivity : ndarray, shape (m,)
+        Harmonic conductivity at its contact elements, W/(m K).
+    opening : ndarray, shape (m,), optional
+        `initial_opening`, of a joint without preload.
+
+    Raises
+    ------
+    InputError
+        Its table of conductances is missing or no such table.
+    """
+    closed = _closed_law(section)
+    stiffness = -float(closed.slope(np.zeros(1))[0])
     friction = Friction(
         section.friction_coefficient, section.tangential_stiffness_ratio * stiffness
     )
-    return JointLaw(normal, friction, conductance)
+    return JointLaw(
+        closed if opening is None else OpenLaw(closed, opening),
+        friction,
+        _conductance(section, conductivity),
+        reference=None if opening is None else closed,
+        gap=None if section.gap is None else _gap(section, section.gap, closed, opening),
+    )
+
+
+def _closed_law(section: JointSection) -> SurfaceNormalLaw | BackBurdekinLaw:
+    """Return the normal law at its preload, or at its reference pressure if it has none."""
+    pressure = 1e6 * (section.preload_MPa or section.reference_pressure_MPa or 0.0)
+    given = section.back_burdekin
+    if section.normal_law == "surface" or given is None:
+        return SurfaceNormalLaw(1e9 * section.hardness_GPa, 1e-6 * section.roughness_um, pressure)
+    coefficient = 1e-6 * given.coefficient_um / 1e6**given.exponent
+    return BackBurdekinLaw(coefficient, given.exponent, pressure)
+
+
+def _conductance(
+    section: JointSection, conductivity: NDArray[np.float64]
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    chosen, slope = section.conductance, section.asperity_slope
+    roughness, hardness = 1e-6 * section.roughness_um, 1e9 * section.hardness_GPa
+    if chosen.law in ("fixed", "none"):
+        return FixedConductance(chosen.value_W_m2K or 0.0)
+    if chosen.file is not None:
+        return read_conductance_table(chosen.file)
+    if chosen.law == "cmy-exact":
+        return exact_conductance(slope, roughness, conductivity, hardness)
+    constant, exponent = CONDUCTANCE_CONSTANTS.get(
+        chosen.law, (chosen.constant or 0.0, chosen.exponent or 0.0)
+    )
+    return power_law_conductance(constant, exponent, slope, roughness, conductivity, hardness)
+
+
+def read_conductance_table(path: Path) -> ConductanceTable:
+    """Read a table of conductances: a CSV with a row for every pressure, at every temperature.
+
+    Raises
+    ------
+    UnreadableError
+        The file is missing or cannot be opened.
+    InputError
+        It is no such table.
+    """
+    found = read_columns(
+        path, ("pressure_MPa", "conductance_W_m2K"), "conductance table", ("rise_K",)
+    )
+    pressure, value = 1e6 * found["pressure_MPa"], found["conductance_W_m2K"]
+    rise = found.get("rise_K", np.zeros(len(pressure)))
+    # Blocks of one temperature after another, as they stand in the file.
+    starts = np.flatnonzero(np.append(len(rise) > 0, np.diff(rise) != 0.0))
+    blocks = np.split(np.arange(len(rise)), starts[1:])
+    if any(not np.array_equal(pressure[block], pressure[blocks[0]]) for block in blocks):
+        raise InputError(
+            f"{path}: every rise_K needs the same pressures; give a row for each of them"
+        )
+    try:
+        return ConductanceTable(
+            pressure[blocks[0]], rise[starts], np.array([value[block] for block in blocks])
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _gap(
+    section: JointSection,
+    given: GapSection,
+    closed: SurfaceNormalLaw | BackBurdekinLaw,
+    opening: NDArray[np.float64] | None,
+) -> GapConductance:
+    radiation, mean = 0.0, given.mean_temperature_degC
+    if given.emissivity_a is not None and given.emissivity_b is not None and mean is not None:
+        radiation = linear_radiation(given.emissivity_a, given.emissivity_b, mean + 273.15)
+    return GapConductance(
+        conductivity=given.gas_conductivity_W_mK,
+        jump=1e-6 * given.temperature_jump_um,
+        radiation=radiation,
+        touching=touching_distance(1e-6 * section.roughness_um),
+        opening=-touching_opening(closed) if opening is None else opening,
+        follows=isinstance(closed, SurfaceNormalLaw),
+    )
 
 
 def element_means(joint: PairedJoint, values: NDArray[np.float64]) -> NDArray[np.float64]:

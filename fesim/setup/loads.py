@@ -1,4 +1,4 @@
-"""What a case loads its structure with, in SI: sources, ambient, held temperatures, springs."""
+"""What a case loads its structure with, in SI: heat, temperatures, forces; and its springs."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from fesim.case.schema import (
     StepInput,
     TriangleInput,
 )
+from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
@@ -33,6 +34,33 @@ def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
             structure.body(section.body or "", f"sources.{name}.body")
         sources.append(HeatSource(1.0 / structure.symmetry_factor, section.surface, section.body))
     return sources
+
+
+def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
+    """Return the forces, pressures and weights on the meshed part, in the case's order.
+
+    Raises
+    ------
+    InputError
+        A load names a surface or a body that is not there.
+    """
+    found: list[Load] = []
+    for name, load in case.loads.items():
+        where = f"loads.{name}"
+        if load.acceleration_m_s2 is not None:
+            bodies = tuple(structure.bodies) if load.bodies is None else tuple(load.bodies)
+            for body in bodies:
+                structure.body(body, f"{where}.bodies")
+            found.append(BodyForce(bodies, load.acceleration_m_s2))
+            continue
+        surface = load.surface or ""
+        structure.surface(surface, f"{where}.surface")
+        if load.force_N is not None:
+            x, y, z = (component / structure.symmetry_factor for component in load.force_N)
+            found.append(SurfaceForce(surface, (x, y, z)))
+        elif load.pressure_MPa is not None:
+            found.append(SurfacePressure(surface, 1e6 * load.pressure_MPa))
+    return found
 
 
 def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
@@ -57,7 +85,10 @@ def input_layout(case: Case) -> InputLayout:
 
 
 def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
-    """Return the inputs of the march in time, in the order of `input_layout`."""
+    """Return the inputs of the march in time, in the order of `input_layout`.
+
+    Behind them stand the factors of the mechanical loads.
+    """
     layout = input_layout(case)
     sources = [
         (source_power(source), heat_history(source.heat_input or case.heat_input))
@@ -65,14 +96,19 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
     ]
     ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
     held = [held_history(section) for section in case.held_temperatures.values()]
+    factors = [
+        step_history(1.0) if load.file is None else read_history(load.file, "factor")
+        for load in case.loads.values()
+    ]
 
     def inputs(time: float) -> NDArray[np.float64]:
         at = np.array([time])
         change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
-        found = np.empty(layout.count)
+        found = np.empty(layout.count + len(factors))
         found[layout.source_columns] = [power * history(at)[0] for power, history in sources]
         found[layout.ambient] = change[0]
         found[layout.held_columns] = [history(at)[0] for history in held]
+        found[layout.count :] = [history(at)[0] for history in factors]
         return found
 
     return inputs

@@ -14,8 +14,9 @@ from scipy.sparse import csr_array, vstack
 from artefacts.errors import InputError, unknown_name
 from artefacts.toml import as_key
 from fesim.cache import remembered
-from fesim.case.identity import elasticity_key
+from fesim.case.identity import elasticity_key, load_patterns
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
 from fesim.march.reduced import (
     ThermalModes,
@@ -24,18 +25,26 @@ from fesim.march.reduced import (
     shortest,
     thermal_modes,
 )
-from fesim.march.stepping import CondensedMachine, State
-from fesim.setup.holds import checked_holds, with_friction
+from fesim.march.stepping import CondensedMachine, State, Step, load_factors
+from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
 from fesim.setup.laws import element_means, joint_laws
-from fesim.setup.loads import heat_sources, spring_stiffnesses, thermal_inputs
+from fesim.setup.loads import (
+    heat_sources,
+    mechanical_loads,
+    spring_stiffnesses,
+    thermal_inputs,
+)
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
+    LoadInfluence,
     condense_field,
     condense_heat,
+    condense_loads,
     displacement_field,
 )
 from fesim.solid.elasticity import DIRECTIONS, elastic_operators
+from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import by_cell, heat_operators
 from fesim.solid.materials import Material
 from fesim.solid.rigid_motions import Holds, check_held
@@ -45,6 +54,7 @@ from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 from meshes.units import UNITS
+from meshes.wall import face_of, with_wall
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000
@@ -64,12 +74,15 @@ class Parts:
         Temperature probes: those that the case names and its candidates.
     holds : Holds
         What holds the bodies; checked.
+    laws : list of (JointLaw, int)
+        The law of each joint and how many contact elements it has.
     """
 
     structure: Structure
     joints: tuple[PairedJoint, ...]
     probes: dict[str, Probe]
     holds: Holds
+    laws: list[tuple[JointLaw, int]]
 
 
 @dataclass(frozen=True)
@@ -96,6 +109,8 @@ class Setup:
         The reduced thermal model; None if the march has the full one.
     holds : Holds
         What holds the bodies.
+    forces : ndarray, shape (n, l)
+        Nodal forces of the mechanical loads at factor one, N.
     """
 
     structure: Structure
@@ -107,6 +122,7 @@ class Setup:
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
     holds: Holds
+    forces: NDArray[np.float64]
 
     @property
     def field(self) -> DisplacementField:
@@ -122,6 +138,17 @@ class Setup:
             Of a march of this set-up.
         """
         return state.temperature if self.modes is None else self.modes.basis @ state.temperature
+
+    def displacement(self, step: Step) -> NDArray[np.float64]:
+        """Displacement at every unknown, shape (n,), m.
+
+        Parameters
+        ----------
+        step : Step
+            Of a march of this set-up.
+        """
+        forces = self.forces @ load_factors(self.machine, step.inputs)
+        return self.field.solve(self.nodal_temperature(step.state), step.remainder, forces)
 
 
 def set_up(case: Case) -> Setup:
@@ -147,7 +174,6 @@ def set_up(case: Case) -> Setup:
     relative = _relative_rows(case, structure, spaces)
     rows = probe_rows(spaces.heat, structure, parts.probes)
 
-    laws = joint_laws(case, structure, materials, joints)
     operators = joint_operators(joints, spaces)
     heat = heat_operators(
         structure,
@@ -167,7 +193,7 @@ def set_up(case: Case) -> Setup:
             structure,
             spaces,
             materials,
-            case.supports.fixed,
+            fixed_surfaces(case),
             dict(case.supports.symmetry),
             spring_stiffnesses(case, structure),
         )
@@ -176,6 +202,14 @@ def set_up(case: Case) -> Setup:
     condensed = remembered(
         ElasticCondensation, key, lambda: condense_field(field(), springs, relative)
     )
+    forces = nodal_forces(structure, spaces, materials, mechanical_loads(case, structure))
+    loads = None
+    if case.loads:
+        loads = remembered(
+            LoadInfluence,
+            None if key is None else f"{key} under {load_patterns(case)}",
+            lambda: condense_loads(field(), forces, relative),
+        )
     modes = None
     if case.march.thermal == "reduced":
         modes = remembered(
@@ -191,12 +225,13 @@ def set_up(case: Case) -> Setup:
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=CondensedMachine(thermal, elastic, laws, holds=parts.holds),
+        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads),
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
         modes=modes,
         holds=parts.holds,
+        forces=forces,
     )
 
 
@@ -218,7 +253,9 @@ def make_parts(case: Case) -> Parts:
     } | candidate_probes(case, structure)
     if not probes:
         raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
-    return Parts(structure, joints, probes, checked_holds(case, structure, joints))
+    laws = joint_laws(case, structure, body_materials(case, structure), joints)
+    holds = checked_holds(case, structure, joints)
+    return Parts(structure, joints, probes, holds, laws)
 
 
 def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
@@ -234,13 +271,14 @@ def check_names(case: Case, structure: Structure) -> None:
     body_materials(case, structure)
     for name in case.convection_W_m2K:
         structure.surface(name, "convection_W_m2K")
-    for name in [*case.supports.fixed, *case.supports.symmetry]:
+    for name in [*fixed_surfaces(case), *case.supports.symmetry]:
         structure.surface(name, "supports")
     for name in case.supports.springs:
         structure.surface(name, "supports.springs")
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
+    mechanical_loads(case, structure)
     for name in measured_points(case):
         if name not in structure.probes:
             raise unknown_name("probe", name, structure.probes, "displacement")
@@ -256,9 +294,9 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     InputError
         Without the friction of the first case, nothing holds a body.
     """
-    check_held(setup.holds, with_friction(case, setup.joints))
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
+    check_held(setup.holds, with_friction(case, setup.joints), start_closed(case, setup.joints))
     return replace(setup, machine=replace(setup.machine, laws=laws))
 
 
@@ -284,11 +322,13 @@ def build_structure(case: Case) -> Structure:
         )
     else:
         structure = read_structure(section.file, UNITS[section.unit])
+    for name, wall in case.walls.items():
+        structure = with_wall(structure, name, wall.faces)
     sides = structure.joints
     joints = {}
     for name, joint in case.joints.items():
         if joint.side_a is not None and joint.side_b is not None:
-            joints[name] = (joint.side_a, joint.side_b)
+            joints[name] = (_side(case, joint.side_a), _side(case, joint.side_b))
         elif name in sides:
             joints[name] = sides[name]
         else:
@@ -312,6 +352,11 @@ def build_structure(case: Case) -> Structure:
         probes=structure.probes | probes,
         symmetry_factor=factor,
     )
+
+
+def _side(case: Case, name: str) -> str:
+    """Return the surface that a joint means by the name of a surface or a wall."""
+    return face_of(name) if name in case.walls else name
 
 
 def body_materials(case: Case, structure: Structure) -> dict[str, Material]:

@@ -67,8 +67,8 @@ class ThermalCondensation:
         M/dt, W/K; zero for the held unknowns.
     inputs : ndarray, shape (n, k)
         Right-hand side per unit of each input; for the held unknowns their temperature.
-    jump : scipy.sparse.csr_array, shape (m, n)
-        B.
+    jump, mean : scipy.sparse.csr_array, shape (m, n)
+        B, and the mean temperature of both sides of each contact element.
     influence : ndarray, shape (n, m)
         W = A0^-1 B^T, K/W; zero for the held unknowns.
     joint_influence : ndarray, shape (m, m)
@@ -85,6 +85,7 @@ class ThermalCondensation:
     capacity_rate: csr_array
     inputs: Array
     jump: csr_array | Array
+    mean: csr_array | Array
     influence: Array
     joint_influence: Array
     balance: HeatBalance
@@ -121,6 +122,22 @@ class ElasticCondensation:
 
 
 @dataclass(frozen=True)
+class LoadInfluence:
+    """What l mechanical loads do to gaps and probes, at factor one and with no force in the joints.
+
+    Attributes
+    ----------
+    gap : ndarray, shape (3 m, l)
+        m, with the reference springs across the joints.
+    probes : ndarray, shape (k, l)
+        m.
+    """
+
+    gap: Array
+    probes: Array
+
+
+@dataclass(frozen=True)
 class DisplacementField:
     """Full displacement field on demand (for snapshots).
 
@@ -141,9 +158,14 @@ class DisplacementField:
     gap: csr_array
     area: Array
 
-    def solve(self, temperature: Array, remainder: Array) -> Array:
-        """Displacement, shape (n,), of a temperature field and the joint law's remainder (3 m,)."""
+    def solve(self, temperature: Array, remainder: Array, forces: Array | None = None) -> Array:
+        """Displacement, shape (n,), of a temperature field and the joint law's remainder (3 m,).
+
+        `forces` (n,), N, are those of mechanical loads.
+        """
         load = self.operators.thermal_load @ temperature + self.gap.T @ (self.area * remainder)
+        if forces is not None:
+            load = load + forces
         free = self.operators.free
         displacement = np.zeros(self.operators.stiffness.shape[0])
         displacement[free] = self.factor.solve(load[free])
@@ -165,6 +187,7 @@ def condense_heat(
         capacity_rate=csr_array(diags_array(free) @ heat.capacity / step),
         inputs=inputs,
         jump=joints.jump,
+        mean=joints.mean,
         influence=influence,
         joint_influence=joints.jump @ influence,
         balance=heat_sums(heat, joints, step),
@@ -267,3 +290,20 @@ def condense_field(
         reference=reference,
         area=field.area,
     )
+
+
+def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -> LoadInfluence:
+    """Condense mechanical loads on the joints by the same factor.
+
+    Parameters
+    ----------
+    field : DisplacementField
+        The factorised structure.
+    forces : ndarray, shape (n, l)
+        `fesim.solid.forces.nodal_forces`.
+    probes : scipy.sparse array, shape (k, n)
+        Rows that give each probed displacement.
+    """
+    free = field.operators.free
+    moved = checked_solve(field.factor, np.ascontiguousarray(forces[free]), "mechanical loads")
+    return LoadInfluence(field.gap[:, free] @ moved, probes[:, free] @ moved)

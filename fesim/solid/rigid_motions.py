@@ -199,7 +199,9 @@ def holds_of(
     )
 
 
-def check_held(holds: Holds, sticks: NDArray[np.bool_]) -> None:
+def check_held(
+    holds: Holds, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
+) -> None:
     """Refuse a structure with a rigid motion that nothing holds at rest.
 
     Parameters
@@ -208,6 +210,8 @@ def check_held(holds: Holds, sticks: NDArray[np.bool_]) -> None:
         What can hold it.
     sticks : ndarray of bool, shape (m,)
         Which contact elements have friction.
+    closed : ndarray of bool, shape (m,), optional
+        Which of them do not start open; default all.
 
     Raises
     ------
@@ -215,24 +219,28 @@ def check_held(holds: Holds, sticks: NDArray[np.bool_]) -> None:
         Names the body and its motions.
     """
     count = len(holds.pieces)
-    touched = holds.supports.reshape(-1, count, 6).any(axis=(0, 2)) | holds.share.any(axis=0)
+    closed = np.ones(len(sticks), dtype=bool) if closed is None else closed
+    joined = holds.share[closed].any(axis=0)
+    touched = holds.supports.reshape(-1, count, 6).any(axis=(0, 2)) | joined
+    open_ones = "" if closed.all() else "; a joint that starts open holds nothing"
     if not touched.all():
         alone = holds.pieces[int(np.argmin(touched))]
         raise InputError(
             f"supports: {alone} has no support, spring or joint; hold it in [supports] or join it "
-            "to another body"
+            f"to another body{open_ones}"
         )
-    every, stuck = np.arange(len(sticks)), np.flatnonzero(sticks)
+    every, stuck = np.flatnonzero(closed), np.flatnonzero(sticks & closed)
     normal, first, second = holds.directions
     motions = holds.unheld(
-        np.concatenate([every, stuck, stuck]), np.vstack([normal, first[stuck], second[stuck]])
+        np.concatenate([every, stuck, stuck]),
+        np.vstack([normal[every], first[stuck], second[stuck]]),
     )
     if motions.shape[1]:
         # A contact element acts at its centre alone: one of them is a hinge.
         instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
         raise InputError(
             f"supports: no support, spring or joint keeps {described(holds, motions)}; hold it in "
-            f"[supports], or give its joints {instead}"
+            f"[supports], or give its joints {instead}{open_ones}"
         )
 
 

@@ -138,6 +138,28 @@ CASE = {
     "joints.*.preload_MPa": Quantity(
         "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
     ),
+    "joints.*.reference_pressure_MPa": Quantity(
+        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
+    ),
+    "joints.*.initial_opening_um": Quantity(
+        "µm", 0.05, 2000.0, 20.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.conductance.value_W_m2K": Quantity(
+        "W/(m2 K)",
+        0.5,
+        1e7,
+        5000.0,
+        (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("kW/(m2 K)", 1e3)),
+    ),
+    "joints.*.gap.gas_conductivity_W_mK": Quantity(
+        "W/(m K)", 0.003, 1.0, 0.026, (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2))
+    ),
+    "joints.*.gap.temperature_jump_um": Quantity(
+        "µm", 0.01, 100.0, 0.4, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.gap.mean_temperature_degC": Quantity(
+        "°C", -100.0, 1000.0, 30.0, (Slip("K", 1.0, -273.15),)
+    ),
     "joints.*.roughness_um": Quantity(
         "µm", 0.005, 200.0, 1.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
     ),
@@ -169,6 +191,13 @@ CASE = {
     "sources.*.heat_input.level": HEAT_INPUT,
     "sources.*.heat_input.peak": HEAT_INPUT,
     "held_temperatures.*.rise_K": RISE,
+    "loads.*.force_N.*": Quantity(
+        "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
+    ),
+    "loads.*.pressure_MPa": Quantity(
+        "MPa", -1000.0, 1000.0, 1.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3))
+    ),
+    "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
     "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, (Slip("ms", 1e-3), Slip("µs", 1e-6))),
     "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
     "structure.element_size_mm": LENGTH,

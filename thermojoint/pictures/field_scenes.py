@@ -81,7 +81,7 @@ def fields_at(stage: Stage, step: Step, sources: int) -> Fields:
     """Return the fields of a step of a case with so many `sources`; solves for the displacement."""
     setup = stage.setup
     temperature = setup.nodal_temperature(step.state)
-    displacement = setup.field.solve(temperature, step.remainder)
+    displacement = setup.displacement(step)
     return Fields(
         time=setup.machine.thermal.step * step.state.index,
         heat=step.inputs[:sources],

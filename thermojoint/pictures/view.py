@@ -13,7 +13,7 @@ from artefacts.errors import InputError
 from artefacts.response import read_response
 from fesim.case.schema import Case, first_step_at, read_case, step_count
 from fesim.march.stepping import Step
-from fesim.setup.loads import source_power
+from fesim.setup.loads import source_power, thermal_inputs
 from fesim.setup.machine import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
@@ -169,7 +169,7 @@ def run_to_end(
 ) -> tuple[Setup, xr.Dataset, Step]:
     """Simulate a case and return its setup, its response and its last step, fields included."""
     setup = setup or _set_up(case, report)
-    last = at_rest(setup.machine)
+    last = at_rest(setup.machine, thermal_inputs(case)(0.0))
 
     def keep(step: Step) -> None:
         nonlocal last
@@ -202,7 +202,8 @@ def film_scenes(
     setup.make_field()
     times = np.linspace(0.0, step_count(case.march) * case.march.step_s, max(count, 2))[1:]
     due = {first_step_at(float(time), case.march.step_s) for time in times}
-    moments = [fields_at(stage, at_rest(setup.machine), len(case.sources))]
+    first = at_rest(setup.machine, thermal_inputs(case)(0.0))
+    moments = [fields_at(stage, first, len(case.sources))]
 
     def keep(step: Step) -> None:
         if step.state.index in due:

@@ -1,0 +1,185 @@
+"""Conductances beside Eq. 11: a fixed value, a table of pressure and temperature, an open gap.
+
+All of them are smooth (C1) in what they depend on, so that an in-step iteration settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+
+#: Stefan-Boltzmann constant, W/(m2 K4).
+STEFAN_BOLTZMANN = 5.670374419e-8
+#: The mean planes are never nearer than this part of their distance at the first touch: a joint
+#: that is pressed as hard as that is beyond every law here.
+NEAREST = 0.05
+#: A pressure below this is taken for it, Pa: its logarithm is finite.
+LEAST_PRESSURE = 1e-300
+
+
+@dataclass(frozen=True)
+class FixedConductance:
+    """One value at every pressure, open joints included: a bond, or a measured mean.
+
+    Attributes
+    ----------
+    value : float
+        W/(m2 K).
+    """
+
+    value: float
+
+    def __call__(self, pressure: Array) -> Array:
+        """Conductance (m,), W/(m2 K)."""
+        return np.full(np.shape(pressure), self.value)
+
+
+@dataclass(frozen=True, eq=False)
+class ConductanceTable:
+    """A table of pressure and, if it has several, of temperatures.
+
+    Between its pressures ln h is a monotone cubic (Fritsch & Carlson 1980) in ln p, and beyond its
+    ends a straight line of the slope there: a power law, as Eq. 11 is one. Between temperatures
+    ln h is a cubic with the slopes of finite differences; beyond the ends the slope decays over the
+    width of the last interval, so that h stays bounded. All of it has a continuous derivative.
+
+    Attributes
+    ----------
+    pressures : ndarray, shape (n,)
+        Increasing, Pa.
+    rises : ndarray, shape (k,)
+        Temperatures above the initial ambient, increasing, K; one entry if h knows none.
+    values : ndarray, shape (k, n)
+        h, W/(m2 K), positive.
+
+    Raises
+    ------
+    InputError
+        Pressures or temperatures that do not rise, or values that are not positive or fall with
+        the pressure.
+    """
+
+    pressures: Array
+    rises: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        """Check the table."""
+        for what, ends in (("pressure_MPa", self.pressures), ("rise_K", self.rises)):
+            if not (np.isfinite(ends).all() and (np.diff(ends) > 0.0).all()):
+                raise InputError(f"conductance table: {what} must rise strictly; sort the rows")
+        if self.pressures.size < 2 or not (self.pressures > 0.0).all():
+            raise InputError(
+                "conductance table: needs two pressures or more, all above 0; below the first one "
+                "it goes on by itself"
+            )
+        if not (np.isfinite(self.values).all() and (self.values > 0.0).all()):
+            raise InputError("conductance table: conductance_W_m2K must be above 0; mend the rows")
+        if (np.diff(self.values, axis=1) < 0.0).any():
+            raise InputError(
+                "conductance table: conductance_W_m2K falls as pressure_MPa rises; mend the rows"
+            )
+        logarithm = np.log(self.pressures)
+        curves = PchipInterpolator(logarithm, np.log(self.values), axis=1)
+        object.__setattr__(self, "_curves", curves)
+        object.__setattr__(self, "_slopes", curves.derivative())
+
+    @property
+    def knows_temperature(self) -> bool:
+        """Whether it has more than one temperature."""
+        return self.rises.size > 1
+
+    def __call__(self, pressure: Array) -> Array:
+        """Conductance (m,), W/(m2 K), at pressures (m,), Pa, and the initial ambient."""
+        return self.at(pressure, np.zeros(np.shape(pressure)))
+
+    def at(self, pressure: Array, rise: Array) -> Array:
+        """Conductance (m,), W/(m2 K).
+
+        Parameters
+        ----------
+        pressure : ndarray, shape (m,)
+            Pa.
+        rise : ndarray, shape (m,)
+            Mean temperature of the two sides above the initial ambient, K.
+        """
+        asked = np.log(np.maximum(pressure, LEAST_PRESSURE))
+        ends = np.log(self.pressures[[0, -1]])
+        inside = np.clip(asked, *ends)
+        curves, slopes = vars(self)["_curves"], vars(self)["_slopes"]
+        by_rise = curves(inside) + slopes(inside) * (asked - inside)
+        if not self.knows_temperature:
+            return np.asarray(np.exp(by_rise[0]))
+        return np.asarray(np.exp((by_rise * self._shares(rise)).sum(axis=0)))
+
+    def _shares(self, rise: Array) -> Array:
+        """What each temperature's row counts for, shape (k, m): they add up to one."""
+        unit = np.eye(self.rises.size)
+        spline = CubicHermiteSpline(
+            self.rises, unit, np.gradient(unit, self.rises, axis=0, edge_order=1)
+        )
+        inside = np.clip(rise, self.rises[0], self.rises[-1])
+        width = np.where(
+            rise < inside, self.rises[1] - self.rises[0], self.rises[-1] - self.rises[-2]
+        )
+        beyond = rise - inside
+        decayed = np.sign(beyond) * width * -np.expm1(-np.abs(beyond) / width)
+        return np.asarray((spline(inside) + spline(inside, 1) * decayed[:, None]).T)
+
+
+@dataclass(frozen=True, eq=False)
+class GapConductance:
+    """What passes heat beside the contact: the gas in the gap, and radiation.
+
+    h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at which
+    the surfaces touch, and the opening from there on. The mean planes of a pressed joint are nearer
+    by what its law says.
+
+    Attributes
+    ----------
+    conductivity : float
+        k_g of the gas, W/(m K).
+    jump : float
+        M: temperature jump distances of both sides, m.
+    radiation : float
+        h_r, W/(m2 K).
+    touching : float
+        Distance of the mean planes where the surfaces touch, m.
+    opening : float or ndarray, shape (m,)
+        Opening from there at gap zero, m: negative in a preloaded joint.
+    follows : bool
+        Whether the mean planes of a pressed joint go on nearing each other.
+    """
+
+    conductivity: float
+    jump: float
+    radiation: float
+    touching: float
+    opening: float | Array
+    follows: bool
+
+    def __call__(self, gap: Array) -> Array:
+        """Conductance (m,), W/(m2 K), at gaps (m,) from the state at the start, m."""
+        opening = self.opening + gap
+        if not self.follows:
+            opening = np.maximum(opening, 0.0)
+        distance = np.maximum(self.touching + opening, NEAREST * self.touching)
+        return self.conductivity / (distance + self.jump) + self.radiation
+
+
+def linear_radiation(first: float, second: float, mean: float) -> float:
+    """h_r = 4 sigma T^3 / (1/e1 + 1/e2 - 1), W/(m2 K): parallel planes near a mean temperature.
+
+    Parameters
+    ----------
+    first, second : float
+        Emissivities.
+    mean : float
+        T, K.
+    """
+    return 4.0 * STEFAN_BOLTZMANN * mean**3 / (1.0 / first + 1.0 / second - 1.0)

@@ -1,0 +1,84 @@
+"""A step of the gap equations cut into pieces, where no way leads through the whole of it.
+
+The thermal gap of a long step may pass over states that friction remembers: an element that would
+close, stick and open again sees only the ends. So the way from the last equilibrium is taken in
+pieces, each with the friction history of those before: Newton's method where it finds an
+equilibrium, `fesim.joint.relaxation` where a piece snaps. A piece that fails is halved, again and
+again.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
+from fesim.joint.relaxation import relax
+
+#: The shortest piece, of a step.
+SHORTEST = 2.0**-10
+
+
+def cut(
+    problem: GapProblem,
+    thermal_gap: Array,
+    slip: Array,
+    gap: Array,
+    tolerance: float = TOLERANCE,
+) -> tuple[Equilibrium, int]:
+    """Return the equilibrium at the end of a step, and the pieces and viscous steps it took.
+
+    Parameters
+    ----------
+    problem : GapProblem
+        Compliance and law.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T at the end of the step, m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip at its start, m.
+    gap : ndarray, shape (3, m)
+        Equilibrium at its start, m.
+    tolerance : float
+        Largest residual accepted, m.
+
+    Raises
+    ------
+    ConvergenceError
+        A piece of `SHORTEST` fails as well.
+    """
+    start = held_by(problem, gap, slip)
+    reached, length, taken, iterations = 0.0, 0.5, 0, 0
+    while True:
+        end = min(reached + length, 1.0)
+        between = start + end * (thermal_gap - start) if end < 1.0 else thermal_gap
+        try:
+            found, steps = _piece(problem, between, slip, gap, tolerance)
+        except ConvergenceError:
+            length *= 0.5
+            if length < SHORTEST:
+                raise
+            continue
+        gap, slip = found.gap, found.traction.slip
+        taken, iterations = taken + steps + 1, iterations + found.iterations
+        if end == 1.0:
+            return replace(found, iterations=iterations), taken
+        reached, length = end, 2.0 * length
+
+
+def held_by(problem: GapProblem, gap: Array, slip: Array) -> Array:
+    """Return the thermal gap (3 m,), m, at which gaps (3, m) are in equilibrium."""
+    remainder = problem.law(gap, slip).value.ravel() + problem.springs * gap.ravel()
+    free = gap.ravel() - problem.compliance @ remainder
+    return np.asarray(np.linalg.solve(problem.exchange, free))
+
+
+def _piece(
+    problem: GapProblem, thermal_gap: Array, slip: Array, gap: Array, tolerance: float
+) -> tuple[Equilibrium, int]:
+    with suppress(ConvergenceError):
+        return solve_gap(problem, thermal_gap, slip, gap, tolerance), 0
+    return relax(problem, thermal_gap, slip, gap, tolerance)

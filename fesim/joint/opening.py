@@ -1,0 +1,65 @@
+"""Joints that start open, or that only touch: a normal law counted from where its surfaces touch.
+
+Rough surfaces have no first touch in the surface model: its pressure fades without end. They touch
+here at `TOUCHING` of the hardness, 4.75 roughnesses apart; from there on a pressure of less than
+that is left, and soon none. A law with an approach touches where the approach is zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfcinv
+
+from artefacts.arrays import Array
+from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
+
+#: p/H at which two rough surfaces touch.
+TOUCHING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLaw:
+    """A joint without preload: pressure by `law`, at openings counted from the start of a march.
+
+    Attributes
+    ----------
+    law : SurfaceNormalLaw or BackBurdekinLaw
+        Its preload is the reference pressure: there springs and tangential stiffness are taken.
+    opening : ndarray, shape (m,)
+        Of each contact element at the start, from where the surfaces touch, m.
+    """
+
+    law: SurfaceNormalLaw | BackBurdekinLaw
+    opening: Array
+
+    @property
+    def preload(self) -> float:
+        """None: 0 Pa."""
+        return 0.0
+
+    @property
+    def shift(self) -> Array:
+        """Opening at the start from where `law` has its reference pressure, m, shape (m,)."""
+        return np.asarray(self.opening + touching_opening(self.law), dtype=np.float64)
+
+    def pressure(self, opening: Array) -> Array:
+        """Pressure, Pa."""
+        return self.law.pressure(self.shift + opening)
+
+    def slope(self, opening: Array) -> Array:
+        """dp/d(opening), Pa/m."""
+        return self.law.slope(self.shift + opening)
+
+
+def touching_distance(roughness: float) -> float:
+    """Return the distance of the mean planes of two rough surfaces that touch, m."""
+    return float(np.sqrt(2.0) * roughness * erfcinv(2.0 * TOUCHING))
+
+
+def touching_opening(law: SurfaceNormalLaw | BackBurdekinLaw) -> float:
+    """Return the opening, from the state at its preload, at which the surfaces touch, m."""
+    if isinstance(law, SurfaceNormalLaw):
+        return touching_distance(law.roughness) - law.separation
+    return float(law.coefficient * law.preload**law.exponent)

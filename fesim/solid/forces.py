@@ -1,0 +1,120 @@
+"""Nodal forces of mechanical loads: tractions on surfaces, and the weight of bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from skfem import CellBasis, DiscreteField, LinearForm
+from skfem.assembly.form.form import FormExtraParams
+
+from artefacts.arrays import Array
+from fesim.solid.heat import by_cell, flux_form, surface_basis
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces
+from meshes.structure import Structure
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SurfaceForce:
+    """A force spread evenly over a surface.
+
+    Attributes
+    ----------
+    surface : str
+        Where it acts.
+    force : tuple of float
+        On the meshed part, N.
+    """
+
+    surface: str
+    force: Vector
+
+
+@dataclass(frozen=True)
+class SurfacePressure:
+    """A pressure on a surface, against its outward normal.
+
+    Attributes
+    ----------
+    surface : str
+        Where it acts.
+    pressure : float
+        Pa.
+    """
+
+    surface: str
+    pressure: float
+
+
+@dataclass(frozen=True)
+class BodyForce:
+    """The weight of bodies, or what their acceleration asks for.
+
+    Attributes
+    ----------
+    bodies : tuple of str
+        On which it acts.
+    acceleration : tuple of float
+        m/s2: (0, 0, -9.81) is gravity where z is up.
+    """
+
+    bodies: tuple[str, ...]
+    acceleration: Vector
+
+
+Load = SurfaceForce | SurfacePressure | BodyForce
+
+
+@LinearForm
+def pressure_form(v: DiscreteField, w: FormExtraParams) -> Array:
+    """Force of a unit pressure along direction i: (-n_i, v)."""
+    return -w.n[w["i"]] * v
+
+
+@LinearForm
+def mass_form(v: DiscreteField, w: FormExtraParams) -> Array:
+    """Mass that moves with a node: (rho, v)."""
+    return w["value"] * v
+
+
+def nodal_forces(
+    structure: Structure, spaces: Spaces, materials: dict[str, Material], loads: Sequence[Load]
+) -> Array:
+    """Return the nodal forces (n, l) of loads at factor one, N; unknown 3 i + c is direction c.
+
+    Parameters
+    ----------
+    structure : Structure
+        Mesh and names.
+    spaces : Spaces
+        Displacement space.
+    materials : dict
+        Body name to its material: density.
+    loads : sequence of Load
+        l of them.
+    """
+    found = np.zeros((spaces.displacement_size, len(loads)))
+    for column, load in enumerate(loads):
+        for i, part in enumerate(_by_direction(structure, spaces.elastic, materials, load)):
+            found[i::3, column] = part
+    return found
+
+
+def _by_direction(
+    structure: Structure, basis: CellBasis, materials: dict[str, Material], load: Load
+) -> list[Array]:
+    if isinstance(load, SurfaceForce):
+        spread = flux_form.assemble(surface_basis(structure, basis, load.surface))
+        return [component * spread / spread.sum() for component in load.force]
+    if isinstance(load, SurfacePressure):
+        on = surface_basis(structure, basis, load.surface)
+        return [load.pressure * pressure_form.assemble(on, i=i) for i in range(3)]
+    density = {name: m.density if name in load.bodies else 0.0 for name, m in materials.items()}
+    values = by_cell(structure, density)[:, None]
+    field = DiscreteField(np.broadcast_to(values, basis.dx.shape))
+    mass = mass_form.assemble(basis, value=field)
+    return [component * mass for component in load.acceleration]
