@@ -13,7 +13,6 @@ from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selfte
 from artefacts.errors import InputError
 from estimator.export.c_source import Precision, literal
 from estimator.export.fchs import REFUSED, export_fchs
-from estimator.export.modes import divided_differences
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples
@@ -21,7 +20,7 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from models.assembly import assemble
 from models.assembly_file import write_assembly
-from models.filters.bank import phi_functions
+from models.filters.phi import divided_differences, phi_functions
 from thermojoint.cli.app import app
 
 DT = 20.0

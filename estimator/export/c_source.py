@@ -225,7 +225,6 @@ def written(
     usual: Operations,
     worst: Operations,
     labels: tuple[str, str],
-    rounding: float = 0.0,
 ) -> Exported:
     """Return the program of an estimator.
 
@@ -243,8 +242,6 @@ def written(
         Numbers in the tables and in the state.
     usual, worst, labels
         As in `Exported`.
-    rounding : float
-        What rounding does to the displacement in Python, m.
     """
     double, name, kind = precision is Precision.DOUBLE, interface.name, interface.kind
     common: dict[str, Any] = {
@@ -266,7 +263,6 @@ def written(
         "origin": re.sub(r"[^\w .,()-]", "_", kept.origin),
         "relative": double,
         "allowed": RELATIVE if double else ABSOLUTE,
-        "rounding": rounding,
     }
     templates = environment(precision)
     sources = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}

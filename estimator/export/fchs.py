@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from artefacts.arrays import Array
 from estimator.export import modes, recorded
 from estimator.export.c_source import (
     Exported,
@@ -24,15 +21,10 @@ from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
 from estimator.measured import LARGEST
 from estimator.span import SLACK, with_slack
-from models.assembly import Assembly
 from models.assembly_file import fingerprint
-from models.filters.bank import Bank
 
 #: The status of a sample that is left out: a bit that no estimator in Python has.
 REFUSED = 1 << 15
-#: What rounding leaves of nearly cancelling terms, in units of their spacing: the root of the
-#: number of samples, about a thousand, that the slowest of them remember.
-ROUNDINGS = 32.0
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
@@ -102,7 +94,6 @@ def export_fchs(
         + 4,
         usual=usual,
         worst=usual + _another_interval(banks),
-        rounding=_rounding(assembly, kept.samples[:, 2:]),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
     )
 
@@ -130,30 +121,13 @@ def _interface(estimator: Fchs, name: str) -> Interface:
     )
 
 
-def _rounding(assembly: Assembly, readings: Array) -> float:
-    """What rounding does to the displacement in Python, m.
-
-    Residues of the inverse that nearly cancel (a pole that lies near the leak's) leave of their sum
-    so many times its largest term by the spacing of numbers.
-    """
-
-    def terms(bank: Bank) -> Array:
-        size = np.abs(bank.gain / bank.poles) + np.abs(bank.double / bank.poles**2)
-        found: Array = size @ np.abs(bank.drive)
-        return found
-
-    strengths = terms(assembly.sources) @ np.abs(readings).max(axis=0)
-    spacing = float(np.finfo(float).eps)
-    return ROUNDINGS * spacing * float((terms(assembly.nonlinear) @ strengths).max())
-
-
 def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
     a = estimator.assembly
     return (
         NamedBank("heat", modes.on_lines(a.heat, a.dt_s), True),
         NamedBank("linear", modes.on_constants(a.linear, a.dt_s), False),
         NamedBank("temperature", modes.on_constants(a.temperature, a.dt_s), False),
-        NamedBank("sources", modes.on_lines(a.sources, a.dt_s, a.model.leak), True),
+        NamedBank("sources", modes.on_lines(a.sources, a.dt_s), True),
         NamedBank("nonlinear", modes.on_constants(a.nonlinear, a.dt_s), False),
     )
 
