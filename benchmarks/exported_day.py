@@ -20,9 +20,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from artefacts.arrays import Array
-from estimator.export.c_source import Exported, Precision
-from estimator.export.fchs import export_fchs
-from estimator.export.joint_aware import export_joint_aware
+from estimator.export.c_source import c_files
+from estimator.export.exporting import export_program
+from estimator.export.program import Precision, Program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.estimator import JointAware
@@ -62,10 +62,10 @@ def joint_aware_samples(estimator: JointAware) -> Array:
 
 
 def in_c(
-    found: Exported, folder: Path, number: type, samples: Array, axes: int, timed: bool
+    found: Program, folder: Path, number: type, samples: Array, axes: int, timed: bool
 ) -> tuple[Array, float]:
     """Return the displacements (n, axes), m, and the processor time of a sample, s."""
-    for name, text in found.files.items():
+    for name, text in c_files(found).items():
         (folder / name).write_text(text, encoding="utf-8")
     command = ["gcc", "-std=c99", "-O3", "-shared", "-fPIC", "day.c", "-lm", "-o", "day.so"]
     subprocess.run(command, cwd=folder, check=True)
@@ -94,8 +94,7 @@ def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> No
         (Precision.DOUBLE, ctypes.c_double),
         (Precision.SINGLE, ctypes.c_float),
     ):
-        export = export_fchs if isinstance(estimator, Fchs) else export_joint_aware
-        found = export(estimator, precision, "day")  # type: ignore[arg-type]
+        found = export_program(estimator, precision, "day")
         with tempfile.TemporaryDirectory() as folder:
             here, spent = in_c(found, Path(folder), number, samples, len(estimator.axes), timed)
         worst = np.abs(here - python).max()

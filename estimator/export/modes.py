@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from artefacts.errors import InputError
-from estimator.export.c_source import Operations
+from estimator.export.program import Operations
 from models.filters.bank import Bank
 from models.filters.phi import divided_differences, phi_functions
 
