@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,9 +87,23 @@ def initial(values: ArrayLike, precision: Precision) -> str:
     array = np.asarray(values)
     if np.iscomplexobj(array):
         array = np.stack((array.real, array.imag), axis=-1)
-    flat = [decimal(one, precision) for one in array.ravel().tolist()]
+    return _listed([decimal(one, precision) for one in array.ravel().tolist()])
+
+
+def words(values: Sequence[int]) -> str:
+    """Return status words as initial values."""
+    return _listed([f"WORD#16#{value:04X}" for value in values])
+
+
+def _listed(flat: Sequence[str]) -> str:
     lines = [", ".join(flat[k : k + _IN_A_LINE]) for k in range(0, len(flat), _IN_A_LINE)]
     return "[" + ",\n        ".join(lines) + "]"
+
+
+def numbers_in(values: ArrayLike) -> int:
+    """Return how many real numbers an array has."""
+    array = np.asarray(values)
+    return int(array.size * (2 if np.iscomplexobj(array) else 1))
 
 
 def _environment(precision: Precision) -> Environment:
@@ -104,4 +119,7 @@ def _environment(precision: Precision) -> Environment:
     found.filters["r"] = r
     found.filters["initial"] = as_initial
     found.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
+    found.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
+    found.filters["words"] = words
+    found.filters["size"] = numbers_in
     return found
