@@ -23,7 +23,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -104,6 +104,20 @@ def whole_folder(path: Path) -> Iterator[Path]:
             _put_in_place(path, place, work)
     finally:
         _settle(work, place)
+
+
+def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Write texts by their names into a folder that is all old or all new; return where they are.
+
+    Raises
+    ------
+    InputError
+        As `whole_folder`.
+    """
+    with whole_folder(path) as part:
+        for name, text in texts.items():
+            write_text(part / name, text)
+    return [path / name for name in texts]
 
 
 def _contents(folder: Path) -> set[str] | None:

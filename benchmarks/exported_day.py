@@ -5,7 +5,6 @@ says of a heat input of 2 that is on for 72 of every 120 min, with 0.03 K of noi
 rise to the highest calibrated temperatures and fall as often (FCHS). Needs gcc.
 
     python -m benchmarks.exported_day results              # about a minute
-    python -m benchmarks.exported_day results --exact      # FCHS in longer numbers, too
 """
 
 from __future__ import annotations
@@ -15,30 +14,26 @@ import ctypes
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
 from artefacts.arrays import Array
-from estimator.export.c_source import Exported, Precision
-from estimator.export.fchs import export_fchs
-from estimator.export.joint_aware import export_joint_aware
+from estimator.export.c_source import c_files
+from estimator.export.exporting import export_program
+from estimator.export.program import Precision, Program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.starting import started
-from models.assembly import Assembly, assemble
-from models.filters.bank import Bank
+from models.assembly import assemble
 from models.model_file import read_model
 
 DAY, INTERVAL, PERIOD, ON, FOLLOWS = 86400.0, 2.0, 7200.0, 4320.0, 1800.0
 HEAT, NOISE = 2.0, 0.03
-#: Samples that are also worked out in longer numbers.
-EXACT = 12000
 
 
 def fchs_samples(estimator: Fchs) -> Array:
@@ -67,10 +62,10 @@ def joint_aware_samples(estimator: JointAware) -> Array:
 
 
 def in_c(
-    found: Exported, folder: Path, number: type, samples: Array, axes: int, timed: bool
+    found: Program, folder: Path, number: type, samples: Array, axes: int, timed: bool
 ) -> tuple[Array, float]:
     """Return the displacements (n, axes), m, and the processor time of a sample, s."""
-    for name, text in found.files.items():
+    for name, text in c_files(found).items():
         (folder / name).write_text(text, encoding="utf-8")
     command = ["gcc", "-std=c99", "-O3", "-shared", "-fPIC", "day.c", "-lm", "-o", "day.so"]
     subprocess.run(command, cwd=folder, check=True)
@@ -87,8 +82,8 @@ def in_c(
     return displacement, (time.process_time() - begun) / len(rows)
 
 
-def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> Array:
-    """Print a line for each precision; return the displacements in Python, m."""
+def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> None:
+    """Print a line for each precision."""
     begun = time.process_time()
     results = follow(estimator, samples.tolist(), estimator.initial_state())
     python = np.array([found.displacement for _, found in results])
@@ -99,8 +94,7 @@ def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> Ar
         (Precision.DOUBLE, ctypes.c_double),
         (Precision.SINGLE, ctypes.c_float),
     ):
-        export = export_fchs if isinstance(estimator, Fchs) else export_joint_aware
-        found = export(estimator, precision, "day")  # type: ignore[arg-type]
+        found = export_program(estimator, precision, "day")
         with tempfile.TemporaryDirectory() as folder:
             here, spent = in_c(found, Path(folder), number, samples, len(estimator.axes), timed)
         worst = np.abs(here - python).max()
@@ -108,83 +102,16 @@ def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> Ar
             f"  {precision}: off by {worst:.2e} m, {worst / largest:.1e} of the largest; "
             f"{1e6 * spent:.1f} us with the call"
         )
-        if precision is Precision.DOUBLE:
-            kept = here
-    return np.stack([python, kept])
-
-
-class Longer:
-    """A bank over even intervals in `numpy.longdouble`; its coefficients are those of the file."""
-
-    def __init__(self, bank: Bank, interval: float) -> None:
-        self.phi = [one.astype(np.clongdouble) for one in _phi_functions(bank.poles * interval)]
-        self.dt = np.longdouble(interval)
-        self.bank = bank
-        self.state = np.zeros(bank.poles.size, np.clongdouble)
-        self.second = self.state.copy()
-
-    def mean_of_line(self, old: Array, new: Array) -> Array:
-        """The mean of the outputs while the inputs go from old to new."""
-        (p0, p1, p2, p3, _), dt, bank = self.phi, self.dt, self.bank
-        before, after = bank.drive @ old, bank.drive @ new
-        mean = p1 * self.state + dt * ((p2 - p3) * before + p3 * after)
-        self.state = p0 * self.state + dt * ((p1 - p2) * before + p2 * after)
-        direct = bank.constant @ (old + new) / 2 + bank.slope @ (new - old) / dt
-        return np.asarray((bank.gain @ mean).real + direct)
-
-    def end_of_constant(self, inputs: Array) -> Array:
-        """The outputs at the end of an interval in which the inputs hold."""
-        (p0, p1, p2, _, _), dt, drive = self.phi, self.dt, self.bank.drive @ inputs
-        self.second = p0 * (self.second + dt * self.state) + dt * dt * (p1 - p2) * drive
-        self.state = p0 * self.state + dt * p1 * drive
-        return np.asarray((self.bank.gain @ self.state + self.bank.double @ self.second).real)
-
-
-def _phi_functions(z: Array) -> Sequence[Array]:
-    """As `models.filters.bank.phi_functions`, by series and recursion in longer numbers."""
-    z = z.astype(np.clongdouble)
-    small, series = np.where(np.abs(z) < 2.0, z, 0.0), np.zeros_like(z)
-    for k in range(36, 0, -1):
-        series = (series + 1) * small / np.longdouble(k + 4)
-    inverse = [np.longdouble(1), np.longdouble(1), np.longdouble(1) / 2, np.longdouble(1) / 6]
-    low = [(series + 1) / np.longdouble(24)]
-    for k in (3, 2, 1, 0):
-        low.insert(0, small * low[0] + inverse[k])
-    large = np.where(np.abs(z) < 2.0, 1.0, z)
-    high = [np.exp(large)]
-    for k in range(4):
-        high.append((high[k] - inverse[k]) / large)
-    return [np.where(np.abs(z) < 2.0, a, b) for a, b in zip(low, high, strict=True)]
-
-
-def exactly(assembly: Assembly, samples: Array) -> Iterator[Array]:
-    """Yield the displacement, m, of every sample at the nominal interval."""
-    heat, linear, temperature, sources, nonlinear = (
-        Longer(bank, assembly.dt_s) for bank in assembly.banks
-    )
-    difference, deviation = np.zeros(1, np.longdouble), np.zeros(assembly.n_sources, np.longdouble)
-    for row in samples[:, 1:].astype(np.longdouble):
-        strength = heat.mean_of_line(difference, row[:1])
-        now = row[1:] - temperature.end_of_constant(strength)
-        fictitious = sources.mean_of_line(deviation, now)
-        difference, deviation = row[:1], now
-        yield linear.end_of_constant(strength) + nonlinear.end_of_constant(fictitious)
 
 
 def main() -> None:
     """Compare both kinds."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("results", type=Path)
-    parser.add_argument("--exact", action="store_true")
     given = parser.parse_args()
     fchs = Fchs(assemble(read_model(given.results / "model.json"), INTERVAL, 7200.0))
     samples = fchs_samples(fchs)
-    both = compared("fchs", fchs, samples, timed=True)
-    if given.exact:
-        exact = np.array([*exactly(fchs.assembly, samples[:EXACT])])
-        for name, one in zip(("Python", "double"), both[:, :EXACT], strict=True):
-            off = float(np.abs(one - exact).max() / np.abs(exact).max())
-            print(f"  {name} is off the exact recursion by {off:.1e} over {EXACT} samples")
+    compared("fchs", fchs, samples, timed=True)
     observer, _ = started(given.results / "joint_aware.h5")
     compared("joint-aware", observer, joint_aware_samples(observer), timed=False)
 

@@ -24,7 +24,7 @@ from models.parameters import Model
 
 FILE = JsonKind(
     "thermojoint-assembly",
-    1,
+    2,
     "assembled estimator",
     "written by 'thermojoint assemble'",
     "assemble again",
@@ -33,6 +33,7 @@ KIND = "fchs"
 
 _MODEL: TypeAdapter[Model] = TypeAdapter(Model)
 _BANKS = ("heat", "linear", "temperature", "sources", "nonlinear")
+_ARRAYS = tuple(field.name for field in fields(Bank) if field.name != "leak")
 _COMPLEX = ("poles", "gain", "double")
 
 
@@ -116,15 +117,16 @@ def _digest(body: dict[str, Any]) -> str:
 
 def _bank_content(bank: Bank) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for field in fields(Bank):
-        array = np.asarray(getattr(bank, field.name))
-        split = np.stack((array.real, array.imag), axis=-1) if field.name in _COMPLEX else array
-        found[field.name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
-    return found
+    for name in _ARRAYS:
+        array = np.asarray(getattr(bank, name))
+        split = np.stack((array.real, array.imag), axis=-1) if name in _COMPLEX else array
+        found[name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
+    return found | {"leak": bank.leak}
 
 
 def _bank(content: dict[str, Any]) -> Bank:
-    return Bank(**{field.name: _array(field.name, content[field.name]) for field in fields(Bank)})
+    arrays = {name: _array(name, content[name]) for name in _ARRAYS}
+    return Bank(**arrays, leak=float(content["leak"]))
 
 
 def _array(name: str, content: dict[str, Any]) -> Array:

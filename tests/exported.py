@@ -6,6 +6,8 @@ import subprocess
 
 import pytest
 
+from estimator.export.c_source import c_files
+
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
 
@@ -15,7 +17,7 @@ SANITISED = ["-fsanitize=address,undefined,float-divide-by-zero", "-fno-sanitize
 
 def written(found, folder):
     folder.mkdir(exist_ok=True)
-    for name, text in found.files.items():
+    for name, text in c_files(found).items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,14 @@ from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from models.assembly import assemble
 from models.baselines import read_baselines, write_baselines
-from models.filters.bank import leaking, respond_to_line, simple_bank
+from models.filters.bank import (
+    leaking,
+    respond_to_line,
+    respond_to_steps,
+    simple_bank,
+    stacked,
+    summed,
+)
 from models.sensors import readings, rises
 
 AXES = ("x", "y")
@@ -167,6 +175,40 @@ def test_what_stands_still_fades_from_a_leaking_bank_and_what_moves_passes():
     times = 10.0 * np.arange(1, 2001)
     _, ends = respond_to_line(leaky, times, np.ones((2000, 1)), 10.0)
     assert np.abs(ends[-1]).max() < 1e-6 * np.abs(ends).max()
+
+
+@given(st.lists(st.floats(0.5, 400.0), min_size=3, max_size=30), st.floats(1.05, 20.0))
+def test_a_leak_is_one_more_pole_of_the_bank_by_partial_fractions(gaps, ratio):
+    """Where the two poles lie apart; where they do not, its residues would cancel."""
+    rate, poles, gains = 1e-3, np.array([-2e-2, -3e-2 + 1e-2j]), np.array([0.1, 0.2 - 0.1j])
+    poles = np.append(poles, -rate * ratio)
+    gains = np.append(gains, 3e-3)
+    bank = replace(simple_bank(poles, gains), constant=np.array([[0.7]]), slope=np.array([[5.0]]))
+    at_leak = bank.transfer(np.array([-rate + 0j]))[0, 0, 0].real
+    poles, gains = (
+        np.append(poles, -rate),
+        np.append(gains * poles / (poles + rate), -rate * at_leak),
+    )
+    split = replace(
+        simple_bank(poles, gains), constant=bank.constant - rate * bank.slope, slope=bank.slope
+    )
+    times = np.cumsum(gaps)
+    inputs = np.sin(np.arange(len(gaps)) + 1.0)[:, None]
+    for one, other in zip(
+        respond_to_line(leaking(bank, rate), times, inputs, 7.0),
+        respond_to_line(split, times, inputs, 7.0),
+        strict=True,
+    ):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-9 * np.abs(other).max())
+
+
+def test_what_leaks_is_not_put_together_and_takes_no_steps():
+    leaky = leaking(simple_bank(np.array([-0.05]), np.array([0.1])), 1e-3)
+    for put in (stacked, summed):
+        with pytest.raises(InputError, match="leak"):
+            put([leaky, leaky])
+    with pytest.raises(InputError, match="leak"):
+        respond_to_steps(leaky, np.arange(3.0), np.ones((3, 1)), 1.0)
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=3), st.floats(0.5, 0.999))

@@ -11,9 +11,9 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 
 from artefacts.errors import InputError
-from estimator.export.c_source import Precision, literal
-from estimator.export.fchs import REFUSED, export_fchs
-from estimator.export.modes import divided_differences
+from estimator.export.c_source import literal
+from estimator.export.exporting import export_program
+from estimator.export.program import REFUSED, Precision
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples
@@ -21,7 +21,7 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from models.assembly import assemble
 from models.assembly_file import write_assembly
-from models.filters.bank import phi_functions
+from models.filters.phi import divided_differences, phi_functions
 from thermojoint.cli.app import app
 
 DT = 20.0
@@ -48,7 +48,7 @@ def day(coarse_data, tmp_path_factory):
 @pytest.mark.parametrize("precision", Precision)
 def test_a_day_of_the_coarse_machine_is_the_same_in_c(estimator, day, precision, tmp_path):
     samples = list(response_samples(day, estimator.assembly.model))[1:]
-    found = export_fchs(estimator, precision, "spindle", samples)
+    found = export_program(estimator, precision, "spindle", samples)
     done, figures = selftest(written(found, tmp_path), "spindle", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["samples"] == len(samples) == 4320
@@ -64,7 +64,7 @@ def test_the_program_holds_at_any_interval_over_gaps_and_with_every_warning(
     estimator, precision, tmp_path
 ):
     """The duty cycle that is compiled in by default has uneven intervals and a gap of an hour."""
-    found = export_fchs(estimator, precision, "spindle")
+    found = export_program(estimator, precision, "spindle")
     done, _ = selftest(written(found, tmp_path), "spindle", "-O2", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -79,7 +79,7 @@ def test_a_pole_that_lies_near_the_leak_costs_no_digits(
     slow = np.sort(poles.real[poles.imag == 0.0])[-3]
     leaking = replace(hand_made_model, leak=float(-slow * (1.0 + 3e-5)))
     model = Fchs(assemble(leaking, DT, 7200.0))
-    found = export_fchs(model, precision, "spindle")
+    found = export_program(model, precision, "spindle")
     done, figures = selftest(written(found, tmp_path), "spindle", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
     if precision is Precision.SINGLE:
@@ -100,7 +100,7 @@ def test_divided_differences_are_means_of_derivatives_however_near_the_two_are()
 
 @needs_gcc
 def test_the_program_needs_nothing_of_the_library_but_math(estimator, tmp_path):
-    folder = written(export_fchs(estimator, Precision.DOUBLE, "spindle"), tmp_path)
+    folder = written(export_program(estimator, Precision.DOUBLE, "spindle"), tmp_path)
     subprocess.run(
         ["gcc", "-std=c99", "-ffreestanding", "-O0", "-c", "spindle.c"], cwd=folder, check=True
     )
@@ -128,7 +128,7 @@ class Estimate(ctypes.Structure):
 def program(estimator, tmp_path_factory):
     """The compiled program, and the size of its state."""
     folder = tmp_path_factory.mktemp("program")
-    found = export_fchs(estimator, Precision.DOUBLE, "spindle")
+    found = export_program(estimator, Precision.DOUBLE, "spindle")
     written(found, folder)
     command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "spindle.c", "-lm", "-o", "s.so"]
     subprocess.run(command, cwd=folder, check=True)
@@ -218,7 +218,7 @@ int main() { static spindle_state state; static spindle_estimate found;
 @needs_gxx
 def test_no_sample_costs_more_than_is_printed(estimator, tmp_path):
     """The same source with numbers that count what is done with them."""
-    found = export_fchs(estimator, Precision.DOUBLE, "spindle")
+    found = export_program(estimator, Precision.DOUBLE, "spindle")
     counted = np.array(counts(found, tmp_path, "spindle", COUNTING))
     usual, worst = operations(found.usual), operations(found.worst)
     assert (counted[:2] <= usual).all()
@@ -241,7 +241,7 @@ def test_what_has_no_number_is_refused(estimator):
     with pytest.raises(InputError, match="single"):
         literal(1e300, Precision.SINGLE)
     with pytest.raises(InputError, match="--name 1st"):
-        export_fchs(estimator, Precision.DOUBLE, "1st")
+        export_program(estimator, Precision.DOUBLE, "1st")
 
 
 @needs_gcc

@@ -12,9 +12,10 @@ from observed import SENSORS, observed_data, observer, run, step
 
 from artefacts.errors import InputError
 from estimator.export import joint_aware
-from estimator.export.c_source import Precision
+from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, write_fmu
-from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED, export_joint_aware
+from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED
+from estimator.export.program import COMMON, Precision
 from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
@@ -26,8 +27,6 @@ from fesim.setup.machine import set_up
 from thermojoint.cli.app import app
 
 NAN = float("nan")
-#: Bits that Python knows, too.
-COMMON = 0xFFF
 
 
 @pytest.fixture(scope="module")
@@ -90,14 +89,14 @@ def compiled(found, folder, number=ctypes.c_double, sources=1, axes=2):
 
 @pytest.fixture(scope="module")
 def program(estimator, tmp_path_factory):
-    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    found = export_program(estimator, Precision.DOUBLE, "m")
     return compiled(found, tmp_path_factory.mktemp("program"))
 
 
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
 def test_the_self_test_agrees_with_every_warning_and_sanitiser(estimator, precision, tmp_path):
-    found = export_joint_aware(estimator, precision, "m")
+    found = export_program(estimator, precision, "m")
     done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["state"] == found.state
@@ -107,7 +106,7 @@ def test_the_self_test_agrees_with_every_warning_and_sanitiser(estimator, precis
 
 @needs_gcc
 def test_nothing_is_undefined_where_the_joint_slides_and_opens(estimator, samples, tmp_path):
-    found = export_joint_aware(estimator, Precision.DOUBLE, "m", samples)
+    found = export_program(estimator, Precision.DOUBLE, "m", samples)
     done, _ = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -119,7 +118,7 @@ def test_a_joint_that_slides_to_and_fro_is_followed(
 ):
     double = precision is Precision.DOUBLE
     number = ctypes.c_double if double else ctypes.c_float
-    estimates = compiled(export_joint_aware(estimator, precision, "m"), tmp_path, number)
+    estimates = compiled(export_program(estimator, precision, "m"), tmp_path, number)
     got = list(estimates([row[1:] for row in samples]))
     for name in ("displacement", "band"):
         here = np.array([list(getattr(one, name)) for one in got])
@@ -166,7 +165,7 @@ def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
 ):
     monkeypatch.setattr(joint_aware, "ITERATIONS", 0)
     monkeypatch.setattr(joint_aware, "SAMPLES", 2)
-    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    found = export_program(estimator, Precision.DOUBLE, "m")
     for one in list(compiled(found, tmp_path)([row[1:] for row in samples[:40]]))[1:]:
         assert one.status & NOT_SETTLED
         assert one.newton_steps == -1
@@ -185,17 +184,17 @@ def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
         return JointAware(replace(estimator.model, sensors=names, calibrated=calibrated))
 
     strange = renamed("spindle-front", "b 1", 'T"1', "T<2>*/")
-    found = export_joint_aware(strange, Precision.DOUBLE, "m", samples[:5], "my */ log.csv")
+    found = export_program(strange, Precision.DOUBLE, "m", samples[:5], "my */ log.csv")
     done, _ = selftest(written(found, tmp_path), "m", "-O0")
     assert done.returncode == 0
     assert [one.name for one in found.interface.inputs[:2]] == ["spindle_front", "b_1"]
     with pytest.raises(InputError, match="not distinct"):
-        export_joint_aware(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
+        export_program(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
 
 
 @needs_gxx
 def test_no_sample_costs_more_than_is_printed(estimator, samples, tmp_path):
-    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    found = export_program(estimator, Precision.DOUBLE, "m")
     rows = ",\n".join("{" + ", ".join(map(repr, row[1:])) + "}" for row in samples[:900])
     body = f"""
 static const m_real rows[900][5] = {{ {rows} }};
@@ -216,10 +215,10 @@ def test_a_log_to_which_the_program_has_no_answer_is_no_self_test(estimator, sam
     missing = [*few[:10], (few[10][0], NAN, *few[10][2:])]
     for rows in (late, missing):
         with pytest.raises(InputError, match="late or has a reading missing"):
-            export_joint_aware(estimator, Precision.DOUBLE, "m", rows)
+            export_program(estimator, Precision.DOUBLE, "m", rows)
     lying = [(row[0], row[1] + (500.0 if k == 15 else 0.0), *row[2:]) for k, row in enumerate(few)]
     with pytest.raises(InputError, match="sensor-distrusted"):
-        export_joint_aware(estimator, Precision.DOUBLE, "m", lying)
+        export_program(estimator, Precision.DOUBLE, "m", lying)
 
 
 @needs_gcc
@@ -244,7 +243,7 @@ def test_as_a_unit_for_co_simulation_it_says_the_same(
 ):
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
     step, names = estimator.model.step, (*SENSORS, "ambient")
-    found = export_joint_aware(estimator, Precision.DOUBLE, "m")
+    found = export_program(estimator, Precision.DOUBLE, "m")
     write_fmu(found, tmp_path / "m.fmu", standard)
     # A sample at t holds over the step that ends at t.
     rows = [(time - step, *values) for time, *values in samples[:60]]

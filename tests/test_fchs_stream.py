@@ -233,7 +233,7 @@ def test_an_assembly_comes_back_from_its_file_to_the_last_bit(assembly, tmp_path
     assert again.model == assembly.model
     for mine, theirs in zip(again.banks, assembly.banks, strict=True):
         for field in fields(mine):
-            one, other = getattr(mine, field.name), getattr(theirs, field.name)
+            one, other = (np.asarray(getattr(bank, field.name)) for bank in (mine, theirs))
             assert one.tobytes() == other.tobytes()
             assert (one.shape, one.dtype) == (other.shape, other.dtype)
     changed = json.loads(path.read_text())

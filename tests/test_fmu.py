@@ -9,9 +9,10 @@ import pytest
 from exported import STRICT, needs_gcc
 from typer.testing import CliRunner
 
-from estimator.export.c_source import Precision
-from estimator.export.fchs import export_fchs
+from estimator.export.c_source import c_files
+from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, fmi_files, write_fmu
+from estimator.export.program import Precision
 from estimator.fchs.estimator import Fchs
 from estimator.interface import follow
 from models.assembly import assemble
@@ -33,7 +34,7 @@ def estimator(hand_made_model):
 @pytest.fixture(scope="module", params=Standard)
 def unit(request, estimator, tmp_path_factory):
     path = tmp_path_factory.mktemp("unit") / "spindle.fmu"
-    write_fmu(export_fchs(estimator, Precision.DOUBLE, "spindle"), path, request.param)
+    write_fmu(export_program(estimator, Precision.DOUBLE, "spindle"), path, request.param)
     return path
 
 
@@ -110,8 +111,8 @@ def test_fmpy_finds_nothing_wrong_and_simulates_it(unit):
 @needs_gcc
 @pytest.mark.parametrize("standard", Standard)
 def test_its_sources_compile_without_a_word(estimator, standard, tmp_path):
-    found = export_fchs(estimator, Precision.SINGLE, "spindle")
-    for name, text in (found.files | fmi_files(found, standard)).items():
+    found = export_program(estimator, Precision.SINGLE, "spindle")
+    for name, text in (c_files(found) | fmi_files(found, standard)).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     command = ["gcc", *STRICT, "-c", f"spindle_{standard}.c"]
     subprocess.run(command, cwd=tmp_path, check=True)

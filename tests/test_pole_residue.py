@@ -13,11 +13,11 @@ from models.assembly import deformation_bank
 from models.filters.bank import (
     Bank,
     over_interval,
-    phi_functions,
     respond_to_line,
     respond_to_steps,
     simple_bank,
 )
+from models.filters.phi import phi_functions
 from models.filters.pole_residue import direct_bank, excited_band, fit_strictly_proper
 from models.parameters import DeformationModel, RingModel
 

@@ -1,38 +1,19 @@
-"""The paper's estimator as C: the recursion of `estimator.fchs.stream`, mode by mode."""
+"""The paper's estimator as a program: the recursion of `estimator.fchs.stream`, mode by mode."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from artefacts.arrays import Array
-from estimator.export import modes, recorded
-from estimator.export.c_source import (
-    Exported,
-    Interface,
-    Operations,
-    Precision,
-    Variable,
-    checked_name,
-    distinct,
-    listed,
-    written,
-)
+from estimator.export import modes
+from estimator.export.program import Contents, Interface, Operations, Variable, distinct, listed
+from estimator.export.recorded import duty_cycle
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
 from estimator.measured import LARGEST
 from estimator.span import SLACK, with_slack
-from models.assembly import Assembly
 from models.assembly_file import fingerprint
-from models.filters.bank import Bank
 
-#: The status of a sample that is left out: a bit that no estimator in Python has.
-REFUSED = 1 << 15
-#: What rounding leaves of nearly cancelling terms, in units of their spacing: the root of the
-#: number of samples, about a thousand, that the slowest of them remember.
-ROUNDINGS = 32.0
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
@@ -44,57 +25,23 @@ class NamedBank(NamedTuple):
     on_lines: bool
 
 
-def export_fchs(
-    estimator: Fchs,
-    precision: Precision,
-    name: str,
-    samples: Iterable[Sequence[float]] | None = None,
-    origin: str = "a day of a duty cycle",
-) -> Exported:
-    """Return the program of an assembled estimator.
-
-    Parameters
-    ----------
-    estimator : Fchs
-        Its assembly gives every coefficient.
-    precision : Precision
-        Of all numbers of the program.
-    name : str
-        Begins the names of its files and symbols.
-    samples : iterable of sequences, optional
-        Time, s, and readings, K, for the self-test; default: a duty cycle.
-    origin : str
-        Where these come from.
-
-    Raises
-    ------
-    InputError
-        The name is none, a sample is unusable, or a coefficient has no number of the precision.
-    """
-    checked_name(name)
+def contents(estimator: Fchs) -> Contents:
+    """Return what an assembled estimator gives to a program."""
     assembly = estimator.assembly
     channels = [channel.name for channel in estimator.channels]
     span, dt = assembly.model.span, assembly.dt_s
-    if samples is None:
-        samples = recorded.duty_cycle(span, channels, dt).tolist()
-    kept = recorded.recorded(estimator, samples, dt, origin)
     banks = _banks(estimator)
     ranges = [*(span.temperatures[name] for name in channels), span.heat]
-    values = {
-        "axes": distinct(estimator.axes, "axes"),
-        "statuses": [(one.name, one.value) for one in _STATUSES],
-        "refused": REFUSED,
-        "banks": banks,
-        "limits": [with_slack(one) for one in ranges],
-        "longest": (1.0 + SLACK) * span.duration_s,
-        "no_temperature": LARGEST,
-    }
     usual = _operations(banks)
-    return written(
-        _interface(estimator, name),
-        precision,
-        values,
-        kept,
+    return Contents(
+        estimator,
+        _interface(estimator),
+        values={
+            "banks": banks,
+            "limits": [with_slack(one) for one in ranges],
+            "longest": (1.0 + SLACK) * span.duration_s,
+            "no_temperature": LARGEST,
+        },
         constants=2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks),
         state=4 * sum(bank.modes.states for bank in banks)
         + 2 * sum(bank.modes.drive.shape[1] for bank in banks if bank.on_lines)
@@ -102,18 +49,17 @@ def export_fchs(
         + 4,
         usual=usual,
         worst=usual + _another_interval(banks),
-        rounding=_rounding(assembly, kept.samples[:, 2:]),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
+        duty=lambda: duty_cycle([span.temperatures[name] for name in channels], dt).tolist(),
     )
 
 
-def _interface(estimator: Fchs, name: str) -> Interface:
+def _interface(estimator: Fchs) -> Interface:
     assembly, axes = estimator.assembly, distinct(estimator.axes, "axes")
     channels = distinct([channel.name for channel in estimator.channels], "sensors")
     sensors = channels[1:]
     numbers = [str(k + 1) for k in range(len(sensors))]
     return Interface(
-        name=name,
         kind="fchs",
         fingerprint=fingerprint(assembly),
         interval=assembly.dt_s,
@@ -127,24 +73,9 @@ def _interface(estimator: Fchs, name: str) -> Interface:
             *listed("linear", "m", axes),
             *listed("nonlinear", "m", axes),
         ),
+        axes=axes,
+        statuses=_STATUSES,
     )
-
-
-def _rounding(assembly: Assembly, readings: Array) -> float:
-    """What rounding does to the displacement in Python, m.
-
-    Residues of the inverse that nearly cancel (a pole that lies near the leak's) leave of their sum
-    so many times its largest term by the spacing of numbers.
-    """
-
-    def terms(bank: Bank) -> Array:
-        size = np.abs(bank.gain / bank.poles) + np.abs(bank.double / bank.poles**2)
-        found: Array = size @ np.abs(bank.drive)
-        return found
-
-    strengths = terms(assembly.sources) @ np.abs(readings).max(axis=0)
-    spacing = float(np.finfo(float).eps)
-    return ROUNDINGS * spacing * float((terms(assembly.nonlinear) @ strengths).max())
 
 
 def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
@@ -153,7 +84,7 @@ def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
         NamedBank("heat", modes.on_lines(a.heat, a.dt_s), True),
         NamedBank("linear", modes.on_constants(a.linear, a.dt_s), False),
         NamedBank("temperature", modes.on_constants(a.temperature, a.dt_s), False),
-        NamedBank("sources", modes.on_lines(a.sources, a.dt_s, a.model.leak), True),
+        NamedBank("sources", modes.on_lines(a.sources, a.dt_s), True),
         NamedBank("nonlinear", modes.on_constants(a.nonlinear, a.dt_s), False),
     )
 

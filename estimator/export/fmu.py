@@ -13,7 +13,8 @@ from pathlib import Path
 
 from artefacts.errors import InputError
 from artefacts.files import whole_file
-from estimator.export.c_source import Exported, environment
+from estimator.export.c_source import c_files, environment
+from estimator.export.program import Program
 
 
 class Standard(StrEnum):
@@ -37,19 +38,22 @@ BASES = {
     "m": ' m="1"',
     "W": ' kg="1" m="2" s="-3"',
     "Pa": ' kg="1" m="-1" s="-2"',
+    "rad/s": ' rad="1" s="-1"',
+    "A": ' A="1"',
+    "N m": ' kg="1" m="2" s="-2"',
 }
 #: What every member of the archive is dated with: the same program gives the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def write_fmu(found: Exported, path: Path, standard: Standard) -> None:
+def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.FMI3) -> None:
     """Compile a program and write the unit, whole or not at all.
 
     Parameters
     ----------
-    found : Exported
-        The program.
-    path : Path
+    program : Program
+        What `export_program` returns.
+    path : Path or str
         The archive to write.
     standard : Standard
         Which FMI.
@@ -63,9 +67,9 @@ def write_fmu(found: Exported, path: Path, standard: Standard) -> None:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         raise InputError("--to fmu: needs a C compiler; install gcc, or export with --to c")
-    sources = found.files | fmi_files(found, standard)
+    sources = c_files(program) | fmi_files(program, standard)
     description = sources.pop("modelDescription.xml")
-    name = found.interface.name
+    name = program.name
     with tempfile.TemporaryDirectory() as folder:
         for file, text in sources.items():
             (Path(folder) / file).write_text(text, encoding="utf-8")
@@ -84,7 +88,10 @@ def write_fmu(found: Exported, path: Path, standard: Standard) -> None:
         if done.returncode:
             raise InputError(f"--to fmu: {compiler} failed: {done.stderr.decode()[:200]}")
         library = (Path(folder) / "library").read_bytes()
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+    with (
+        whole_file(Path(path)) as part,
+        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
         members = {"modelDescription.xml": description.encode()}
         members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
         members[f"binaries/{place}/{name}.so"] = library
@@ -94,15 +101,15 @@ def write_fmu(found: Exported, path: Path, standard: Standard) -> None:
             archive.writestr(one, content)
 
 
-def fmi_files(found: Exported, standard: Standard) -> dict[str, str]:
+def fmi_files(program: Program, standard: Standard) -> dict[str, str]:
     """Return what a program needs beside itself: descriptions, and NAME_fmi2.c or NAME_fmi3.c."""
-    templates, one = environment(found.precision), found.interface
+    templates, one = environment(program.precision), program.interface
     values = {
-        "name": one.name,
+        "name": program.name,
         "kind": one.kind,
         "fingerprint": one.fingerprint,
-        "guid": f"{{{one.kind}-{found.precision}-{one.fingerprint}}}",
-        "version": found.version,
+        "guid": f"{{{one.kind}-{program.precision}-{one.fingerprint}}}",
+        "version": program.version,
         "interval": repr(one.interval),
         "timed": one.timed,
         "inputs": one.inputs,
@@ -112,7 +119,7 @@ def fmi_files(found: Exported, standard: Standard) -> dict[str, str]:
         "others": _OTHERS,
     }
     written = {"modelDescription.xml": f"{standard}.xml.j2"}
-    written[f"{one.name}_{standard}.c"] = f"{standard}.c.j2"
+    written[f"{program.name}_{standard}.c"] = f"{standard}.c.j2"
     if standard is Standard.FMI3:
         written["buildDescription.xml"] = "fmi3_build.xml.j2"
     return {name: templates.get_template(form).render(values) for name, form in written.items()}

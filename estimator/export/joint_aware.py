@@ -1,4 +1,4 @@
-"""The joint-aware estimator as C: its usual path, with the steady gain and few Newton steps.
+"""The joint-aware estimator as a program: its usual path, few Newton steps.
 
 Expect, correct, settle, read, as `estimator.joint_aware.estimator` does where every reading is
 there and none lies. What is left out stands in the header of the program.
@@ -7,24 +7,21 @@ there and none lies. What is left out stands in the header of the program.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
-from estimator.export import recorded
-from estimator.export.c_source import (
-    Exported,
+from estimator.export.program import (
+    Contents,
     Interface,
     Operations,
     Precision,
     Variable,
-    checked_name,
     distinct,
     listed,
-    written,
 )
 from estimator.interface import Status
 from estimator.joint_aware.compiled_march import JointKernel
@@ -65,14 +62,8 @@ class Table(NamedTuple):
         return "".join(f"[{size}]" for size in self.values.shape)
 
 
-def export_joint_aware(
-    estimator: JointAware,
-    precision: Precision,
-    name: str,
-    samples: Iterable[Sequence[float]] | None = None,
-    origin: str = "a duty cycle",
-) -> Exported:
-    """Return the program of a joint-aware estimator.
+def contents(estimator: JointAware, precision: Precision) -> Contents:
+    """Return what a joint-aware estimator gives to a program.
 
     Parameters
     ----------
@@ -80,81 +71,65 @@ def export_joint_aware(
         Its model gives every coefficient.
     precision : Precision
         Of all numbers of the program.
-    name : str
-        Begins the names of its files and symbols.
-    samples : iterable of sequences, optional
-        Time, s, and readings, K, for the self-test, evenly at the model's step and none missing;
-        default: a duty cycle of the model itself.
-    origin : str
-        Where these come from.
 
     Raises
     ------
     InputError
-        The name is none; the joints have no law that is known in machine code, or there are none;
-        or a sample is one to which the program has no answer.
+        The joints have no law that is known in machine code, or there are none.
     """
-    checked_name(name)
     kernel = estimator.observer.physics.kernel
     if kernel is None:
         raise InputError(
             "export: the machine has no joint, or one whose law is not a surface or Back-Burdekin "
             "with a power law of the conductance; run it with 'thermojoint estimate'"
         )
-    model = estimator.model
-    if samples is None:
-        samples = _duty_cycle(estimator)
-    kept = recorded.recorded(estimator, _even(samples, model.step, origin), model.step, origin)
-    _answerable(kept)
     tolerance = kernel.tolerance
     if precision is Precision.SINGLE:
         tolerance = max(tolerance, SINGLE_TOLERANCE)
+    model = estimator.model
     tables = _tables(estimator, kernel, tolerance)
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
-    values = {
-        "sources": distinct(model.sources, "sources"),
-        "axes": distinct(model.axes, "axes"),
-        "statuses": [(one.name, one.value) for one in _STATUSES],
-        "jumped": READING_JUMPED,
-        "not_settled": NOT_SETTLED,
-        "jump": GATE * MODEL_ERROR,
-        "linear": linear,
-        "contacts": contacts,
-        "modes": model.modes.rates.size,
-        "rates": model.remainder.rates.size,
-        "draws": draws,
-        "iterations": ITERATIONS,
-        "halvings": HALVINGS,
-        "tables": tables,
-        "width": WIDTH,
-        "most_heat": (1.0 + SLACK) * model.calibrated.heat,
-        "least_heat": -SLACK * model.calibrated.heat,
-        "longest": (1.0 + SLACK) * model.calibrated.duration_s,
-        "root2": math.sqrt(2.0),
-        "root2pi": math.sqrt(2.0 * math.pi),
-        # Beyond, exp underflows (`fesim.joint.law`).
-        "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
-    }
     fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
-    return written(
-        _interface(estimator, name),
-        precision,
-        values,
-        kept,
+    return Contents(
+        estimator,
+        _interface(estimator),
+        values={
+            "sources": distinct(model.sources, "sources"),
+            "jumped": READING_JUMPED,
+            "not_settled": NOT_SETTLED,
+            "jump": GATE * MODEL_ERROR,
+            "linear": linear,
+            "contacts": contacts,
+            "modes": model.modes.rates.size,
+            "rates": model.remainder.rates.size,
+            "draws": draws,
+            "iterations": ITERATIONS,
+            "halvings": HALVINGS,
+            "tables": tables,
+            "width": WIDTH,
+            "most_heat": (1.0 + SLACK) * model.calibrated.heat,
+            "least_heat": -SLACK * model.calibrated.heat,
+            "longest": (1.0 + SLACK) * model.calibrated.duration_s,
+            "root2": math.sqrt(2.0),
+            "root2pi": math.sqrt(2.0 * math.pi),
+            # Beyond, exp underflows (`fesim.joint.law`).
+            "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
+        },
         constants=sum(table.values.size for table in tables),
         state=4 * linear + 44 * contacts + 9 * contacts**2 + 3,
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
         worst=fixed + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
+        duty=lambda: _duty_cycle(estimator),
+        origin="a duty cycle",
     )
 
 
-def _interface(estimator: JointAware, name: str) -> Interface:
+def _interface(estimator: JointAware) -> Interface:
     model, axes = estimator.model, distinct(estimator.axes, "axes")
     readings = distinct((*model.sensors, "ambient"), "sensors")
     return Interface(
-        name=name,
         kind="joint_aware",
         fingerprint=fingerprint(model),
         interval=model.step,
@@ -168,6 +143,8 @@ def _interface(estimator: JointAware, name: str) -> Interface:
             Variable("lowest_pressure", "Pa", "lowest_pressure"),
             Variable("highest_pressure", "Pa", "highest_pressure"),
         ),
+        axes=axes,
+        statuses=_STATUSES,
     )
 
 
@@ -227,33 +204,6 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     rows[:, :-1] += model.offset
     for k, row in enumerate(rows.tolist()):
         yield (k * model.step, *row)
-
-
-def _even(
-    samples: Iterable[Sequence[float]], step: float, origin: str
-) -> Iterator[Sequence[float]]:
-    """Yield samples that come at every step, nothing missing."""
-    last = None
-    for sample in samples:
-        late = last is not None and abs(sample[0] - last - step) > 1e-6 * step
-        if late or not all(map(math.isfinite, sample)):
-            raise InputError(
-                f"{origin}: the sample at {sample[0]:g} s is late or has a reading missing; for "
-                f"the self-test give one every {step:g} s, or leave --samples out"
-            )
-        last = sample[0]
-        yield sample
-
-
-def _answerable(kept: recorded.Recorded) -> None:
-    known = sum(one.value for one in _STATUSES)
-    for row, word in enumerate(kept.words):
-        if word & ~known:
-            raise InputError(
-                f"{kept.origin}: sample {row} is one that the exported program judges otherwise "
-                f"({Status(word).words}); give another log for the self-test, or leave --samples "
-                "out"
-            )
 
 
 def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operations:

@@ -6,8 +6,7 @@ keeps its digits in single precision, too:
 - an increment is added to a state, not a state multiplied: x1 = x0 + (φ_0 - 1) x0 + ...;
 - an inverse is written as 1/(s - p) = -1/p + s / (p (s - p)). Its residues, which nearly cancel,
   then see only the changes of the temperatures, and what stands still passes by one number;
-- the leak s/(s + λ) of the sources is taken out of their bank again: a pole that happens to lie
-  near -λ has residues there that cancel to a few parts in 100 000.
+- the leak s/(s + λ) is a stage of its own, as in Python.
 
 With w' = -λ w + u' and u' constant, w' = exp(-λ t) c, c = u' - λ w0, so that the modes
 v' = p v + w'/p are known in closed form by the divided differences φ_k[-λ dt, p dt].
@@ -20,11 +19,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from artefacts.errors import InputError
-from estimator.export.c_source import Operations
-from models.filters.bank import Bank, phi_functions
+from estimator.export.program import Operations
+from models.filters.bank import Bank
+from models.filters.phi import divided_differences, phi_functions
 
-#: Below this the divided difference of φ_1 comes from so many terms of its series.
-NEAR, TERMS = 2.0, 28
 #: Of a compensated sum, of a complex number.
 _KEPT = Operations(additions=8)
 #: φ functions of one mode by their series, and by the recursion.
@@ -80,17 +78,15 @@ class Modes:
         return 2 * sum(a.size for a in complex_ones) + sum(a.size for a in real_ones)
 
 
-def on_lines(bank: Bank, dt: float, leak: float = 0.0) -> Modes:
+def on_lines(bank: Bank, dt: float) -> Modes:
     """Return a bank that takes straight lines and gives the mean over each interval.
 
     Parameters
     ----------
     bank : Bank
-        Without double poles; with a leak, as `models.filters.bank.leaking` returns it.
+        Without double poles; it may leak.
     dt : float
         Nominal interval, s.
-    leak : float
-        λ, 1/s.
 
     Raises
     ------
@@ -99,44 +95,13 @@ def on_lines(bank: Bank, dt: float, leak: float = 0.0) -> Modes:
     """
     if (bank.double != 0.0).any():
         raise InputError("export: an inverse with double poles has no program; assemble again")
-    modes = _sorted(_without_leak(bank, leak) if leak else bank)
-    at = -leak * dt
+    modes = _sorted(bank)
+    at = -bank.leak * dt
     direct, mean = divided_differences(at, modes.poles * dt)
     phi1 = phi_functions(modes.poles * dt)[1]
     parts = (modes.poles * dt * phi1, dt * direct / modes.poles, phi1, dt * mean / modes.poles)
     flow = [dt * float(one.real[0]) for one in phi_functions(np.array([at + 0j]))[1:3]]
-    return replace(modes, nominal=np.stack(parts, axis=1), leak=leak, flow=np.array(flow))
-
-
-def divided_differences(at: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return φ_0[at, z] and φ_1[at, z] to rounding error, however near the two are.
-
-    φ_0[μ, z] = exp(μ) φ_1(z - μ), the exponent being the larger of the two; from z φ_1 = φ_0 - 1
-    follows φ_1[μ, z] = (φ_0[μ, z] - φ_1(μ))/z, and near zero both come from the series of φ_1.
-
-    Parameters
-    ----------
-    at : float
-        Not positive.
-    z : ndarray of complex, shape (m,)
-        Re z <= 0.
-    """
-    direct, mean = np.empty_like(z), np.empty_like(z)
-    for k, one in enumerate(z):
-        larger, smaller = (at + 0j, one) if at >= one.real else (one, at + 0j)
-        direct[k] = np.exp(larger) * phi_functions(np.array([smaller - larger]))[1][0]
-        far, near = (one, at + 0j) if abs(one) >= abs(at) else (at + 0j, one)
-        if abs(far) >= NEAR:
-            mean[k] = (direct[k] - phi_functions(np.array([near]))[1][0]) / far
-            continue
-        # Σ (Σ_j μ^j z^(k-j)) / (k+2)!
-        power = total = part = 0.5 + 0j
-        for n in range(1, TERMS):
-            power = power * near / (n + 2)
-            part = part * far / (n + 2) + power
-            total = total + part
-        mean[k] = total
-    return direct, mean
+    return replace(modes, nominal=np.stack(parts, axis=1), leak=bank.leak, flow=np.array(flow))
 
 
 def on_constants(bank: Bank, dt: float) -> Modes:
@@ -190,21 +155,7 @@ def _sorted(bank: Bank) -> Modes:
         drive=bank.drive[order],
         gain=bank.gain.T[order],
         double=bank.double.T[np.flatnonzero(twice)],
-        rest=bank.constant - ((bank.gain / bank.poles) @ bank.drive).real,
+        rest=bank.at_rest,
         slope=bank.slope,
         nominal=np.empty((0, 0), dtype=complex),
-    )
-
-
-def _without_leak(bank: Bank, rate: float) -> Bank:
-    """What `models.filters.bank.leaking` was given."""
-    inputs = bank.constant.shape[1]
-    poles = bank.poles[:-inputs]
-    return Bank(
-        poles,
-        bank.drive[:-inputs],
-        bank.gain[:, :-inputs] * ((poles + rate) / poles),
-        bank.double[:, :-inputs],
-        bank.constant + rate * bank.slope,
-        bank.slope,
     )

@@ -12,7 +12,6 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from estimator.interface import Estimator, follow
-from models.parameters import Span
 
 #: Samples at the nominal interval that a duty cycle begins with; then intervals of so many of it.
 EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)
@@ -81,15 +80,13 @@ def recorded(
     return Recorded(np.array(rows), np.array(shifts), tuple(words), origin)
 
 
-def duty_cycle(span: Span, channels: Sequence[str], interval: float) -> Array:
+def duty_cycle(ranges: Sequence[tuple[float, float]], interval: float) -> Array:
     """Return a day of samples (n, 1 + channels): a load on and off, within what was calibrated.
 
     Parameters
     ----------
-    span : Span
-        What every channel has read.
-    channels : sequence of str
-        In the order of a sample.
+    ranges : sequence of tuple
+        Least and largest value of every channel, in the order of a sample.
     interval : float
         Nominal, s.
     """
@@ -106,6 +103,5 @@ def duty_cycle(span: Span, channels: Sequence[str], interval: float) -> Array:
         on = float(time % PERIOD < ON * PERIOD)
         load += (on - load) * -math.expm1(-step / FOLLOWS)
         level[k] = load
-    ranges = [span.temperatures[name] for name in channels]
     columns = [low + (high - low) * level for low, high in ranges]
     return np.column_stack((times, *columns))

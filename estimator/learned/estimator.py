@@ -41,7 +41,7 @@ GOES_ON = 3600.0
 #: An estimate is flagged where it leaves the range of the log's displacements by more than this
 #: share of it, on either side.
 REACH = 0.5
-_WITHIN = 1.96
+WITHIN = 1.96
 _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "torque": "N m"}
 
 
@@ -159,7 +159,7 @@ class Learned:
         if refused:
             status |= Status.READING_REFUSED
         estimate = means[:, :-1] @ row
-        band = _WITHIN * self._widening * np.sqrt(np.einsum("i,cij,j->c", row, spread, row))
+        band = WITHIN * self._widening * np.sqrt(np.einsum("i,cij,j->c", row, spread, row))
         status |= self._status(now, estimate, time - begun)
         after = np.concatenate(([time, begun], now, low, means.ravel(), spread.ravel()))
         return after, Estimate(time, estimate, band, status, np.empty(0))

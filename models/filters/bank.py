@@ -6,27 +6,23 @@ A bank is a transfer matrix in modal form,
 
 every pole in the open left half plane; of a conjugate pair only the pole with Im >= 0 is kept and
 y is the real part. Between two samples u is either the straight line through them or a constant.
-For both the states at the end of the interval are known in closed form through
-
-    φ_0(z) = exp(z),   φ_{k+1}(z) = (φ_k(z) - 1/k!) / z,   z = p Δt,
-
-so nothing is integrated numerically and a gap in the data is one long interval. A sample costs the
+For both the states at the end of the interval are known in closed form (`models.filters.phi`), so
+nothing is integrated numerically and a gap in the data is one long interval. A sample costs the
 same time and memory however long the run is.
+
+A bank may leak: its inputs then pass s/(s + λ) first, which has states of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import fsum
 
 import numpy as np
 
 from artefacts.errors import InputError
-
-#: Below this |z| the φ functions come from their series, above it from the recursion.
-_SERIES_RADIUS = 2.0
-_SERIES_TERMS = 28
-_INVERSE_FACTORIALS = (1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0)
+from models.filters.phi import divided_differences, phi_functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +40,8 @@ class Bank:
         pair with residues R and conj(R) has gain 2 R.
     constant, slope : ndarray, shape (n_out, n_in)
         Coefficients of 1 and of s.
+    leak : float
+        λ of s/(s + λ), which the inputs pass first, 1/s; 0: they do not.
     """
 
     poles: np.ndarray
@@ -52,6 +50,7 @@ class Bank:
     double: np.ndarray
     constant: np.ndarray
     slope: np.ndarray
+    leak: float = 0.0
 
     def __post_init__(self) -> None:
         unstable = ~(self.poles.real < 0.0)
@@ -67,10 +66,22 @@ class Bank:
         """Length of the real state vector."""
         pair = self.poles.imag > 0.0
         twice = self._has_double()
-        return int(self.poles.size + pair.sum() + twice.sum() + (pair & twice).sum())
+        leaky = self.constant.shape[1] if self.leak else 0
+        return int(self.poles.size + pair.sum() + twice.sum() + (pair & twice).sum() + leaky)
 
     def _has_double(self) -> np.ndarray:
         return np.asarray((self.double != 0.0).any(axis=0))
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """What it gives of inputs that stand still, no leak, (n_out, n_in); no double poles.
+
+        Terms that are 100 000 times their sum cancel here. They are summed exactly, so that it is
+        the same number on every processor and in every exported program.
+        """
+        terms = (self.gain / -self.poles).real[:, :, None] * self.drive
+        sums = [[fsum(column) for column in one.T] for one in terms]
+        return self.constant + np.array(sums).reshape(self.constant.shape)
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """Return the transfer matrix at `s` (complex, shape (k,)); shape (k, n_out, n_in)."""
@@ -82,7 +93,8 @@ class Bank:
             + self.gain.conj() / (s - above)
             + self.double.conj() / (s - above) ** 2
         )
-        return modal @ self.drive + self.constant + s * self.slope
+        passed = s / (s + self.leak) if self.leak else 1.0
+        return (modal @ self.drive + self.constant + s * self.slope) * passed
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,26 +117,6 @@ class Interval:
     mean_new: np.ndarray
 
 
-def phi_functions(z: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return φ_0 ... φ_4 of complex `z` (Re z <= 0), each of z's shape, to rounding error."""
-    near = np.abs(z) < _SERIES_RADIUS
-    small = np.where(near, z, 0.0)
-    # φ_4 = Σ z^k / (k+4)!, by Horner; the lower ones follow without cancellation.
-    series = np.zeros_like(small)
-    for k in range(_SERIES_TERMS, 0, -1):
-        series = (series + 1.0) * small / (k + 4.0)
-    low = [(series + 1.0) / 24.0]
-    for k in (3, 2, 1, 0):
-        low.insert(0, small * low[0] + _INVERSE_FACTORIALS[k])
-    large = np.where(near, 1.0, z)
-    # exp underflows to zero far down the left half plane; that zero is the right value.
-    with np.errstate(under="ignore"):
-        high = [np.exp(large)]
-    for k in range(4):
-        high.append((high[k] - _INVERSE_FACTORIALS[k]) / large)
-    return tuple(np.where(near, a, b) for a, b in zip(low, high, strict=True))
-
-
 @lru_cache(maxsize=256)
 def over_interval(bank: Bank, dt: float) -> Interval:
     """Return the matrices of `bank` over an interval of `dt` seconds (dt > 0).
@@ -132,6 +124,8 @@ def over_interval(bank: Bank, dt: float) -> Interval:
     A double pole's second state obeys y' = p y + x, so it is the derivative of x with respect to p:
     φ_k' = φ_k - k φ_{k+1}.
     """
+    if bank.leak:
+        return _over_leaking_interval(bank, dt)
     phi0, phi1, phi2, phi3, phi4 = phi_functions(bank.poles * dt)
     twice = np.flatnonzero(bank._has_double())
     slope1, slope2, slope3 = phi1 - phi2, phi2 - 2.0 * phi3, phi3 - 3.0 * phi4
@@ -175,6 +169,49 @@ def over_interval(bank: Bank, dt: float) -> Interval:
     )
 
 
+def _over_leaking_interval(bank: Bank, dt: float) -> Interval:
+    """Return the matrices of a bank that leaks; u goes on where it was, it must not jump.
+
+    w' = -λ w + u' with u' constant, hence w' = exp(-λ t) c, c = u' - λ w0. With 1/(s - p) =
+    -1/p + s / (p (s - p)) the modes are v' = p v + w'/p: they see changes alone, and their
+    residues, which nearly cancel, nothing that stands still. The states are (v, w).
+    """
+    at, z = -bank.leak * dt, bank.poles * dt
+    phi0, phi1 = phi_functions(z)[:2]
+    _, flow, mean_flow = (float(one.real[0]) for one in phi_functions(np.array([at + 0j]))[:3])
+    direct, mean = divided_differences(at, z)
+    pair = np.flatnonzero(bank.poles.imag > 0.0)
+    basis = np.concatenate((np.eye(z.size), 1j * np.eye(z.size)[:, pair]), axis=1)
+    inputs = bank.constant.shape[1]
+    leaks, nothing = np.eye(inputs), np.zeros((basis.shape[1], inputs))
+    drive = bank.drive / bank.poles[:, None]
+    rest = bank.at_rest
+
+    def real(image: np.ndarray) -> np.ndarray:
+        return np.concatenate((image.real, image.imag[pair]))
+
+    # What c does to the states, and to the mean of the outputs.
+    change = np.concatenate((real(dt * direct[:, None] * drive), dt * flow * leaks))
+    mean_change = (bank.gain @ (dt * mean[:, None] * drive)).real
+    mean_change += dt * mean_flow * rest + flow * bank.slope
+    advance = np.block([[real(phi0[:, None] * basis), nothing], [nothing.T, leaks]])
+    advance[:, -inputs:] -= bank.leak * change
+    held = rest - bank.leak * mean_change
+    # At the end u' - λ w is w'.
+    end = ((bank.gain @ basis).real, rest - bank.leak * bank.slope)
+    return Interval(
+        advance=advance,
+        old=-change / dt,
+        new=change / dt,
+        end=np.concatenate(end, axis=1),
+        end_old=-bank.slope / dt,
+        end_new=bank.slope / dt,
+        mean=np.concatenate(((bank.gain @ (phi1[:, None] * basis)).real, held), axis=1),
+        mean_old=-mean_change / dt,
+        mean_new=mean_change / dt,
+    )
+
+
 def simple_bank(poles: np.ndarray, gains: np.ndarray) -> Bank:
     """Return Σ gain_k / (s - p_k): one input, one output; both arrays of shape (m,)."""
     poles = np.asarray(poles, dtype=complex)
@@ -184,7 +221,11 @@ def simple_bank(poles: np.ndarray, gains: np.ndarray) -> Bank:
 
 
 def stacked(banks: list[Bank]) -> Bank:
-    """Return the bank whose outputs are those of `banks`, one below the other, on shared inputs."""
+    """Return the bank whose outputs are those of `banks`, one below the other, on shared inputs.
+
+    Banks that leak cannot be put together; put them together first, then let the whole leak.
+    """
+    _tight(banks)
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
         drive=np.concatenate([b.drive for b in banks]),
@@ -196,7 +237,8 @@ def stacked(banks: list[Bank]) -> Bank:
 
 
 def summed(banks: list[Bank]) -> Bank:
-    """Return the bank whose inputs are those of `banks` side by side, their outputs added."""
+    """Return the bank whose inputs are those of `banks` side by side, outputs added; no leaks."""
+    _tight(banks)
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
         drive=_diagonal([b.drive for b in banks]),
@@ -210,30 +252,19 @@ def summed(banks: list[Bank]) -> Bank:
 def leaking(bank: Bank, rate: float) -> Bank:
     """Return `bank` times s/(s + rate): what stands still at its inputs fades from its outputs.
 
-    By partial fractions, so exactly; at s = 0 the result is zero.
+    The leak stays a stage of its own. By partial fractions it would be one more pole of the bank,
+    and a pole that happens to lie near it would have residues that nearly cancel.
 
     Parameters
     ----------
     bank : Bank
         Without double poles.
     rate : float
-        1/s, positive, and no pole of the bank.
+        1/s, positive.
     """
     if bank._has_double().any():
         raise InputError("a bank with double poles has no leaking form here")
-    shifted = bank.poles + rate
-    # s/(s + λ) = 1 - λ/(s + λ), and λ/(s + λ) leaves the bank's own value at s = -λ.
-    at_leak = (bank.gain / -shifted) @ bank.drive
-    residue = -rate * (at_leak.real + bank.constant - rate * bank.slope)
-    inputs = bank.constant.shape[1]
-    return Bank(
-        poles=np.concatenate((bank.poles, np.full(inputs, -rate, dtype=complex))),
-        drive=np.concatenate((bank.drive, np.eye(inputs))),
-        gain=np.concatenate((bank.gain * (bank.poles / shifted), residue), axis=1),
-        double=np.concatenate((bank.double, np.zeros_like(residue)), axis=1),
-        constant=bank.constant - rate * bank.slope,
-        slope=bank.slope,
-    )
+    return replace(bank, leak=rate)
 
 
 def respond_to_line(
@@ -269,8 +300,10 @@ def respond_to_line(
 def respond_to_steps(bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: float) -> np.ndarray:
     """Return the outputs at `times` where input n holds over the interval that ends at time n.
 
-    Parameters and result as in `respond_to_line`; the first input holds for `lead` seconds.
+    Parameters and result as in `respond_to_line`; the first input holds for `lead` seconds. The
+    bank must not leak: its inputs would jump.
     """
+    _tight([bank])
     ends = _outputs(bank, times)
     state = np.zeros(bank.n_state)
     for n, dt in enumerate(intervals(times, lead)):
@@ -287,6 +320,11 @@ def intervals(times: np.ndarray, lead: float) -> list[float]:
 
 def _outputs(bank: Bank, times: np.ndarray) -> np.ndarray:
     return np.empty((len(times), bank.constant.shape[0]))
+
+
+def _tight(banks: list[Bank]) -> None:
+    if any(bank.leak for bank in banks):
+        raise InputError("banks that leak cannot be put together; let the whole leak")
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:

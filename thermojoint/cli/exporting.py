@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from thermojoint.cli import arguments, file_kinds, joint_aware
+from thermojoint.cli import arguments, file_kinds, joint_aware, learning
 
 if TYPE_CHECKING:
-    from estimator.export import c_source
-    from estimator.export.c_source import Exported, Operations
+    from estimator.export.program import Operations, Program
+    from estimator.interface import Estimator
+
+Samples = Iterable[Sequence[float]]
 
 
 class Target(StrEnum):
     """What an estimator is exported to."""
 
     C = "c"
+    ST = "st"
     FMU = "fmu"
     FMI2 = "fmi2"
 
 
 class Precision(StrEnum):
-    """Of every number in the program; as `estimator.export.c_source.Precision`."""
+    """Of every number in the program; as `estimator.export.program.Precision`."""
 
     DOUBLE = "double"
     SINGLE = "single"
@@ -33,13 +39,14 @@ class Precision(StrEnum):
 def export(
     model: Annotated[
         Path,
-        typer.Argument(help="Model file, joint-aware model, or what 'assemble' wrote."),
+        typer.Argument(help="Model file, learned or joint-aware model, or what 'assemble' wrote."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the program, or the FMU to write.")],
     to: Annotated[
         Target,
         typer.Option(
-            help="c: C99; fmu: a unit for co-simulation, FMI 3.0; fmi2: the same, FMI 2.0."
+            help="c: C99; st: IEC 61131-3 Structured Text; fmu: a unit for co-simulation, FMI "
+            "3.0; fmi2: the same, FMI 2.0."
         ),
     ] = Target.C,
     precision: Annotated[
@@ -53,7 +60,10 @@ def export(
         typer.Option(help="Log (CSV) or response (.nc) for the self-test; default: a duty cycle."),
     ] = None,
     interval: Annotated[
-        float, typer.Option("--interval-s", help="Nominal sampling interval of a model file, s.")
+        float,
+        typer.Option(
+            "--interval-s", help="Nominal sampling interval of a model file or learned model, s."
+        ),
     ] = 2.0,
     run_length: Annotated[
         float, typer.Option("--run-length-min", help="Length of a run of a model file, min.")
@@ -70,90 +80,115 @@ def export(
 
     Example: [bold]thermojoint export model.h5 --to c --out machine_c --name machine[/bold]
 
+    Example: [bold]thermojoint export estimator.json --to st --out spindle_st --name spindle[/bold]
+
     Example: [bold]thermojoint export estimator.json --to fmu --out spindle.fmu[/bold]
     """
-    from artefacts.files import write_text
-    from artefacts.folders import whole_folder
-    from estimator.export import c_source
-    from estimator.export.fmu import Standard, write_fmu
-    from estimator.joint_aware.recognition import is_observer
+    from estimator.export.exporting import export_program
+    from estimator.export.program import checked_name
     from thermojoint.cli import console
 
-    if to is not Target.C:
+    one_file = to in (Target.FMU, Target.FMI2)
+    if one_file:
         arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples])
     else:
         arguments.check_whole_folder(out)
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
-    c_source.checked_name(name)
-    numbers = c_source.Precision(precision.value)
-    if is_observer(model):
-        found = _joint_aware(model, numbers, name, samples)
+    checked_name(name)
+    with _opened(model, samples, dt, 60.0 * length) as (estimator, rows):
+        origin = samples.name if samples else ""
+        program = export_program(estimator, precision.value, name, rows, origin, dt)
+    files = _written(program, to, out)
+    _show(program)
+    console.wrote(*files)
+
+
+def _written(program: Program, to: Target, out: Path) -> list[Path]:
+    from estimator.export.c_source import write_c
+    from estimator.export.fmu import Standard, write_fmu
+    from estimator.export.structured_text import write_structured_text
+
+    if to is Target.C:
+        return write_c(program, out)
+    if to is Target.ST:
+        return write_structured_text(program, out)
+    write_fmu(program, out, Standard.FMI2 if to is Target.FMI2 else Standard.FMI3)
+    return [out]
+
+
+@contextmanager
+def _opened(
+    model: Path, samples: Path | None, interval: float, run_length: float
+) -> Iterator[tuple[Estimator, Samples | None]]:
+    """Give the estimator, and the samples of a log or response if there is one."""
+    from estimator.joint_aware.recognition import is_observer
+    from models.learned import is_learned
+
+    if is_learned(model):
+        opened = _learned
+    elif is_observer(model):
+        opened = _joint_aware
     else:
-        found = _fchs(model, numbers, name, samples, dt, 60.0 * length)
-    if to is not Target.C:
-        write_fmu(found, out, Standard.FMI2 if to is Target.FMI2 else Standard.FMI3)
-        written = [out]
+        opened = partial(_fchs, interval=interval, run_length=run_length)
+    if samples is None:
+        yield opened(model, None, None)
     else:
-        with whole_folder(out) as folder:
-            for file, text in found.files.items():
-                write_text(folder / file, text)
-        written = [out / file for file in found.files]
-    _show(found)
-    console.wrote(*written)
+        with arguments.opened(samples) as source:
+            yield opened(model, samples, source)
+
+
+def _learned(
+    model: Path, samples: Path | None, source: TextIO | None
+) -> tuple[Estimator, Samples | None]:
+    from estimator.learned.starting import started
+
+    if samples is None:
+        return started(model)[0], None
+    estimator, _, rows = learning.opened(model, source, str(samples), None, None, None)
+    return estimator, rows
 
 
 def _fchs(
-    model: Path,
-    precision: c_source.Precision,
-    name: str,
-    samples: Path | None,
-    interval: float,
-    run_length: float,
-) -> Exported:
+    model: Path, samples: Path | None, source: TextIO | None, interval: float, run_length: float
+) -> tuple[Estimator, Samples | None]:
     from artefacts.response import read_response
     from estimator import measured
-    from estimator.export.fchs import export_fchs
     from estimator.starting import started
 
     estimator, _ = started(model, interval, run_length)
     if samples is None:
-        return export_fchs(estimator, precision, name)
+        return estimator, None
     table = estimator.assembly.model
-    with arguments.opened(samples) as source:
-        if source is None:
-            rows = measured.response_samples(read_response(samples), table)
-        else:
-            rows = measured.read_samples(source, list(table.linear.direct), str(samples))
-        return export_fchs(estimator, precision, name, rows, samples.name)
+    if source is None:
+        return estimator, measured.response_samples(read_response(samples), table)
+    return estimator, measured.read_samples(source, list(table.linear.direct), str(samples))
 
 
 def _joint_aware(
-    model: Path, precision: c_source.Precision, name: str, samples: Path | None
-) -> Exported:
+    model: Path, samples: Path | None, source: TextIO | None
+) -> tuple[Estimator, Samples | None]:
     from artefacts.response import read_response
-    from estimator.export.joint_aware import export_joint_aware
     from estimator.joint_aware.estimator import JointAware
     from estimator.joint_aware.model_file import read_observer
 
     estimator = JointAware(read_observer(model))
     if samples is None:
-        return export_joint_aware(estimator, precision, name)
-    with arguments.opened(samples) as source:
-        response = read_response(samples) if source is None else None
-        _, _, rows = joint_aware.opened(model, source, response, str(samples), joint_aware.Start())
-        return export_joint_aware(estimator, precision, name, rows, samples.name)
+        return estimator, None
+    response = read_response(samples) if source is None else None
+    _, _, rows = joint_aware.opened(model, source, response, str(samples), joint_aware.Start())
+    return estimator, rows
 
 
-def _show(found: Exported) -> None:
+def _show(program: Program) -> None:
     """Print sizes and costs."""
     from thermojoint.cli import console
 
     out = console.out()
-    out.print(f"constants  {found.constants} bytes")
-    out.print(f"state      {found.state} bytes")
-    out.print(f"self-test  {found.samples} samples")
-    for label, one in zip(found.labels, (found.usual, found.worst), strict=True):
+    out.print(f"constants  {program.constants} bytes")
+    out.print(f"state      {program.state} bytes")
+    out.print(f"self-test  {program.samples} samples")
+    for label, one in zip(program.labels, (program.usual, program.worst), strict=True):
         out.print(f"{label}: {_counted(one)}")
 
 
@@ -162,4 +197,4 @@ def _counted(one: Operations) -> str:
         f"{one.multiplications} multiplications, {one.additions} additions, "
         f"{one.divisions} divisions"
     )
-    return text + (f", {one.functions} of exp, sin, cos" if one.functions else "")
+    return text + (f", {one.functions} functions such as exp" if one.functions else "")

@@ -1,0 +1,166 @@
+"""A learned model as a program: relaxations of what is measured, weighted.
+
+As `estimator.learned.estimator` where no displacement is read: zero and weights are then those that
+were learned, and the band is theirs. With x = dt/τ a relaxation gains, of the straight line from u0
+to u1,
+
+    y1 - y0 = g (u0 - y0) + h (u1 - u0),   g = 1 - exp(-x),   h = 1 - g/x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.quantities import column_named
+from estimator.export.program import Contents, Interface, Operations, Variable, distinct, listed
+from estimator.export.recorded import duty_cycle
+from estimator.interface import Status
+from estimator.learned.estimator import DRIFT_SIZE, REACH, WITHIN, Learned
+from estimator.span import SLACK, with_slack
+from models.learned import LearnedModel
+
+#: Terms of the series of h, which has its digits where x is below 1.
+TERMS = 18
+#: A value that is no number, or as large, is a reading that is missing.
+LARGEST = 1e30
+#: Exponents that need no power.
+_PRODUCTS = (1.0, 2.0)
+_STATUSES = (
+    Status.BEYOND_TIME,
+    Status.BEYOND_HEAT,
+    Status.BEYOND_TEMPERATURE,
+    Status.READING_MISSING,
+    Status.BEYOND_DISPLACEMENT,
+)
+
+
+class Filtered(NamedTuple):
+    """A feature in the program.
+
+    Attributes
+    ----------
+    column : int
+        Which reading.
+    exponent, reference, scale, tau : float
+        As `models.learned.Feature`.
+    """
+
+    column: int
+    exponent: float
+    reference: float
+    scale: float
+    tau: float
+
+
+def contents(estimator: Learned, interval: float) -> Contents:
+    """Return what a learned estimator gives to a program.
+
+    Parameters
+    ----------
+    estimator : Learned
+        Its model gives every coefficient.
+    interval : float
+        Nominal, s; any other may follow.
+
+    Raises
+    ------
+    InputError
+        The interval is not positive.
+    """
+    if not 0.0 < interval < np.inf:
+        raise InputError(f"export: an interval of {interval:g} s; give a positive one")
+    model = estimator.model
+    columns, count, axes = len(model.columns), len(model.features), len(model.channels)
+    features = [
+        Filtered(model.columns.index(one.column), one.exponent, one.reference, one.scale, one.tau_s)
+        for one in model.features
+    ]
+    powers = sum(one.exponent not in (0.0, *_PRODUCTS) for one in features)
+    slow = sum(one.tau > 0.0 for one in features)
+    usual = Operations(
+        axes * (2 + count + count * (count + 1)) + 3 * count + 2 * slow,
+        axes * (2 + count + count * (count + 1)) + count + 8 * slow + 3,
+        count,
+        powers + axes,
+    )
+    ranges = [model.spans[name] for name in model.columns]
+    return Contents(
+        # The program does not know the log's clock: it begins a run.
+        Learned(replace(model, log_end=None), estimator.reading_noise),
+        _interface(estimator, interval),
+        values={
+            "features": features,
+            "gains": gains(model.taus, interval),
+            "zeros": [one.zero for one in model.channels],
+            "weights": np.array([one.weights for one in model.channels]),
+            "spreads": np.array([one.covariance for one in model.channels]),
+            "unexplained": [(1.0 + DRIFT_SIZE**2) * one.drift**2 for one in model.channels],
+            "widths": [WITHIN * one.widening for one in model.channels],
+            "reaches": [_reach(one.span) for one in model.channels],
+            "limits": [with_slack(one) for one in ranges],
+            "middles": [0.5 * (low + high) for low, high in ranges],
+            "temperatures": [name in model.sensors for name in model.columns],
+            "longest": (1.0 + SLACK) * model.duration_s,
+            "largest": LARGEST,
+            "terms": TERMS,
+        },
+        constants=7 * count + axes * (count + count**2 + 5) + 3 * columns,
+        state=columns + 3 * count + 3,
+        usual=usual,
+        worst=usual + Operations(TERMS + 2, TERMS + 2, TERMS + 2, 1).times(slow),
+        labels=("a sample at the nominal interval", "at any other interval, at most"),
+        duty=lambda: duty_cycle(ranges, interval).tolist(),
+    )
+
+
+def gains(taus: Array, interval: float) -> Array:
+    """Return g and h of each feature, shape (n, 2); those of a signal itself are 1 and 1.
+
+    Parameters
+    ----------
+    taus : ndarray, shape (n,)
+        Time constants, s; 0 for the signal itself.
+    interval : float
+        s.
+    """
+    slow = taus > 0.0
+    x = np.where(slow, interval / np.where(slow, taus, 1.0), 1.0)
+    series = np.zeros_like(x)
+    for k in range(TERMS, 0, -1):
+        series = (1.0 - series) / (k + 1.0) * np.where(x < 1.0, x, 0.0)
+    g = -np.expm1(-x)
+    h = np.where(x < 1.0, series, 1.0 - g / x)
+    return np.stack((np.where(slow, g, 1.0), np.where(slow, h, 1.0)), axis=1)
+
+
+def _reach(span: tuple[float, float]) -> tuple[float, float]:
+    low, high = span
+    return low - REACH * (high - low), high + REACH * (high - low)
+
+
+def _interface(estimator: Learned, interval: float) -> Interface:
+    model: LearnedModel = estimator.model
+    inputs = distinct([_base(name) for name in model.columns], "columns")
+    axes = distinct([_base(name) for name in estimator.axes], "displacements")
+    units = [channel.unit for channel in estimator.channels]
+    return Interface(
+        kind="learned",
+        fingerprint=model.digest,
+        interval=interval,
+        timed=True,
+        inputs=tuple(Variable(*one, "") for one in zip(inputs, units, strict=False)),
+        outputs=(*listed("displacement", "m", axes), *listed("band", "m", axes)),
+        axes=axes,
+        statuses=_STATUSES,
+    )
+
+
+def _base(name: str) -> str:
+    """The name without its unit: the program takes and gives SI."""
+    column = column_named(name)
+    return column.base if column else name

@@ -1,0 +1,125 @@
+"""A program as Structured Text (IEC 61131-3): one function block, and a program that tests it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from artefacts.folders import write_folder
+from estimator.export.program import Precision, Program, rounded
+from estimator.export.templating import loaded
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+#: Of numbers in Structured Text.
+_TYPES = {Precision.DOUBLE: "LREAL", Precision.SINGLE: "REAL"}
+#: Numbers in a line of a table.
+_IN_A_LINE = 6
+
+
+def st_files(program: Program) -> dict[str, str]:
+    """Return NAME.st and NAME_selftest.st: name to text."""
+    templates, kind = _environment(program.precision), program.interface.kind
+    sources = {".st": f"{kind}.st.j2", "_selftest.st": "selftest.st.j2"}
+    return {
+        f"{program.name}{ending}": templates.get_template(template).render(
+            **program.common, real=_TYPES[program.precision]
+        )
+        for ending, template in sources.items()
+    }
+
+
+def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
+    """Write a program as Structured Text into a folder, which is all old or all new.
+
+    Parameters
+    ----------
+    program : Program
+        What `export_program` returns.
+    folder : Path or str
+        To write; what is there must be a program of this kind, or nothing.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    InputError
+        A coefficient has no number of the precision, or the folder is somebody's own.
+    """
+    return write_folder(Path(folder), st_files(program))
+
+
+def decimal(value: float, precision: Precision) -> str:
+    """Return a number with as many digits as bring it back to the last bit, e.g. ``1.5E-7``.
+
+    A real literal has a point, also before an exponent.
+
+    Raises
+    ------
+    InputError
+        It is not finite at that precision.
+    """
+    number = rounded(value, precision)
+    text = str(np.float32(number)) if precision is Precision.SINGLE else repr(number)
+    head, _, exponent = text.partition("e")
+    head = head if "." in head else f"{head}.0"
+    return f"{head}E{int(exponent)}" if exponent else head
+
+
+def literal(value: float, precision: Precision) -> str:
+    """Return a number with its type, for an expression: nothing is converted unseen."""
+    return f"{_TYPES[precision]}#{decimal(value, precision)}"
+
+
+def initial(values: ArrayLike, precision: Precision) -> str:
+    """Return an array of any shape, real or complex, as initial values: flat, last index fastest.
+
+    Arrays of several dimensions are initialised differently from one system to the next.
+    """
+    array = np.asarray(values)
+    if np.iscomplexobj(array):
+        array = np.stack((array.real, array.imag), axis=-1)
+    return _listed([decimal(one, precision) for one in array.ravel().tolist()])
+
+
+def words(values: Sequence[int]) -> str:
+    """Return status words as initial values."""
+    return _listed([f"WORD#16#{value:04X}" for value in values])
+
+
+def _listed(flat: Sequence[str]) -> str:
+    lines = [", ".join(flat[k : k + _IN_A_LINE]) for k in range(0, len(flat), _IN_A_LINE)]
+    return "[" + ",\n        ".join(lines) + "]"
+
+
+def numbers_in(values: ArrayLike) -> int:
+    """Return how many real numbers an array has."""
+    array = np.asarray(values)
+    return int(array.size * (2 if np.iscomplexobj(array) else 1))
+
+
+def _environment(precision: Precision) -> Environment:
+    """The templates, with ``| r`` for a number, ``| initial`` and ``| wide`` for an array."""
+    found = loaded()
+
+    def r(value: float) -> str:
+        return literal(value, precision)
+
+    def as_initial(values: Any) -> str:  # noqa: ANN401
+        return initial(values, precision)
+
+    found.filters["r"] = r
+    found.filters["initial"] = as_initial
+    found.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
+    found.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
+    found.filters["words"] = words
+    found.filters["size"] = numbers_in
+    return found

@@ -1,0 +1,200 @@
+"""An exported learned model is the one in Python where no displacement is read."""
+
+import ctypes
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
+from machine_logs import as_csv, machine_log
+
+from artefacts.errors import InputError
+from calibrate.learning.learn import learn
+from estimator.export.exporting import export_program
+from estimator.export.fmu import Standard, write_fmu
+from estimator.export.learned import gains
+from estimator.export.program import REFUSED, Precision
+from estimator.interface import Status, follow
+from estimator.learned.estimator import Learned
+from estimator.learned.samples import samples_of
+from models.filters.relaxations import relaxed
+from models.learned import LogEnd, write_learned
+from thermojoint.cli.app import app
+
+NAN = float("nan")
+DT = 60.0
+#: Another day: other speeds, another clock.
+DAY = machine_log(hours=24.0, seed=5, start=500000.0)
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return Learned(learn([machine_log()], ["x_um", "z_um"], 4))
+
+
+@pytest.fixture(scope="module")
+def samples(estimator):
+    return list(samples_of(estimator.model, [DAY]))
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_a_day_that_was_not_learned_is_the_same_in_c(estimator, samples, precision, tmp_path):
+    found = export_program(estimator, precision, "m", samples, interval=DT)
+    done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["samples"] == len(samples) == 1440
+    assert figures["state"] == found.state
+    worst, largest = figures["largest difference"], figures["largest displacement"]
+    assert largest > 5e-6
+    assert worst <= (1e-12 * largest if precision is Precision.DOUBLE else 0.01e-6)
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_it_holds_at_any_interval_and_over_gaps(estimator, precision, tmp_path):
+    found = export_program(estimator, precision, "m", interval=2.0)
+    done, _ = selftest(written(found, tmp_path), "m", "-O2", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_gains_of_an_interval_are_those_of_the_relaxation():
+    taus = np.array([0.0, 1e5, 900.0, 60.0, 59.0, 2.0])
+    before, old, new = np.zeros((3, 6)) + np.array([[1.0], [3.0], [-2.0]])
+    g, h = gains(taus, 60.0).T
+    ours = np.where(taus > 0.0, before + g * (old - before) + h * (new - old), new)
+    np.testing.assert_allclose(ours, relaxed(before, old, new, 60.0, taus), rtol=1e-12)
+
+
+class Estimate(ctypes.Structure):
+    _fields_ = (
+        ("displacement", ctypes.c_double * 2),
+        ("band", ctypes.c_double * 2),
+        ("status", ctypes.c_uint),
+    )
+
+
+@pytest.fixture(scope="module")
+def program(estimator, tmp_path_factory):
+    """Gives what the compiled program says of samples, from its start on."""
+    folder = tmp_path_factory.mktemp("program")
+    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+    written(found, folder)
+    command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "m.c", "-lm", "-o", "m.so"]
+    subprocess.run(command, cwd=folder, check=True)
+    library = ctypes.CDLL(str(folder / "m.so"))
+    library.m_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
+
+    def run(rows):
+        state, last = ctypes.create_string_buffer(found.state), None
+        library.m_init(state)
+        for time, *values in rows:
+            one, interval = Estimate(), DT if last is None else time - last
+            readings = (ctypes.c_double * len(values))(*values)
+            library.m_step(state, interval, readings, ctypes.byref(one))
+            last = time
+            yield one
+
+    return run
+
+
+@needs_gcc
+def test_missing_readings_bands_and_status_are_those_of_python(estimator, program, samples):
+    draw, rows = np.random.default_rng(1), []
+    for k, (time, *values) in enumerate(samples[:400]):
+        if 30 < k < 60 or k == 0:
+            values[draw.integers(len(values))] = NAN
+        rows.append((time, *(value + (40.0 if k > 300 else 0.0) for value in values)))
+    plain = Learned(replace(estimator.model, log_end=None))
+    states = set()
+    for got, (_, there) in zip(
+        program(rows), follow(plain, rows, plain.initial_state()), strict=True
+    ):
+        np.testing.assert_allclose(list(got.displacement), there.displacement, rtol=1e-11)
+        np.testing.assert_allclose(list(got.band), there.band, rtol=1e-11)
+        assert got.status == there.status
+        states.add(Status(got.status))
+    assert any(Status.READING_MISSING in one for one in states)
+    assert any(Status.BEYOND_TEMPERATURE in one for one in states)
+
+
+@needs_gcc
+@pytest.mark.parametrize("interval", [0.0, -1.0, NAN, np.inf])
+def test_time_that_does_not_go_on_changes_nothing(program, samples, interval):
+    first, second = samples[:2]
+    plain = list(program([first, second]))[-1]
+    rows = [first, (first[0] + interval, *second[1:])]
+    assert list(program(rows))[-1].status == REFUSED
+    assert plain.status != REFUSED
+
+
+def test_it_starts_a_run_wherever_the_log_ended(estimator, samples):
+    model = estimator.model
+    end = LogEnd(samples[0][0] - DT, samples[0][1:], (5.0,) * len(model.features))
+    going_on = export_program(Learned(replace(model, log_end=end)), "double", "m", samples[:9])
+    fresh = export_program(Learned(replace(model, log_end=None)), "double", "m", samples[:9])
+    np.testing.assert_array_equal(going_on.kept.displacement, fresh.kept.displacement)
+
+
+@needs_gxx
+def test_no_sample_costs_more_than_is_printed(estimator, samples, tmp_path):
+    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+    readings = ", ".join(map(repr, samples[50][1:]))
+    body = f"""
+int main() {{ static m_state state; static m_estimate found;
+  const m_real readings[] = {{ {readings} }};
+  const double intervals[] = {{60.0, 60.0, 0.01, 61.0, 7.0, 600.0, 1e5}};
+  m_init(&state);
+  for (double one : intervals) {{ CLEAR(); m_step(&state, one, readings, &found); PRINT(); }} }}
+"""
+    counted = np.array(counts(found, tmp_path, "m", body))
+    usual, worst = np.array(operations(found.usual)), np.array(operations(found.worst))
+    assert (counted[:2] <= usual).all()
+    assert (counted[1, :2] >= 0.8 * usual[:2]).all()
+    assert (counted <= worst).all()
+    assert counted[2:, 0].max() > 0.7 * worst[0]
+
+
+@needs_gcc
+def test_the_command_exports_a_learned_model_with_a_log(estimator, tmp_path, capsys):
+    write_learned(estimator.model, tmp_path / "model.json")
+    as_csv(DAY.part(slice(0, 100)), tmp_path / "log.csv")
+    names = [str(tmp_path / name) for name in ("model.json", "program", "log.csv")]
+    arguments = ["export", names[0], "--out", names[1], "--samples", names[2], "--interval-s", "60"]
+    app([*arguments, "--name", "m"], standalone_mode=False)
+    assert "multiplications" in capsys.readouterr().out
+    done, figures = selftest(tmp_path / "program", "m", "-O1")
+    assert done.returncode == 0, done.stdout
+    assert figures["samples"] == 100
+
+
+@needs_gcc
+@pytest.mark.parametrize("standard", Standard)
+def test_as_a_unit_for_co_simulation_it_says_the_same(estimator, samples, standard, tmp_path):
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    from fmpy.validation import validate_fmu
+
+    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+    write_fmu(found, tmp_path / "m.fmu", standard)
+    assert validate_fmu(str(tmp_path / "m.fmu")) == []
+    names = [one.name for one in found.interface.inputs]
+    rows = [(DT * k, *values) for k, (_, *values) in enumerate(samples[:60])]
+    given = np.array(rows, dtype=[("time", float), *((name, float) for name in names)])
+    result = fmpy.simulate_fmu(
+        str(tmp_path / "m.fmu"),
+        input=given,
+        stop_time=58.0 * DT,
+        step_size=DT,
+        output_interval=DT,
+        output=["displacement_x", "status"],
+    )
+    plain = Learned(replace(estimator.model, log_end=None))
+    there = [e.displacement[0] for _, e in follow(plain, rows, plain.initial_state())]
+    assert len(result) > 50
+    assert result["displacement_x"][1:] == pytest.approx(there[: len(result) - 1], rel=1e-9)
+
+
+def test_an_interval_that_is_none_is_refused(estimator):
+    with pytest.raises(InputError, match="give a positive one"):
+        export_program(estimator, Precision.DOUBLE, "m", interval=0.0)
