@@ -19,8 +19,8 @@ from live.http.rates import Buckets, client_of
 
 log = logging.getLogger("thermojoint.http")
 
-#: Longest address with its parameters, bytes.
-LONGEST_ADDRESS = 2048
+#: Longest address with its parameters, and all headers together, bytes.
+LONGEST_ADDRESS, LARGEST_HEAD = 2048, 16384
 #: Requests that a client may make at once, in seconds of its rate.
 BURST_S = 5.0
 #: Wrong tokens of one client in a row, and how long each is remembered, s.
@@ -141,6 +141,8 @@ class Gate:
             return too_many(waiting)
         if len(scope["raw_path"]) + len(scope["query_string"]) > LONGEST_ADDRESS:
             return refused(414, f"the address has more than {LONGEST_ADDRESS} bytes; shorten it")
+        if sum(len(name) + len(value) for name, value in scope["headers"]) > LARGEST_HEAD:
+            return refused(431, f"the headers have more than {LARGEST_HEAD} bytes; send fewer")
         headers = Headers(scope=scope)
         if scope["method"] != "POST" and (
             headers.get("content-length", "0") != "0" or "transfer-encoding" in headers

@@ -18,6 +18,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from artefacts.errors import InputError
 from live.http.access import access_by
 from live.http.app import make_app
+from live.http.gate import LARGEST_HEAD
 from live.http.certificate import own_certificate
 from live.http.sources import Sources
 from live.secret import read_secret
@@ -27,8 +28,6 @@ from live.settings import HttpServer, is_loopback
 REQUEST_S = 10.0
 #: A reader that takes nothing for this long is gone, s.
 READER_S = 30.0
-#: Bytes of the head of a request at most.
-LARGEST_HEAD = 16384
 #: Connections at the same time, beside one for each stream.
 MOST_CONNECTIONS = 256
 
@@ -59,7 +58,13 @@ class PatientProtocol(H11Protocol):
             self._deadline = None
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP; where an answer has begun there is nothing to be said."""
+        """Refuse what is no HTTP; where an answer has begun there is nothing to be said.
+
+        Whatever is answering the request before it has nobody to talk to any more.
+        """
+        if self.cycle is not None:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
         try:
             super().send_400_response(msg)
         except h11.LocalProtocolError:

@@ -19,20 +19,20 @@ function localTime(seconds) {
   return ms - 60000 * new Date(ms).getTimezoneOffset();
 }
 
-function layoutOf(unit, from, to, revision) {
+function layoutOf(from, to, revision) {
   const grid = colour("--grid"), text = colour("--muted");
   const axis = { gridcolor: grid, linecolor: grid, zerolinecolor: colour("--zero"), tickfont: { color: text }, fixedrange: true };
   return {
     autosize: true,
     datarevision: revision,
-    margin: { l: 52, r: 8, t: 6, b: 40 },
+    margin: { l: 48, r: 8, t: 30, b: 36 },
     paper_bgcolor: "rgba(0,0,0,0)",
     plot_bgcolor: "rgba(0,0,0,0)",
     font: { family: "system-ui, sans-serif", size: 13, color: text },
     showlegend: true,
-    legend: { orientation: "h", x: 0, y: -0.12, yanchor: "top", font: { color: colour("--text") } },
-    xaxis: { ...axis, type: "date", range: [localTime(from), localTime(to)], nticks: 6 },
-    yaxis: { ...axis, title: { text: unit, standoff: 4 }, nticks: 6, rangemode: "normal" },
+    legend: { orientation: "h", x: 0, y: 1.01, yanchor: "bottom", traceorder: "normal", font: { color: colour("--text") } },
+    xaxis: { ...axis, type: "date", range: [localTime(from), localTime(to)], nticks: 5 },
+    yaxis: { ...axis, nticks: 6 },
     hovermode: "x unified",
     hoverlabel: { bgcolor: colour("--card"), bordercolor: colour("--grid"), font: { color: colour("--text") } },
   };
@@ -62,6 +62,6 @@ function traces(times, curves) {
   return found;
 }
 
-function draw(node, times, curves, unit, from, to, revision) {
-  return Plotly.react(node, traces(times, curves), layoutOf(unit, from, to, revision), CONFIG);
+function draw(node, times, curves, from, to, revision) {
+  return Plotly.react(node, traces(times, curves), layoutOf(from, to, revision), CONFIG);
 }

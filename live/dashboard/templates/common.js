@@ -49,6 +49,10 @@ function age(seconds) {
   return `${Math.round(seconds / 86400)} days ago`;
 }
 
+// The same everywhere, as 3/4 is two days: 2026-11-21 08:05:00.
+function dayTime(seconds) { return new Date(1000 * seconds).toLocaleString("sv-SE"); }
+function clockTime(seconds) { return new Date(1000 * seconds).toLocaleTimeString("sv-SE"); }
+
 function sentences(status) {
   if (!status || status === "ok") return "";
   return status.split(" ").map((word) => {

@@ -5,6 +5,7 @@ const name = document.getElementById("machine").textContent;
 const base = `/api/machines/${encodeURIComponent(name)}`;
 const SPANS = [["15 min", 900], ["1 h", 3600], ["8 h", 28800], ["24 h", 86400], ["7 d", 604800]];
 const POINTS = 720;
+const COLUMNS = ["displacement_um", "band_um", "offsets_um", "details", "readings"];
 //: What a unit at the end of a name is called, in what it is shown, and over which heading.
 const UNITS = {
   W: ["Heat", "W", 1], K: ["Estimated temperatures", "K", 1], Pa: ["Pressure in the joints", "MPa", 1e-6],
@@ -61,10 +62,10 @@ async function drawAll() {
     const band = past.band_um[axis];
     return { name: `δ${axis}`, values: past.displacement_um[axis], band: band.some((one) => one !== null) ? band : null };
   });
-  await draw(document.getElementById("c-displacement"), past.time_s, axes, "µm", from, to, page.revision);
+  await draw(document.getElementById("c-displacement"), past.time_s, axes, from, to, page.revision);
   for (const chart of page.charts) {
     const curves = chart.keys.map((key) => ({ name: bare(key), values: scaled(past[chart.group][key], chart.factor) }));
-    await draw(chart.node, past.time_s, curves, chart.unit, from, to, page.revision);
+    await draw(chart.node, past.time_s, curves, from, to, page.revision);
   }
 }
 
@@ -73,8 +74,17 @@ async function load() {
   const past = await ask(`${base}/history?since=${(now - span).toFixed(3)}&until=${(now + 60).toFixed(3)}&points=${POINTS}`);
   if (span !== page.span) return;
   page.past = past;
+  past.holes.forEach((hole) => interrupt(past, hole));
   if (page.newest) append(page.newest);
   await drawAll();
+}
+
+// No line across a time without samples.
+function interrupt(past, hole) {
+  const at = past.time_s.findIndex((time) => time > hole.since_s);
+  if (at <= 0) return;
+  past.time_s.splice(at, 0, (past.time_s[at - 1] + past.time_s[at]) / 2);
+  for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(at, 0, null);
 }
 
 // The newest sample behind the curves; what is older than the span goes, and the rest stays bounded.
@@ -82,14 +92,13 @@ function append(one) {
   const past = page.past, times = past.time_s;
   if (one.time_s === null || (times.length && one.time_s <= times[times.length - 1])) return;
   times.push(one.time_s);
-  const groups = ["displacement_um", "band_um", "offsets_um", "details", "readings"];
-  for (const group of groups) {
+  for (const group of COLUMNS) {
     for (const [key, column] of Object.entries(past[group])) column.push(one[group][key] ?? null);
   }
   const gone = times.findIndex((time) => time >= clock.now() - page.span);
   if (gone > 0) {
     times.splice(0, gone);
-    for (const group of groups) for (const column of Object.values(past[group])) column.splice(0, gone);
+    for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(0, gone);
   }
 }
 
@@ -99,7 +108,7 @@ function status() {
   document.getElementById("status").dataset.quality = quality;
   write(document.querySelector("#status .sign"), lost ? "⚠" : SIGNS[quality]);
   write(document.getElementById("word"), lost ? "no connection" : one ? quality : "waiting");
-  const since = one && one.time_s ? new Date(1000 * one.time_s).toLocaleTimeString() : "";
+  const since = one && one.time_s ? clockTime(one.time_s) : "";
   write(document.getElementById("reasons"), lost
     ? `The values below are old${since ? `: from ${since}` : ""}.`
     : one ? sentences(one.status) : "no sample yet");
@@ -163,7 +172,7 @@ function readings() {
 
 function model() {
   const about = page.about, list = document.getElementById("model");
-  const facts = [["Kind", about.kind], ["File", about.model], ["Since", new Date(1000 * about.since_s).toLocaleString()]];
+  const facts = [["Kind", about.kind], ["File", about.model], ["Since", dayTime(about.since_s)]];
   for (const [term, text] of facts) list.append(el("dt", "", term), el("dd", "", text));
   document.getElementById("valid-table").hidden = !about.valid.length;
   for (const one of about.valid) {
@@ -182,7 +191,7 @@ async function events() {
   list.replaceChildren(...(found.length ? found : [{ text: "none in the last week" }]).map((one) => {
     const item = el("li");
     if (one.time_s) {
-      const when = el("time", "", new Date(1000 * one.time_s).toLocaleString());
+      const when = el("time", "", dayTime(one.time_s));
       when.dateTime = one.time;
       item.append(when);
     }

@@ -80,16 +80,22 @@ def free_port():
         return found.getsockname()[1]
 
 
-class Served:
+class Running:
     """A server that runs; `publish` is what the service would do."""
 
     def __init__(self, opened, loop, stop, hub):
         self.url, self.hub, self.token = opened.url, hub, TOKEN
-        self.server = opened.server
+        # The gate is the outermost of what the application consists of.
+        app = opened.server.config.app
+        self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
         self._loop, self._stop = loop, stop
 
     def publish(self, *publications):
         self._loop.call_soon_threadsafe(self.hub.publish, publications)
+
+    def forget_failures(self):
+        """Nobody has shown a wrong token."""
+        self.door.failures.levels.clear()
 
     def stop(self):
         self._loop.call_soon_threadsafe(self._stop.set)
@@ -113,7 +119,7 @@ def serving(folder, archive, machines, newest, scenes=None, security="none", **s
 
     async def run():
         stop = asyncio.Event()
-        found.append(Served(opened, asyncio.get_running_loop(), stop, hub))
+        found.append(Running(opened, asyncio.get_running_loop(), stop, hub))
         task = asyncio.create_task(serve_http(opened, stop))
         while not opened.server.started and not task.done():
             await asyncio.sleep(0.01)
