@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import json
 import random
 import socket
@@ -326,6 +327,10 @@ def serve(folder: Path) -> None:
     section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
     opened = open_http(section, sources, folder, folder)
     print(opened.socket.getsockname()[1], flush=True)
+    # As the service does: what stays for good is not looked through for garbage again and again,
+    # which leaves the garbage collector time for connections that are over.
+    gc.collect()
+    gc.freeze()
     asyncio.run(serve_http(opened, asyncio.Event()))
 
 

@@ -65,9 +65,10 @@ class PatientProtocol(H11Protocol):
         if self.cycle is not None:
             self.cycle.disconnected = True
             self.cycle.message_event.set()
+        # An answer has begun, or the reader has ended TLS.
         try:
             super().send_400_response(msg)
-        except h11.LocalProtocolError:
+        except (h11.LocalProtocolError, RuntimeError):
             self.transport.abort()
 
     def pause_writing(self) -> None:
@@ -87,6 +88,8 @@ class PatientProtocol(H11Protocol):
             self._deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
 
     def _stop(self) -> None:
+        # A timer keeps the connection and all its buffers in memory until it rings.
+        self._unset_keepalive_if_required()
         for timer in (self._deadline, self._unread):
             if timer is not None:
                 timer.cancel()
