@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from artefacts.errors import unknown_name
+from artefacts.errors import ThermojointError, unknown_name
 from compensation.offsets.settings import Settings, read_settings
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator
@@ -94,8 +95,17 @@ def served(section: ModelSection, base: Path, kept: Path) -> Served:
         details=estimator.details,
         readings=intake.names,
     )
+    _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
     return Served(estimator, digest, section.file, intake, rule, layout, output)
+
+
+def _warm_up(estimator: Estimator, interval: float) -> None:
+    """Take samples that count nowhere: machine code is made now, not while a machine waits."""
+    state = estimator.initial_state()
+    for k in range(3):
+        with suppress(ThermojointError):
+            state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
 
 
 def _check_axes(output: Settings, axes: tuple[str, ...], where: str) -> None:

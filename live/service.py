@@ -204,7 +204,16 @@ def _places(
 
 async def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Open the doors that estimates go out by; what is returned is to be run."""
-    return []
+    service, found = running.service, []
+    if service.given.mqtt is not None:
+        from live.mqtt_session import address_of
+        from live.writers.mqtt import write_topics
+
+        out = service.given.mqtt
+        address = address_of(out, service.base, "mqtt")
+        log = running.floor.log
+        found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
+    return found
 
 
 async def _read(running: Running, reader: Reader) -> None:
