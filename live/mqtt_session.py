@@ -23,7 +23,7 @@ from live.settings import MqttAddress
 
 #: An answer of the broker is waited for so long; so often it has to be heard, s.
 TIMEOUT_S, KEEPALIVE_S = 10.0, 15
-#: Attempts to connect: the first after this, each later one after twice the time, until the last, s.
+#: Attempts to connect: the second after this, each later one after twice the time, up to this, s.
 FIRST_S, LONGEST_S = 0.5, 30.0
 
 

@@ -3,8 +3,9 @@
 Instants are the multiples of an interval (since 1970). A reading belongs to the nearest one. A
 sample is closed as soon as all its readings were told, and no older one is waited for; or when a
 reading has come that is later by half an interval and the lateness that is waited for. What was not
-told by then is missing, unless its last value still holds. All of it depends on what arrives in
-which order, and on no clock: the same stream gives the same samples, whenever it is read.
+told by then is missing, unless its last value still holds. Readings that come now and then, as
+those of a touch probe, join the next sample. All of it depends on what arrives in which order, and
+on no clock: the same stream gives the same samples, whenever it is read.
 """
 
 from __future__ import annotations
@@ -107,6 +108,9 @@ def arrived(
     if time > limit:
         return Arrived(waiting, [], "ahead")
     instant = instant_of(rule, time)
+    if all(one is None for one in told[: rule.wanted]) and not math.isnan(waiting.last):
+        # What comes now and then joins the next sample.
+        instant = max(instant, waiting.last + rule.interval)
     if instant <= waiting.last:
         return Arrived(waiting, [], "late")
     cells = _merged(waiting.cells, instant, tuple(told))

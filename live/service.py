@@ -7,7 +7,7 @@ import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -24,7 +24,7 @@ from live.metrics import Metrics, fresh_metrics
 from live.notify import tell_systemd
 from live.readers.reading import Reader, readers_of
 from live.served import Served, served_models, single
-from live.settings import Service
+from live.settings import OpcuaServer, Service
 from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
@@ -213,7 +213,28 @@ async def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
         address = address_of(out, service.base, "mqtt")
         log = running.floor.log
         found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
+    if service.given.opcua is not None:
+        found.append(await _opcua_server(running, service.given.opcua))
     return found
+
+
+async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:
+    from live.writers.opcua import open_server, serve_nodes
+
+    def given(arrival: Arrival) -> None:
+        """A value that nobody waits for; when all is full it is refused like one too many."""
+        with suppress(asyncio.QueueFull):
+            running.arrivals.put_nowait([arrival])
+
+    machines = {
+        name: (place.served.layout, place.served.rule.wanted)
+        for name, place in running.floor.places.items()
+    }
+    service, log = running.service, running.floor.log
+    server, nodes = await open_server(
+        section, service.base, service.folder, running.hub, machines, given, log
+    )
+    return serve_nodes(server, nodes, running.hub)
 
 
 async def _read(running: Running, reader: Reader) -> None:

@@ -1,7 +1,7 @@
 """Messages of an MQTT broker: readings of a machine at one time, a JSON object each.
 
-``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``, or a topic for each reading:
-``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a message is
+``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``; or, on a topic for each
+reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a message is
 acknowledged when its sample is in the store: so what came while the service was down is read then.
 """
 
@@ -94,7 +94,7 @@ class MqttReader:
             client: list[aiomqtt.Client] = []
             try:
                 async with connected(
-                    self.address, "reads", on_message=lambda one: self._take(client, one)
+                    self.address, "reads", on_message=partial(self._take, client)
                 ) as found:
                     client.append(found)
                     await found.subscribe(self.topics.filter, qos=1)
