@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import TextIO
 
+from live.publication import iso_time
 from live.store import Event
 
 LOGGER = logging.getLogger("thermojoint.live")
@@ -98,8 +99,6 @@ def log_to(stream: TextIO = sys.stderr) -> None:
 class _Line(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return one record as one line."""
-        from live.publication import iso_time
-
         said = record.getMessage()
         if record.name != LOGGER.name:
             said = line_of("library", f"{record.name}: {' '.join(said.split())[:_LONGEST]}")

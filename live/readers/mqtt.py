@@ -1,8 +1,9 @@
 """Messages of an MQTT broker: readings of a machine at one time, a JSON object each.
 
 ``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``; or, on a topic for each
-reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a message is
-acknowledged when its sample is in the store: so what came while the service was down is read then.
+reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a
+message is acknowledged when its sample is in the store: so what came while the service was down is
+read then.
 """
 
 from __future__ import annotations
@@ -77,10 +78,14 @@ class MqttReader:
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield what comes, for ever; a connection that is lost is made again."""
         session = asyncio.create_task(self._stay_connected())
+        session.add_done_callback(lambda _: self._came.set())
         try:
             while True:
                 await self._came.wait()
                 self._came.clear()
+                if session.done():
+                    # It ends by an error alone.
+                    session.result()
                 while self._found:
                     count = min(len(self._found), _AT_ONCE)
                     yield [self._found.popleft() for _ in range(count)]

@@ -10,8 +10,8 @@ import asyncio
 import math
 import time as clock
 from collections import deque
-from collections.abc import AsyncIterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ _AT_ONCE = 64
 _MOST_HISTORY = 100_000
 #: Variables that one request names.
 _AT_A_TIME = 500
+#: Values of one variable that the server keeps between two publications, at most.
+_QUEUE = 1000
 #: What a connection ends by.
 _LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError)
 
@@ -99,13 +101,18 @@ class OpcuaReader:
             machine: float(at) for machine, at in positions.items() if isinstance(at, int | float)
         }
         session = asyncio.create_task(self._stay_connected())
+        session.add_done_callback(lambda _: self._came.set())
         try:
             while True:
                 await self._came.wait()
                 self._came.clear()
-                while self._found:
-                    count = min(len(self._found), _AT_ONCE)
-                    yield [self._found.popleft() for _ in range(count)]
+                if session.done():
+                    # It ends by an error alone.
+                    session.result()
+                found = in_order(self._found)
+                self._found.clear()
+                for k in range(0, len(found), _AT_ONCE):
+                    yield found[k : k + _AT_ONCE]
         finally:
             session.cancel()
             await asyncio.gather(session, return_exceptions=True)
@@ -131,9 +138,10 @@ class OpcuaReader:
         handler = _Handler(missed)
         subscription = await client.create_subscription(self.reached.publishing_ms, handler)
         for k in range(0, len(nodes), _AT_A_TIME):
-            items = [_item(subscription, node) for node in nodes[k : k + _AT_A_TIME]]
+            some = nodes[k : k + _AT_A_TIME]
+            items = [_item(node, k + n + 1) for n, node in enumerate(some)]
             found = await subscription.create_monitored_items(items)
-            for node, one in zip(nodes[k : k + _AT_A_TIME], found, strict=True):
+            for node, one in zip(some, found, strict=True):
                 if isinstance(one, ua.StatusCode):
                     machine, _ = places[node.nodeid]
                     self._tell(Note("unreadable", f"{node.nodeid}: {one.name}", machine))
@@ -187,6 +195,27 @@ class OpcuaReader:
         self._came.set()
 
 
+def in_order(found: Iterable[Arrival | Note]) -> list[Arrival | Note]:
+    """Return values in the order of their times, those of one machine and time as one arrival.
+
+    A server tells all values of one variable, then all of the next.
+    """
+    ordered: list[Arrival | Note] = []
+    merged: dict[tuple[str, float], Arrival] = {}
+    for one in found:
+        if isinstance(one, Note):
+            ordered.append(one)
+            continue
+        key = one.machine, one.time
+        before = merged.get(key)
+        merged[key] = one if before is None else replace(before, told=_both(before.told, one.told))
+    return [*ordered, *sorted(merged.values(), key=lambda one: one.time)]
+
+
+def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
+    return [b if a is None else a for a, b in zip(first, second, strict=True)]
+
+
 class _Handler:
     """What a subscription calls; before somebody takes values they are put aside."""
 
@@ -198,15 +227,19 @@ class _Handler:
         self.take(node.nodeid, data.monitored_item.Value)
 
 
-def _item(subscription: Any, node: Node) -> ua.MonitoredItemCreateRequest:  # noqa: ANN401
+def _item(node: Node, handle: int) -> ua.MonitoredItemCreateRequest:
     """Ask for every value that the server samples, also where only its time is another."""
-    request = subscription._make_monitored_item_request(
-        node, ua.AttributeIds.Value, None, 1000, sampling_interval=0.0
+    return ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(
+            ClientHandle=handle,
+            SamplingInterval=0.0,
+            Filter=ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp),
+            QueueSize=_QUEUE,
+            DiscardOldest=True,
+        ),
     )
-    request.RequestedParameters.Filter = ua.DataChangeFilter(
-        Trigger=ua.DataChangeTrigger.StatusValueTimestamp
-    )
-    return request
 
 
 def _time(value: ua.DataValue) -> float:

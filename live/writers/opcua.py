@@ -106,7 +106,7 @@ def data_value(kind: ua.VariantType, value: Any, code: int, said: Publication) -
     bad = bool(code & 0x80000000)
     return ua.DataValue(
         Value=ua.Variant(None, ua.VariantType.Null) if bad else ua.Variant(value, kind),
-        StatusCode_=ua.StatusCode(code),
+        StatusCode=ua.StatusCode(code),
         SourceTimestamp=_utc(said.time),
         ServerTimestamp=_utc(said.published),
     )
@@ -293,7 +293,7 @@ def _object(
     return nodeid, ua.AddNodesItem(
         RequestedNewNodeId=nodeid,
         BrowseName=ua.QualifiedName(shown, index),
-        NodeClass_=ua.NodeClass.Object,
+        NodeClass=ua.NodeClass.Object,
         ParentNodeId=parent,
         ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
         TypeDefinition=ua.NodeId(ua.ObjectIds.BaseObjectType),
@@ -309,7 +309,7 @@ def _variable(nodeid: ua.NodeId, one: Variable, parent: ua.NodeId, index: int) -
     return ua.AddNodesItem(
         RequestedNewNodeId=nodeid,
         BrowseName=ua.QualifiedName(one.name, index),
-        NodeClass_=ua.NodeClass.Variable,
+        NodeClass=ua.NodeClass.Variable,
         ParentNodeId=parent,
         ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
         TypeDefinition=ua.NodeId(kind),
