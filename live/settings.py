@@ -164,6 +164,32 @@ class MqttTopics(MqttAddress):
     status_topic: str = "thermojoint/service"
 
 
+class HttpServer(Section):
+    """``[http]``: the dashboard, JSON and the stream.
+
+    Without a certificate the service makes its own.
+    """
+
+    address: str = "127.0.0.1"
+    port: Port = 8443
+    security: Literal["tls", "none"] = "tls"
+    token: Secret
+    certificate_file: str | None = None
+    key_file: str | None = None
+    session_hours: Annotated[float, Field(gt=0.0, le=8760.0)] = 168.0
+    most_streams: Annotated[int, Field(ge=1, le=1000)] = 64
+    requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> HttpServer:
+        if (self.certificate_file is None) != (self.key_file is None):
+            raise ValueError(
+                "certificate_file and key_file belong together; give both, or neither for a "
+                "certificate of the service's own"
+            )
+        return self
+
+
 class ServiceFile(Section):
     """The whole file."""
 
@@ -176,7 +202,7 @@ class ServiceFile(Section):
     store: StoreSection = StoreSection()
     opcua: OpcuaServer | None = None
     mqtt: MqttTopics | None = None
-    http: dict[str, Any] | None = None
+    http: HttpServer | None = None
 
 
 @dataclass(frozen=True)
@@ -303,6 +329,8 @@ def _check_protected(where: str, given: ServiceFile) -> None:
         open_doors.append(("mqtt", given.mqtt.host))
     if given.opcua and given.opcua.security == "none":
         open_doors.append(("opcua", given.opcua.address))
+    if given.http and given.http.security == "none":
+        open_doors.append(("http", given.http.address))
     for place, host in open_doors:
         if not is_loopback(host):
             raise InputError(
