@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from artefacts.errors import InputError
-from live.secrets import refuse_open_to_others
+from live.secret import refuse_open_to_others
 
 #: What the service calls itself (OPC UA's application URI).
 APPLICATION = "urn:thermojoint:live"

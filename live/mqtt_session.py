@@ -18,7 +18,7 @@ from typing import Any
 import aiomqtt
 
 from artefacts.errors import InputError
-from live.secrets import secret_in
+from live.secret import read_secret
 from live.settings import MqttAddress
 
 #: An answer of the broker is waited for so long; so often it has to be heard, s.
@@ -77,7 +77,7 @@ def address_of(given: MqttAddress, base: Path, where: str) -> Address:
         )
     password = None
     if given.password is not None:
-        password = secret_in(given.password, base, f"{where}.password")
+        password = read_secret(given.password, base, f"{where}.password")
     return Address(given.host, given.port, context, given.user, password, given.client_id)
 
 

@@ -24,7 +24,7 @@ from live.metrics import Metrics, fresh_metrics
 from live.notify import tell_systemd
 from live.readers.reading import Reader, readers_of
 from live.served import Served, served_models, single
-from live.settings import OpcuaServer, Service
+from live.settings import HttpServer, OpcuaServer, Service
 from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
@@ -215,7 +215,30 @@ async def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
         found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
     if service.given.opcua is not None:
         found.append(await _opcua_server(running, service.given.opcua))
+    if service.given.http is not None:
+        found.append(_http_server(running, service.given.http))
     return found
+
+
+def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:
+    from live.http.server import open_http, serve_http
+    from live.http.sources import About, Sources
+    from live.validity import ranges_of
+
+    machines = {
+        name: About(
+            layout=place.served.layout,
+            kind=place.served.estimator.kind,
+            model=place.served.file,
+            since=running.archive.model(name).begun,
+            valid=ranges_of(place.served.estimator),
+        )
+        for name, place in running.floor.places.items()
+    }
+    sources = Sources(running.hub, running.archive, machines, running.metrics.registry, {})
+    opened = open_http(section, sources, running.service.base, running.service.folder)
+    running.floor.log.say(time.time(), "listening", opened.url)
+    return serve_http(opened, running.stop)
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from artefacts.errors import InputError
-from live.secrets import refuse_open_to_others
+from live.secret import refuse_open_to_others
 
 Role = Literal["reads", "writes"]
 #: Cost of a hash: 16 MB, and about 50 ms.

@@ -24,7 +24,7 @@ from artefacts.errors import InputError
 from live.arrivals import Arrival, Note
 from live.certificates import APPLICATION, certificate_der, own_identity
 from live.mqtt_session import FIRST_S, next_delay
-from live.secrets import secret_in
+from live.secret import read_secret
 from live.served import Served
 from live.settings import OpcuaSource, Service
 
@@ -336,7 +336,7 @@ def opcua_reader(
         certificate, key = own.certificate, own.key
     password = None
     if source.password is not None:
-        password = secret_in(source.password, service.base, "source.password")
+        password = read_secret(source.password, service.base, "source.password")
     reached = Reached(
         source.url, certificate, key, server, source.user, password, source.publishing_ms
     )
