@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
@@ -58,7 +59,7 @@ class History:
 
     layout: Layout
     columns: Columns
-    numbers: Array
+    numbers: NDArray[np.int64]
     status: tuple[str, ...]
     holes: tuple[Hole, ...]
     every: int
@@ -120,7 +121,7 @@ class Archive:
                 )
             )
         rows = np.concatenate([np.empty((0, layout.width)), *(rows for _, rows, _ in parts)])
-        numbers = np.concatenate([np.empty(0, dtype=int), *(number for number, _, _ in parts)])
+        numbers = np.concatenate([np.empty(0, dtype=np.int64), *(number for number, _, _ in parts)])
         words = [word for _, _, one in parts for word in one]
         inside = np.flatnonzero((rows[:, 0] >= since) & (rows[:, 0] <= until))
         return History(
@@ -146,16 +147,26 @@ class Archive:
             if recent:
                 number, row, status = recent[-1]
                 return from_row(machine, number, layout, np.frombuffer(row, dtype="<f8"), status)
+        return self.checkpointed(machine, eras[-1])
+
+    def checkpointed(self, machine: str, era: int) -> Publication | None:
+        """Return the last sample of an era that a checkpoint holds; None before the first."""
+        with self._reading() as store:
             last = store.execute(
-                "SELECT number, count, rows, status FROM chunks WHERE era = ? "
-                "ORDER BY first DESC LIMIT 1",
-                eras[-1:],
+                "SELECT number, count, rows, chunks.status, layout FROM chunks "
+                "JOIN eras ON eras.id = era WHERE era = ? ORDER BY first DESC LIMIT 1",
+                (era,),
             ).fetchone()
         if last is None:
             return None
-        number, count, rows, status = last
-        row = np.frombuffer(rows, dtype="<f8").reshape(count, -1)[-1]
-        return from_row(machine, number + count - 1, layout, row, json.loads(status)[-1][1])
+        number, count, rows, status, layout = last
+        return from_row(
+            machine,
+            number + count - 1,
+            layout_from(layout),
+            np.frombuffer(rows, dtype="<f8").reshape(count, -1)[-1],
+            json.loads(status)[-1][1],
+        )
 
     def events(self, machine: str | None, since: float, until: float, at_most: int) -> list[Event]:
         """Return events, newest first: of one machine and of the service, or all."""
@@ -223,7 +234,7 @@ def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, byte
 
 def _thinned(
     first: int, rows: Array, words: list[str], every: int
-) -> tuple[Array, Array, list[str]]:
-    numbers = first + np.arange(len(rows))
+) -> tuple[NDArray[np.int64], Array, list[str]]:
+    numbers = first + np.arange(len(rows), dtype=np.int64)
     at = np.flatnonzero(numbers % every == 0)
     return numbers[at], rows[at], [words[k] for k in at]

@@ -36,17 +36,34 @@ def read_secret(secret: Secret, base: Path, where: str) -> str:
             raise InputError(f"{where}: the variable {secret.variable} is not set; set it")
         return _line(found, f"{where}: variable {secret.variable}")
     path = _path_of(secret, base, where)
+    if secret.file is not None:
+        refuse_open_to_others(path, where)
     try:
-        mode = stat.S_IMODE(path.stat().st_mode)
         with path.open("rb") as file:
             content = file.read(LONGEST + 1)
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "no text"
         raise InputError(f"{where}: {path} is not readable ({why}); put the secret there") from None
-    if secret.file is not None and mode & 0o077:
-        raise InputError(f"{where}: others can read {path} (mode {mode:o}); chmod 600 {path}")
     return _line(text, f"{where}: {path}")
+
+
+def refuse_open_to_others(path: Path, where: str) -> None:
+    """Refuse a file that is not its owner's alone.
+
+    Raises
+    ------
+    InputError
+        It is missing, or others can read it or write to it.
+    """
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise InputError(
+            f"{where}: {path} is not readable ({error.strerror}); put the secret there"
+        ) from None
+    if mode & 0o077:
+        raise InputError(f"{where}: others can read {path} (mode {mode:o}); chmod 600 {path}")
 
 
 def _path_of(secret: Secret, base: Path, where: str) -> Path:

@@ -262,7 +262,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
     machines = dict(_single(given.machines))
     if len(machines) > MOST_MACHINES:
         raise InputError(
-            f"{where}: {len(machines)} machines, at most {MOST_MACHINES} fit; start a second service"
+            f"{where}: {len(machines)} machines, of {MOST_MACHINES}; start a second service"
         )
     for name, source in given.sources.items():
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
