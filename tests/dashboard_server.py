@@ -86,6 +86,7 @@ class Running:
     def __init__(self, opened, loop, stop, hub):
         self.url, self.hub, self.token = opened.url, hub, TOKEN
         # The gate is the outermost of what the application consists of.
+        self.server = opened.server
         app = opened.server.config.app
         self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
         self._loop, self._stop = loop, stop
@@ -96,6 +97,15 @@ class Running:
     def forget_failures(self):
         """Nobody has shown a wrong token."""
         self.door.failures.levels.clear()
+
+    def drop_connections(self):
+        """Whoever is connected is so no more."""
+
+        def drop():
+            for one in list(self.server.server_state.connections):
+                one.transport.abort()
+
+        self._loop.call_soon_threadsafe(drop)
 
     def stop(self):
         self._loop.call_soon_threadsafe(self._stop.set)
