@@ -62,7 +62,19 @@ PATHS = (
     "/%ff%fe",
     "/\\..\\",
 )
-METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PRI", "get", "X" * 99)
+METHODS = (
+    "GET",
+    "HEAD",
+    "POST",
+    "PUT",
+    "DELETE",
+    "OPTIONS",
+    "TRACE",
+    "CONNECT",
+    "PRI",
+    "get",
+    "X" * 99,
+)
 QUERIES = (
     "",
     "points=99999999999999999999",
@@ -142,7 +154,7 @@ def _credentials(chance: random.Random, token: str) -> list[str]:
             ["Authorization:"],
             [f"Authorization: Bearer {token}", "Authorization: Bearer x"],
             ["Cookie: thermojoint=" + "9" * chance.randrange(2000) + ".0"],
-            ["Cookie: __Host-thermojoint=1e9.zz; ; =; a=\"b"],
+            ['Cookie: __Host-thermojoint=1e9.zz; ; =; a="b'],
             ["Cookie: " + ";" * 500],
         ]
     )
@@ -245,7 +257,7 @@ def attack(
 def _sent(
     host: str, port: int, token: str, seed: str, security: ssl.SSLContext | None
 ) -> int | None:
-    """Send one request; return the status of the answer, 0 for none, None for a server that hangs."""
+    """Send one request; return the status of the answer: 0 without one, None if nothing comes."""
     chance = random.Random(seed)
     content = request(chance, token)
     try:
@@ -321,9 +333,7 @@ def serve(folder: Path) -> None:
     hub = Hub()
     hub.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
-    sources = Sources(
-        hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}
-    )
+    sources = Sources(hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {})
     section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
     opened = open_http(section, sources, folder, folder)
     print(opened.socket.getsockname()[1], flush=True)
@@ -378,9 +388,7 @@ def main() -> int:
                 process.kill()
 
 
-def judge(
-    process: subprocess.Popen[str], port: int, folder: Path, count: int, seed: int
-) -> int:
+def judge(process: subprocess.Popen[str], port: int, folder: Path, count: int, seed: int) -> int:
     """Attack, look at the process before and after, print; return the exit code."""
     security = ssl.create_default_context(cafile=folder / "http_certificate.pem")
     before = latest(port, security)

@@ -9,10 +9,12 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from artefacts.arrays import Array
 from live import floor as floors
 from live.archive import Archive
 from live.arrivals import Arrival, Note
@@ -26,6 +28,9 @@ from live.readers.reading import Reader, readers_of
 from live.served import Served, served_models, single
 from live.settings import HttpServer, OpcuaServer, Service
 from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
+
+if TYPE_CHECKING:
+    from live.scene import Scene
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
 _AT_ONCE = 128
@@ -235,10 +240,30 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         )
         for name, place in running.floor.places.items()
     }
-    sources = Sources(running.hub, running.archive, machines, running.metrics.registry, {})
+    sources = Sources(
+        running.hub, running.archive, machines, running.metrics.registry, _scenes(running)
+    )
     opened = open_http(section, sources, running.service.base, running.service.folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
+
+
+def _scenes(running: Running) -> dict[str, Scene]:
+    """The machines whose models have a scene."""
+    from live.scene import scene_of
+
+    service, found = running.service, {}
+    for name, section in service.machines.items():
+        file = service.given.models[section.model].scene
+        if file is not None:
+            place = running.floor.places[name]
+            state = partial(_state_of, place)
+            found[name] = scene_of(service.path(file), place.served.estimator, state)
+    return found
+
+
+def _state_of(place: Place) -> Array:
+    return place.machine.state
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:

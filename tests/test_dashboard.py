@@ -12,9 +12,11 @@ from observed import SENSORS, estimates, observed_data, observer, run, step
 
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import reduce_machine
+from estimator.joint_aware.surface import surface_of, write_surface
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from live.publication import Quality, as_json
+from live.scene import scene_of
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -40,7 +42,10 @@ def floor(tmp_path_factory, coarse_data):
     response = run(data, setup, step(1.0), 5.0)
     estimator = observer(reduce_machine(case, setup, SENSORS), {"step": response})
     samples = list(samples_in(response, estimator.model.sensors))
-    _, found = estimates(estimator, samples)
+    state, found = estimates(estimator, samples)
+    surface = surface_of(case, setup, estimator.model, np.array([0.0, 1.0, 0.0]))
+    write_surface(surface, folder / "scene.h5")
+    scenes = {"mill-1": scene_of(folder / "scene.h5", estimator, lambda: state)}
     layout = layout_of(estimator, ("X", "Y"))
     told = published("mill-1", layout, found, samples, time.time() - samples[-1][0])
     silent = replace(told[-1], machine="mill-2", quality=Quality.BAD, status="silent")
@@ -55,7 +60,7 @@ def floor(tmp_path_factory, coarse_data):
     archive = keep(folder / "store.db", runs, [event("mill-10", "status", "T1 is distrusted")])
     machines = {run[-1].machine: about(estimator, layout, told[0].time) for run in runs}
     newest = [one[-1] for one in runs]
-    with serving(folder, archive, machines, newest, requests_per_s=1e3) as server:
+    with serving(folder, archive, machines, newest, scenes, requests_per_s=1e3) as server:
         yield server
 
 
@@ -175,6 +180,19 @@ def test_what_is_new_is_drawn_into_the_charts_that_are_there(page, floor):
     floor.publish(again(before))
 
 
+def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-pressure').data")
+    told = page.request.get(f"{floor.url}/api/machines/mill-1/fields").json()
+    for chart, values in (("#c-temperature", "temperature_K"), ("#c-pressure", "pressure_MPa")):
+        drawn = page.evaluate(
+            "(chart) => [...document.querySelector(chart).data[0].intensity]", chart
+        )
+        assert drawn == told[values]
+    opened(page, floor, "/machines/mill-2")
+    assert not page.is_visible("#scene-card")
+
+
 def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):
     opened(page, floor, "/machines/mill-10")
     assert page.inner_text("#word").lower() == "uncertain"
@@ -274,4 +292,3 @@ def test_nothing_comes_from_elsewhere_and_no_script_stands_in_a_page(page, floor
            }))"""
     )
     assert blocked == "refused"
-

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 from prometheus_client import CollectorRegistry
 
 from live.archive import Archive
 from live.hub import Hub
 from live.publication import Layout
+from live.scene import Scene
 from live.validity import Range
 
 
@@ -37,26 +37,6 @@ class About:
     model: str
     since: float
     valid: tuple[Range, ...] = ()
-
-
-#: The machine in 3-D: what stays (points, triangles) and what the newest state says of it.
-Shape = Mapping[str, Any]
-Fields = Mapping[str, Any]
-
-
-class Scene(NamedTuple):
-    """A machine in 3-D.
-
-    Attributes
-    ----------
-    shape : mapping
-        Points, triangles and contact elements, ready for JSON.
-    fields : callable
-        Returns temperatures and pressures of the newest state, ready for JSON; None before any.
-    """
-
-    shape: Shape
-    fields: Callable[[], Fields | None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ function sceneLayout() {
     uirevision: "kept",
     scene: {
       xaxis: hidden, yaxis: hidden, zaxis: hidden, aspectmode: "data", dragmode: "turntable",
-      camera: { up: scene.shape.up, eye: scene.shape.eye },
+      camera: { eye: scene.shape.eye },
     },
   };
 }
