@@ -18,8 +18,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from artefacts.errors import InputError
 from live.http.access import access_by
 from live.http.app import make_app
-from live.http.gate import LARGEST_HEAD
 from live.http.certificate import own_certificate
+from live.http.gate import LARGEST_HEAD
 from live.http.sources import Sources
 from live.secret import read_secret
 from live.settings import HttpServer, is_loopback
