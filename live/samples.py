@@ -55,12 +55,15 @@ class Waiting(NamedTuple):
         (instant, readings) of every sample that is not closed, oldest first.
     held : tuple of (float, float)
         Time and value of each reading that was told last; empty if nothing holds.
+    probed : float
+        Latest time of a reading that comes now and then by itself, s; -inf before.
     """
 
     last: float = math.nan
     newest: float = -math.inf
     cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
     held: tuple[tuple[float, float], ...] = ()
+    probed: float = -math.inf
 
 
 class Arrived(NamedTuple):
@@ -108,9 +111,14 @@ def arrived(
     if time > limit:
         return Arrived(waiting, [], "ahead")
     instant = instant_of(rule, time)
-    if all(one is None for one in told[: rule.wanted]) and not math.isnan(waiting.last):
-        # What comes now and then joins the next sample.
-        instant = max(instant, waiting.last + rule.interval)
+    probed = waiting.probed
+    if all(one is None for one in told[: rule.wanted]):
+        if time <= probed:
+            return Arrived(waiting, [], "late")
+        probed = time
+        if not math.isnan(waiting.last):
+            # What comes now and then joins the next sample.
+            instant = max(instant, instant_of(rule, waiting.last + rule.interval))
     if instant <= waiting.last:
         return Arrived(waiting, [], "late")
     cells = _merged(waiting.cells, instant, tuple(told))
@@ -122,7 +130,7 @@ def arrived(
         if rule.hold > 0.0:
             values, held = _filled(rule, held, last, values)
         samples.append((last, tuple(math.nan if one is None else one for one in values)))
-    return Arrived(Waiting(last, newest, cells, held), samples, "taken")
+    return Arrived(Waiting(last, newest, cells, held, probed), samples, "taken")
 
 
 def _merged(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
@@ -115,6 +116,9 @@ async def run(
     """
     models = served_models(service)
     readers = readers_of(service, single(models, service))
+    # What was loaded stays: a collection need not look at it again and again.
+    gc.collect()
+    gc.freeze()
     async with opened(service, models, stop) as running:
         failed: list[BaseException] = []
         doors = [asyncio.create_task(one) for one in await _writers(running)]

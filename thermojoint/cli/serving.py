@@ -41,7 +41,8 @@ def serve(
 
     given = read_service(service)
     if add_user is not None:
-        _add_user(given.base, given.given.opcua and given.given.opcua.users, add_user, role)
+        server = given.given.opcua
+        _add_user(given.base, server.users if server else None, add_user, role)
         return
     # After the file: a mistake in it is told before the libraries are loaded.
     import asyncio
