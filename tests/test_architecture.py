@@ -19,6 +19,7 @@ ARROWS = {
     "estimator": {"artefacts", "models", "fesim"},
     "standards": {"artefacts"},
     "compensation": {"artefacts", "models", "fesim", "estimator"},
+    "live": {"artefacts", "models", "fesim", "estimator", "compensation"},
     "thermojoint": {
         "artefacts",
         "meshes",
@@ -29,6 +30,7 @@ ARROWS = {
         "estimator",
         "standards",
         "compensation",
+        "live",
     },
 }
 

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.cli import compensating, exporting, learning, placing, thermal_test
+from thermojoint.cli import compensating, exporting, learning, placing, scene, serving, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -30,6 +30,8 @@ COMMANDS = (
     placing.place,
     compensating.compensate,
     compensating.control,
+    serving.serve,
+    scene.scene,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

@@ -1,0 +1,248 @@
+"""A service killed at random moments of a day says what one says that was never killed.
+
+python -m benchmarks.live_kills --count 50
+
+A day of readings comes line by line; the service is killed (SIGKILL) again and again, while it
+starts, too. Then every sample of its history is set against that of a service that read the whole
+day undisturbed: time, number, readings, estimate, band, offsets, status.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from live.archive import Archive, History
+
+ROOT = Path(__file__).parents[1]
+MACHINE = "mill"
+_OFFSETS = """
+cycle_s = 1.0
+resolution_um = 0.1
+rate_um_s = 0.05
+filter_s = 60.0
+oldest_s = 600.0
+unusable = []
+[axes.X]
+follows = "{axis}"
+"""
+_SERVICE = """
+folder = "{folder}"
+[models.model]
+file = "{model}"
+interval_s = {interval}
+offsets = "offsets.toml"
+[machines.{machine}]
+model = "model"
+source = "log"
+[sources.log]
+kind = "csv"
+path = "{csv}"
+starts = "2026-03-02T00:00:00Z"
+follow = {follow}
+[store]
+checkpoint_s = {checkpoint}
+[watchdog]
+uncertain_s = 600.0
+bad_s = 6000.0
+"""
+
+
+def prepare(place: Path, model: Path, axis: str, interval: float, checkpoint: float) -> None:
+    """Write the files of two services: one that reads a whole day, one that is fed it."""
+    (place / "offsets.toml").write_text(_OFFSETS.format(axis=axis))
+    for name, csv, follow in (("whole", "day.csv", "false"), ("killed", "fed.csv", "true")):
+        text = _SERVICE.format(
+            folder=name,
+            model=model,
+            interval=interval,
+            machine=MACHINE,
+            csv=csv,
+            follow=follow,
+            checkpoint=checkpoint,
+        )
+        (place / f"{name}.toml").write_text(text)
+
+
+def started(place: Path, name: str) -> subprocess.Popen[bytes]:
+    """Start a service of its own process; its log is appended to a file."""
+    with (place / f"{name}.log").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "thermojoint.cli", "serve", str(place / f"{name}.toml")],
+            stderr=log,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )
+
+
+def kill_through(
+    place: Path, lines: Sequence[str], count: int, draw: random.Random, longest: float
+) -> int:
+    """Feed a service the lines of a day, and kill it `count` times; return how often it had begun.
+
+    Parameters
+    ----------
+    place : Path
+        Where `prepare` wrote its files.
+    lines : sequence of str
+        Header and rows.
+    count : int
+    draw : Random
+        Draws the moments.
+    longest : float
+        A service lives so long at most after its first sign of life, s.
+    """
+    fed = place / "fed.csv"
+    fed.write_text(lines[0])
+    per_life = -(-(len(lines) - 1) // (count + 1))
+    at, had_begun = 1, 0
+    with fed.open("a") as out:
+        for _ in range(count):
+            log = place / "killed.log"
+            before = log.read_bytes().count(b"event=ready") if log.exists() else 0
+            service = started(place, "killed")
+            until, alive = time.monotonic() + 120.0, 0.0
+            lives = draw.uniform(-0.5, longest)
+            rows = list(lines[at : at + per_life])
+            share = max(1, len(rows) // 20)
+            while time.monotonic() < until and service.poll() is None:
+                ready = log.read_bytes().count(b"event=ready") > before
+                alive = alive or (time.monotonic() if ready else 0.0)
+                if lives < 0.0 and time.monotonic() > until - 120.0 + 4.0 * -lives:
+                    break  # while it starts
+                if alive and time.monotonic() - alive > max(lives, 0.0):
+                    break
+                if alive and rows:
+                    # A row need not be whole when it is seen.
+                    text = "".join(rows[:share])
+                    del rows[:share]
+                    cut = draw.randrange(len(text))
+                    out.write(text[:cut])
+                    out.flush()
+                    time.sleep(0.002)
+                    out.write(text[cut:])
+                    out.flush()
+                time.sleep(draw.uniform(0.0, 0.03))
+            assert service.poll() is None, log.read_text()[-2000:]
+            os.kill(service.pid, signal.SIGKILL)
+            service.wait()
+            had_begun += bool(alive)
+            out.write("".join(rows))
+            out.flush()
+            at += per_life
+        out.write("".join(lines[at:]))
+    return had_begun
+
+
+def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> History:
+    """Let a service read to the end, stop it, and return its history."""
+    service = started(place, name)
+    until = time.monotonic() + timeout
+    archive = Archive(place / name / "history.sqlite")
+    try:
+        while time.monotonic() < until and service.poll() is None:
+            time.sleep(0.1)
+            if archive.path.exists() and _count(archive) >= samples:
+                break
+        # One that does not follow its file ends by itself.
+        with suppress(subprocess.TimeoutExpired):
+            service.wait(2.0)
+        if service.poll() is None:
+            service.send_signal(signal.SIGTERM)
+        assert service.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
+    finally:
+        service.kill()
+    return archive.history(MACHINE, 0.0, 1e11, 10**9)
+
+
+def _count(archive: Archive) -> int:
+    try:
+        last = archive.latest(MACHINE)
+    except Exception:
+        return 0
+    return last.number if last else 0
+
+
+def differences(whole: History, killed: History) -> list[str]:
+    """Return in what two histories differ; published times apart, to the last bit."""
+    found = []
+    if not np.array_equal(whole.numbers, killed.numbers):
+        return [f"samples: {len(whole.numbers)} and {len(killed.numbers)}"]
+    for name in ("times", "quality", "displacement", "band", "offsets", "details", "readings"):
+        one, other = getattr(whole.columns, name), getattr(killed.columns, name)
+        if not np.array_equal(one, other, equal_nan=True):
+            rows = int((~((one == other) | (np.isnan(one) & np.isnan(other)))).sum())
+            found.append(f"{name}: {rows} values")
+    if whole.status != killed.status:
+        found.append("status")
+    if whole.holes or killed.holes:
+        found.append(f"holes: {len(whole.holes)} and {len(killed.holes)}")
+    return found
+
+
+def measured_day(interval: float) -> list[str]:
+    """Return a day of the measured machine, between its minutes by interpolation, as CSV lines."""
+    source = ROOT / "examples" / "measured_machine" / "learned.csv"
+    names = source.read_text("utf-8").splitlines()[0]
+    table = np.genfromtxt(source, delimiter=",", skip_header=1)
+    rest = np.genfromtxt(source.with_name("unseen.csv"), delimiter=",", skip_header=1)
+    table = np.vstack([table, rest])
+    times = np.arange(table[0, 0], table[-1, 0], interval)
+    columns = [np.interp(times, table[:, 0], column) for column in table.T[1:]]
+    rows = np.column_stack([times, *columns])
+    return [names + "\n", *(",".join(f"{one:.6g}" for one in row) + "\n" for row in rows)]
+
+
+def main() -> None:
+    """Run it and print what was found as JSON; exit code 1 if anything differs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--interval-s", type=float, default=10.0)
+    parser.add_argument("--out", type=Path, help="JSON to write")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        learn = [sys.executable, "-m", "thermojoint.cli", "learn"]
+        log = ROOT / "examples" / "measured_machine" / "learned.csv"
+        wanted = ["--displacement", "disp1_um", "--displacement", "disp3_um"]
+        model = place / "model.json"
+        subprocess.run(
+            [*learn, str(log), *wanted, "--out", str(model)], check=True, capture_output=True
+        )
+        lines = measured_day(given.interval_s)
+        (place / "day.csv").write_text("".join(lines))
+        prepare(place, model, "disp1", given.interval_s, 2.0)
+        begun = time.monotonic()
+        alive = kill_through(place, lines, given.count, random.Random(given.seed), 1.5)
+        killed = finish(place, "killed", len(lines) - 1)
+        whole = finish(place, "whole", len(lines) - 1)
+        found = differences(whole, killed)
+        told = {
+            "kills": given.count,
+            "killed_after_ready": alive,
+            "samples": len(lines) - 1,
+            "hours": (len(lines) - 1) * given.interval_s / 3600.0,
+            "differences": found,
+            "wall_s": round(time.monotonic() - begun, 1),
+        }
+    text = json.dumps(told, indent=2)
+    if given.out:
+        given.out.write_text(text + "\n")
+    print(text)
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()

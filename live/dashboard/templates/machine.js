@@ -1,0 +1,258 @@
+"use strict";
+// One machine: status, axes, curves, readings, model, events; changed in place.
+
+const name = document.getElementById("machine").textContent;
+const base = `/api/machines/${encodeURIComponent(name)}`;
+const SPANS = [["15 min", 900], ["1 h", 3600], ["8 h", 28800], ["24 h", 86400], ["7 d", 604800]];
+const POINTS = 720;
+const COLUMNS = ["displacement_um", "band_um", "offsets_um", "details", "readings"];
+//: What a unit at the end of a name is called, in what it is shown, and over which heading.
+const UNITS = {
+  W: ["Heat", "W", 1], K: ["Estimated temperatures", "K", 1], Pa: ["Pressure in the joints", "MPa", 1e-6],
+  um: ["Parts of the displacement", "µm", 1], "": ["Relative", "1", 1], degC: ["Temperatures", "°C", 1],
+};
+
+const page = { about: null, span: 3600, past: null, newest: null, charts: [], revision: 0, drawn: 0, line: "opening" };
+
+function unitOf(key) {
+  const unit = key.includes("_") ? key.slice(key.lastIndexOf("_") + 1) : "";
+  return unit in UNITS ? unit : "";
+}
+
+function bare(key) {
+  const unit = unitOf(key);
+  return (unit ? key.slice(0, -unit.length - 1) : key).replaceAll("_", " ");
+}
+
+// Which charts there are: offsets, then details and readings by unit.
+function plan(about) {
+  const found = [];
+  if (about.controls.length) {
+    found.push({ title: "Sent to the control", unit: "µm", group: "offsets_um", keys: about.controls, factor: 1 });
+  }
+  for (const group of ["details", "readings"]) {
+    for (const unit of Object.keys(UNITS)) {
+      const keys = about[group].filter((key) => unitOf(key) === unit);
+      if (!keys.length) continue;
+      const [title, shownUnit, factor] = UNITS[unit];
+      found.push({ title: group === "readings" ? "Readings" : title, unit: shownUnit, group, keys, factor });
+    }
+  }
+  return found.map((chart) => {
+    const card = el("section", "card"), node = el("div", "chart");
+    const heading = chart.unit === "1" ? chart.title : `${chart.title}, ${chart.unit}`;
+    card.append(el("h2", "", heading), node);
+    node.setAttribute("role", "img");
+    node.setAttribute("aria-label", `${heading} over time: ${chart.keys.map(bare).join(", ")}`);
+    document.getElementById("charts").append(card);
+    return { ...chart, node };
+  });
+}
+
+function scaled(values, factor) {
+  return factor === 1 ? values : values.map((value) => (value === null ? null : factor * value));
+}
+
+async function drawAll() {
+  if (!page.past || document.hidden) return;
+  page.revision += 1;
+  page.drawn = Date.now();
+  const to = clock.now(), from = to - page.span, past = page.past;
+  const axes = page.about.axes.map((axis) => {
+    const band = past.band_um[axis];
+    return { name: `δ${axis}`, values: past.displacement_um[axis], band: band.some((one) => one !== null) ? band : null };
+  });
+  await draw(document.getElementById("c-displacement"), past.time_s, axes, from, to, page.revision);
+  for (const chart of page.charts) {
+    const curves = chart.keys.map((key) => ({ name: bare(key), values: scaled(past[chart.group][key], chart.factor) }));
+    await draw(chart.node, past.time_s, curves, from, to, page.revision);
+  }
+}
+
+async function load() {
+  const span = page.span, now = clock.now();
+  const past = await ask(`${base}/history?since=${(now - span).toFixed(3)}&until=${(now + 60).toFixed(3)}&points=${POINTS}`);
+  if (span !== page.span) return;
+  page.past = past;
+  past.holes.forEach((hole) => interrupt(past, hole));
+  if (page.newest) append(page.newest);
+  await drawAll();
+}
+
+// No line across a time without samples.
+function interrupt(past, hole) {
+  const at = past.time_s.findIndex((time) => time > hole.since_s);
+  if (at <= 0) return;
+  past.time_s.splice(at, 0, (past.time_s[at - 1] + past.time_s[at]) / 2);
+  for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(at, 0, null);
+}
+
+// The newest sample behind the curves; what is older than the span goes, and the rest stays bounded.
+function append(one) {
+  const past = page.past, times = past.time_s;
+  if (one.time_s === null || (times.length && one.time_s <= times[times.length - 1])) return;
+  times.push(one.time_s);
+  for (const group of COLUMNS) {
+    for (const [key, column] of Object.entries(past[group])) column.push(one[group][key] ?? null);
+  }
+  const gone = times.findIndex((time) => time >= clock.now() - page.span);
+  if (gone > 0) {
+    times.splice(0, gone);
+    for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(0, gone);
+  }
+}
+
+function status() {
+  const one = page.newest, lost = page.line === "lost";
+  const quality = lost ? "lost" : one ? one.quality : "none";
+  document.getElementById("status").dataset.quality = quality;
+  write(document.querySelector("#status .sign"), lost ? "⚠" : SIGNS[quality]);
+  write(document.getElementById("word"), lost ? "no connection" : one ? quality : "waiting");
+  const since = one && one.time_s ? clockTime(one.time_s) : "";
+  write(document.getElementById("reasons"), lost
+    ? `The values below are old${since ? `: from ${since}` : ""}.`
+    : one ? sentences(one.status) : "no sample yet");
+}
+
+function ages() {
+  if (page.newest) write(document.getElementById("age"), age(clock.now() - page.newest.time_s));
+}
+
+function axes() {
+  const list = document.getElementById("axes"), one = page.newest;
+  for (const axis of page.about.axes) {
+    let item = document.getElementById(`axis-${axis}`);
+    if (!item) {
+      item = el("li", "card axis-now");
+      item.id = `axis-${axis}`;
+      const value = el("p", "value");
+      value.append(el("b", "number"), " µm");
+      item.append(el("p", "axis", `δ${axis}`), value, el("p", "band"));
+      list.append(item);
+    }
+    const band = one.band_um[axis];
+    write(item.querySelector(".number"), shown(one.displacement_um[axis], 1, true));
+    write(item.querySelector(".band"), band === null ? "band unknown" : `± ${shown(band, 2)} µm (95 %)`);
+  }
+  for (const control of page.about.controls) {
+    let item = document.getElementById(`offset-${control}`);
+    if (!item) {
+      item = el("li", "card axis-now offset");
+      item.id = `offset-${control}`;
+      const value = el("p", "value");
+      value.append(el("b", "number"), " µm");
+      item.append(el("p", "axis", `${control} of the control`), value, el("p", "band", "offset sent"));
+      list.append(item);
+    }
+    write(item.querySelector(".number"), shown(one.offsets_um[control], 1, true));
+  }
+}
+
+function readings() {
+  const body = document.getElementById("readings"), one = page.newest;
+  for (const key of page.about.readings) {
+    let row = document.getElementById(`reading-${key}`);
+    if (!row) {
+      row = el("tr");
+      row.id = `reading-${key}`;
+      const head = el("th", "", bare(key));
+      head.scope = "row";
+      row.append(head, el("td", "n"), el("td", "used"));
+      body.append(row);
+    }
+    const channel = unitOf(key) ? key.slice(0, -unitOf(key).length - 1) : key;
+    const [, unit] = UNITS[unitOf(key)];
+    const has = (names) => names.includes(key) || names.includes(channel);
+    const state = has(one.distrusted) ? "distrusted" : has(one.missing) || one.readings[key] === null ? "missing" : "used";
+    row.dataset.state = state;
+    write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)} ${unit}`);
+    write(row.children[2], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted" }[state]);
+  }
+}
+
+function model() {
+  const about = page.about, list = document.getElementById("model");
+  const facts = [["Kind", about.kind], ["File", about.model], ["Since", dayTime(about.since_s)]];
+  for (const [term, text] of facts) list.append(el("dt", "", term), el("dd", "", text));
+  document.getElementById("valid-table").hidden = !about.valid.length;
+  for (const one of about.valid) {
+    const row = el("tr"), head = el("th", "", one.name.replaceAll("_", " "));
+    head.scope = "row";
+    row.append(head, el("td", "n", shown(one.low, 1)), el("td", "n", shown(one.high, 1)), el("td", "", one.unit === "1" ? "" : one.unit));
+    document.getElementById("valid").append(row);
+  }
+}
+
+async function events() {
+  const found = (await ask(`/api/events?machine=${encodeURIComponent(name)}&most=20`)).events;
+  const list = document.getElementById("events"), key = JSON.stringify(found);
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...(found.length ? found : [{ text: "none in the last week" }]).map((one) => {
+    const item = el("li");
+    if (one.time_s) {
+      const when = el("time", "", dayTime(one.time_s));
+      when.dateTime = one.time;
+      item.append(when);
+    }
+    item.append(el("span", "", one.text));
+    return item;
+  }));
+}
+
+function news(publications) {
+  for (const one of publications) {
+    page.newest = one;
+    if (page.past) append(one);
+  }
+  status();
+  axes();
+  readings();
+  ages();
+  // A curve of 8 h need not be drawn anew every second.
+  const pause = page.span <= 3600 ? 900 : 5000;
+  if (Date.now() - page.drawn >= pause) drawAll();
+}
+
+function line(state) {
+  page.line = state;
+  status();
+  if (state === "live") {
+    load().catch(() => {});
+    events().catch(() => {});
+  }
+}
+
+function spans() {
+  const group = document.getElementById("spans");
+  for (const [text, seconds] of SPANS) {
+    const button = el("button", "", text);
+    button.type = "button";
+    button.setAttribute("aria-pressed", String(seconds === page.span));
+    button.addEventListener("click", () => {
+      page.span = seconds;
+      for (const one of group.children) one.setAttribute("aria-pressed", String(one === button));
+      load().catch(() => {});
+    });
+    group.append(button);
+  }
+}
+
+ask(base).then(async (about) => {
+  page.about = about;
+  spans();
+  model();
+  page.charts = plan(about);
+  listen(`/api/stream?machine=${encodeURIComponent(name)}&every_s=0.5`, news, line);
+  document.addEventListener("theme", () => drawAll());
+  document.addEventListener("visibilitychange", () => drawAll());
+  setInterval(ages, 1000);
+  setInterval(() => events().catch(() => {}), 15000);
+  // Thinned again from time to time: the curves stay as short as they were.
+  setInterval(() => { if (page.line === "live") load().catch(() => {}); }, 300000);
+  if (about.scene) {
+    document.getElementById("scene-card").hidden = false;
+    await drawScene(name);
+    setInterval(() => drawScene(name), 5000);
+  }
+});

@@ -1,0 +1,98 @@
+"""What answers say, as JSON: units in the keys, null for what is unknown."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from artefacts.arrays import Array
+from live.archive import History
+from live.http.sources import About
+from live.publication import Publication, Quality, as_json, detail_name, iso_time
+from live.store import Event
+
+_MICRO = 1e6
+#: Keys of a publication that an overview of many machines shows.
+_SUMMARY = ("machine", "time_s", "published_s", "quality", "status", "displacement_um", "band_um")
+
+
+def encoded(body: Any) -> bytes:  # noqa: ANN401
+    """Return JSON; a number that is none never gets in."""
+    return json.dumps(body, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def summary(publication: Publication) -> dict[str, Any]:
+    """Return the part of a publication that an overview shows."""
+    whole = as_json(publication)
+    return {key: whole[key] for key in _SUMMARY}
+
+
+def about_body(machine: str, about: About, has_scene: bool) -> dict[str, Any]:
+    """Return what stays of a machine."""
+    layout = about.layout
+    return {
+        "machine": machine,
+        "kind": about.kind,
+        "model": about.model,
+        "since": iso_time(about.since),
+        "since_s": about.since,
+        "axes": list(layout.axes),
+        "controls": list(layout.controls),
+        "details": [detail_name(channel) for channel in layout.details],
+        "readings": list(layout.readings),
+        "valid": [
+            {"name": one.name, "low": one.low, "high": one.high, "unit": one.unit}
+            for one in about.valid
+        ],
+        "scene": has_scene,
+    }
+
+
+def history_body(machine: str, history: History) -> dict[str, Any]:
+    """Return some time of a machine as columns, by name."""
+    layout, columns = history.layout, history.columns
+    details = [detail_name(channel) for channel in layout.details]
+    in_micro = np.array([_MICRO if one.unit == "m" else 1.0 for one in layout.details])
+    return {
+        "machine": machine,
+        "every": history.every,
+        "holes": [
+            {"since_s": one.since, "until_s": one.until, "why": one.why} for one in history.holes
+        ],
+        "time_s": _numbers(columns.times, 3),
+        "quality": [Quality(int(one)).word for one in columns.quality],
+        "displacement_um": _named(layout.axes, _MICRO * columns.displacement),
+        "band_um": _named(layout.axes, _MICRO * columns.band),
+        "offsets_um": _named(layout.controls, _MICRO * columns.offsets),
+        "details": _named(details, columns.details * in_micro),
+        "readings": _named(layout.readings, columns.readings),
+    }
+
+
+def events_body(events: Sequence[Event]) -> dict[str, Any]:
+    """Return events, newest first."""
+    return {
+        "events": [
+            {
+                "time": iso_time(one.time),
+                "time_s": one.time,
+                "machine": one.machine,
+                "kind": one.kind,
+                "text": one.text,
+            }
+            for one in events
+        ]
+    }
+
+
+def _named(names: Iterable[str], values: Array) -> dict[str, list[float | None]]:
+    return {name: _numbers(column, 4) for name, column in zip(names, values.T, strict=True)}
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    """Return a column, rounded; half a picometre or a tenth of a millikelvin is noise."""
+    return [round(one, digits) if math.isfinite(one) else None for one in values.tolist()]

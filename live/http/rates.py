@@ -1,0 +1,58 @@
+"""How much each client may ask for: buckets that fill with time, never more than so many."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+#: Clients that are remembered; who was quiet longest is forgotten first.
+MOST_CLIENTS = 4096
+
+
+@dataclass
+class Buckets:
+    """One bucket a client, full at first.
+
+    Attributes
+    ----------
+    rate : float
+        What comes in, 1/s.
+    size : float
+        What goes in.
+    levels : OrderedDict of str to (float, float)
+        Client to its level and when that was, s.
+    """
+
+    rate: float
+    size: float
+    levels: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
+
+    def wait(self, client: str, now: float) -> float:
+        """Return how long a client must wait for one more, s; 0 if it need not."""
+        level, since = self.levels.get(client, (self.size, now))
+        level = min(self.size, level + self.rate * max(0.0, now - since))
+        return max(0.0, (1.0 - level) / self.rate)
+
+    def take(self, client: str, now: float) -> float:
+        """Take one out, if there is one; returns as `wait` before it."""
+        waiting = self.wait(client, now)
+        if waiting > 0.0:
+            return waiting
+        level, since = self.levels.pop(client, (self.size, now))
+        level = min(self.size, level + self.rate * max(0.0, now - since)) - 1.0
+        self.levels[client] = (level, now)
+        while len(self.levels) > MOST_CLIENTS:
+            self.levels.popitem(last=False)
+        return 0.0
+
+
+def client_of(address: str) -> str:
+    """Return who is behind an address: an IPv4 address, or the /64 of an IPv6 one."""
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if isinstance(found, ipaddress.IPv6Address):
+        return str(ipaddress.ip_network((int(found) >> 64 << 64, 64)))
+    return str(found)

@@ -1,0 +1,55 @@
+"""Server-sent events: the newest of every machine that has changed, to whoever keeps up.
+
+A reader holds nothing but the names of the machines that have changed since it was last sent
+something. One that reads slowly gets fewer events with the newest values, never a queue of old.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+from live.http.bodies import encoded
+from live.hub import Hub
+from live.publication import Publication
+
+#: Without news a reader gets an empty event so often, s: silence means that the line is broken.
+BEAT_S = 3.0
+#: A stream ends after this, s; a browser opens it again, and is asked who it is.
+LONGEST_S = 3600.0
+
+
+async def stream(
+    hub: Hub,
+    machines: frozenset[str],
+    every: float,
+    told: Callable[[Publication], dict[str, Any]],
+) -> AsyncIterator[bytes]:
+    """Yield events: at once all that is there, then what has changed, at most once in `every` s.
+
+    Parameters
+    ----------
+    hub : Hub
+        Where the newest is.
+    machines : frozenset of str
+        Those that the reader wants.
+    every : float
+        Shortest time between two events, s.
+    told : callable
+        What is said of a publication.
+    """
+    begun = time.monotonic()
+    yield b"retry: 2000\n\n"
+    with hub.follow() as follower:
+        while time.monotonic() - begun < LONGEST_S:
+            try:
+                changed = await asyncio.wait_for(follower.wait(), BEAT_S)
+            except TimeoutError:
+                changed = set()
+            news = [told(hub.newest[name]) for name in sorted(changed & machines)]
+            if news or not changed:
+                body = encoded({"now_s": time.time(), "publications": news})
+                yield b"event: news\ndata: " + body + b"\n\n"
+            await asyncio.sleep(every)

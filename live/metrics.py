@@ -1,0 +1,71 @@
+"""Figures of a running service for Prometheus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
+
+#: s; a control's cycle is 1 s, what counts is far below.
+_SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Metrics:
+    """What is counted; every service has its own.
+
+    Attributes
+    ----------
+    registry : CollectorRegistry
+        All of it, to be shown at ``/metrics``.
+    samples, arrivals, events : Counter
+        Samples by model; arrivals by verdict; events by kind.
+    latency, commit : Histogram
+        From an arrival to its publication; of a transaction, s.
+    quality : Gauge
+        Machines by quality.
+    waiting, log_size : Gauge
+        Arrivals that wait; size of the store's write-ahead log, bytes.
+    """
+
+    registry: CollectorRegistry
+    samples: Counter
+    arrivals: Counter
+    events: Counter
+    latency: Histogram
+    commit: Histogram
+    quality: Gauge
+    waiting: Gauge
+    log_size: Gauge
+
+
+def fresh_metrics() -> Metrics:
+    """Return metrics at zero."""
+    registry = CollectorRegistry()
+    ProcessCollector(registry=registry)
+    return Metrics(
+        registry,
+        Counter("thermojoint_samples", "Samples taken.", ["model"], registry=registry),
+        Counter(
+            "thermojoint_arrivals",
+            "Readings that arrived: taken, late, ahead, no-time.",
+            ["verdict"],
+            registry=registry,
+        ),
+        Counter("thermojoint_events", "Events by kind.", ["kind"], registry=registry),
+        Histogram(
+            "thermojoint_latency_seconds",
+            "From the arrival of a sample to its publication.",
+            buckets=_SECONDS,
+            registry=registry,
+        ),
+        Histogram(
+            "thermojoint_commit_seconds",
+            "One transaction of the store.",
+            buckets=_SECONDS,
+            registry=registry,
+        ),
+        Gauge("thermojoint_machines", "Machines by quality.", ["quality"], registry=registry),
+        Gauge("thermojoint_waiting", "Arrivals that wait for their turn.", registry=registry),
+        Gauge("thermojoint_store_log_bytes", "Size of the write-ahead log.", registry=registry),
+    )

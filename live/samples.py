@@ -1,0 +1,187 @@
+"""From readings as they arrive to whole samples at the estimator's instants, in order.
+
+Instants are the multiples of an interval (since 1970). A reading belongs to the nearest one. A
+sample is closed as soon as all its readings were told, and no older one is waited for; or when a
+reading has come that is later by half an interval and the lateness that is waited for. What was not
+told by then is missing, unless its last value still holds. Readings that come now and then, as
+those of a touch probe, join the next sample. All of it depends on what arrives in which order, and
+on no clock: the same stream gives the same samples, whenever it is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+#: What arrives of a machine at one time: None where nothing is told, NaN where a reading is said to
+#: be missing.
+Told = Sequence[float | None]
+#: No time before 1970 or behind 2200 is one.
+LATEST = 7.3e9
+
+
+class Rule(NamedTuple):
+    """How samples are made.
+
+    Attributes
+    ----------
+    interval : float
+        Between two instants, s.
+    lateness : float
+        How long readings that may still come are waited for, in the source's time, s.
+    hold : float
+        How long a value holds that is not told again, s.
+    wanted : int
+        Readings of a whole sample; those behind them come now and then, and are not waited for.
+    """
+
+    interval: float
+    lateness: float
+    hold: float
+    wanted: int
+
+
+class Waiting(NamedTuple):
+    """What arrived and is in no sample yet.
+
+    Attributes
+    ----------
+    last : float
+        Instant of the last sample, s; NaN before the first.
+    newest : float
+        Latest time that was told, s; -inf before.
+    cells : tuple
+        (instant, readings) of every sample that is not closed, oldest first.
+    held : tuple of (float, float)
+        Time and value of each reading that was told last; empty if nothing holds.
+    probed : float
+        Latest time of a reading that comes now and then by itself, s; -inf before.
+    """
+
+    last: float = math.nan
+    newest: float = -math.inf
+    cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
+    held: tuple[tuple[float, float], ...] = ()
+    probed: float = -math.inf
+
+
+class Arrived(NamedTuple):
+    """What readings have led to.
+
+    Attributes
+    ----------
+    waiting : Waiting
+        After them.
+    samples : list of (float, tuple of float)
+        Instant and readings of every sample that was closed, NaN for what is missing.
+    verdict : str
+        ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
+    """
+
+    waiting: Waiting
+    samples: list[tuple[float, tuple[float, ...]]]
+    verdict: str
+
+
+def instant_of(rule: Rule, time: float) -> float:
+    """Return the instant (s) that a time belongs to."""
+    return math.floor(time / rule.interval + 0.5) * rule.interval
+
+
+def arrived(
+    rule: Rule, waiting: Waiting, time: float, told: Told, limit: float = math.inf
+) -> Arrived:
+    """Take what a source tells of one time.
+
+    Parameters
+    ----------
+    rule : Rule
+    waiting : Waiting
+        Before.
+    time : float
+        s since 1970, by the source's clock.
+    told : sequence of float or None
+        One for each reading.
+    limit : float
+        No time later than this is believed, s.
+    """
+    if not 0.0 <= time <= LATEST:
+        return Arrived(waiting, [], "no-time")
+    if time > limit:
+        return Arrived(waiting, [], "ahead")
+    instant = instant_of(rule, time)
+    probed = waiting.probed
+    if all(one is None for one in told[: rule.wanted]):
+        if time <= probed:
+            return Arrived(waiting, [], "late")
+        probed = time
+        if not math.isnan(waiting.last):
+            # What comes now and then joins the next sample.
+            instant = max(instant, instant_of(rule, waiting.last + rule.interval))
+    if instant <= waiting.last:
+        return Arrived(waiting, [], "late")
+    cells = _merged(waiting.cells, instant, tuple(told))
+    last, held, newest = waiting.last, waiting.held, max(waiting.newest, time)
+    samples = []
+    while cells and _closes(rule, last, newest, *cells[0]):
+        (last, values), *rest = cells
+        cells = tuple(rest)
+        if rule.hold > 0.0:
+            values, held = _filled(rule, held, last, values)
+        samples.append((last, tuple(math.nan if one is None else one for one in values)))
+    return Arrived(Waiting(last, newest, cells, held, probed), samples, "taken")
+
+
+def _merged(
+    cells: tuple[tuple[float, tuple[float | None, ...]], ...],
+    instant: float,
+    told: tuple[float | None, ...],
+) -> tuple[tuple[float, tuple[float | None, ...]], ...]:
+    """The cells with what was told of one of them; what is told twice, the last time counts."""
+    if not cells:
+        return ((instant, told),)
+    found = dict(cells)
+    before = found.get(instant)
+    found[instant] = (
+        told
+        if before is None
+        else tuple(b if a is None else a for a, b in zip(told, before, strict=True))
+    )
+    return tuple(sorted(found.items()))
+
+
+def _closes(
+    rule: Rule, last: float, newest: float, instant: float, values: tuple[float | None, ...]
+) -> bool:
+    """Whether the oldest cell waits for nothing any more."""
+    half = 0.5 * rule.interval
+    if newest >= instant + half + rule.lateness:
+        return True
+    if None in values[: rule.wanted]:
+        return False
+    # It is whole; but another one, before it, may be on its way.
+    return (
+        rule.lateness <= 0.0
+        or math.isnan(last)
+        or instant - last <= 3.0 * half
+        or newest >= instant - half + rule.lateness
+    )
+
+
+def _filled(
+    rule: Rule,
+    held: tuple[tuple[float, float], ...],
+    instant: float,
+    values: tuple[float | None, ...],
+) -> tuple[tuple[float | None, ...], tuple[tuple[float, float], ...]]:
+    """Readings with those that still hold, and what holds after them."""
+    before = held or ((-math.inf, math.nan),) * len(values)
+    filled = tuple(
+        kept if one is None and k < rule.wanted and instant - since <= rule.hold else one
+        for k, (one, (since, kept)) in enumerate(zip(values, before, strict=True))
+    )
+    after = tuple(
+        old if one is None else (instant, one) for one, old in zip(values, before, strict=True)
+    )
+    return filled, after

@@ -1,0 +1,19 @@
+"""Times as sources write them: s since 1970, or ISO 8601; without a zone they are UTC."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+
+def seconds_of(text: str) -> float:
+    """Return a time in ISO 8601 as s since 1970.
+
+    Raises
+    ------
+    ValueError
+        It is no time.
+    """
+    found = datetime.fromisoformat(text)
+    if found.tzinfo is None:
+        found = found.replace(tzinfo=UTC)
+    return found.timestamp()

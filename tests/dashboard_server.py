@@ -1,0 +1,161 @@
+"""A server of the dashboard in a thread, for tests that knock at it from outside."""
+
+import asyncio
+import dataclasses
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+from prometheus_client import CollectorRegistry, Gauge
+
+from live.archive import Archive
+from live.http.server import open_http, serve_http
+from live.http.sources import About, Sources
+from live.hub import Hub
+from live.publication import Layout, Publication, Quality, as_row
+from live.settings import HttpServer
+from live.store import Batch, Checkpoint, Event, commit, era_of, open_store
+from live.validity import ranges_of
+
+TOKEN = "a-token-for-tests-alone-0123456789abcdef"
+
+
+def layout_of(estimator, controls=()):
+    """Names of what is published of an estimator in tests."""
+    thermal = [one for one in estimator.channels if one.unit == "K"]
+    return Layout(
+        axes=tuple(estimator.axes),
+        controls=tuple(controls),
+        details=estimator.details,
+        readings=tuple(f"{one.name}_{one.unit}" for one in thermal),
+    )
+
+
+def published(name, layout, estimates, samples, start):
+    """Publications of a run whose last sample is at `start` + its time."""
+    return [
+        Publication(
+            machine=name,
+            number=number,
+            time=start + one.time,
+            published=start + one.time,
+            quality=Quality.GOOD if one.words == "ok" else Quality.UNCERTAIN,
+            layout=layout,
+            displacement=one.displacement,
+            band=one.band,
+            offsets=np.round(-one.displacement[: len(layout.controls)], 7),
+            details=one.details,
+            readings=np.array(sample[1:]),
+            status=one.words,
+        )
+        for number, (one, sample) in enumerate(zip(estimates, samples, strict=True), 1)
+    ]
+
+
+def keep(path, runs, events=()):
+    """A store with the histories of machines."""
+    store = open_store(path)
+    found = []
+    for run in runs:
+        last = run[-1]
+        era = era_of(store, last.machine, "a model", last.layout, run[0].time)
+        rows = np.array([as_row(one) for one in run])
+        words = tuple(one.status for one in run)
+        found.append(Checkpoint(era, last.number, b"", "{}", rows, words))
+    commit(store, Batch(checkpoints=found, events=events))
+    store.close()
+    return Archive(path)
+
+
+def about(estimator, layout, since):
+    """What stays of a machine."""
+    return About(layout, estimator.kind, "model.h5", since, ranges_of(estimator))
+
+
+def free_port():
+    """A port that nobody has."""
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        return found.getsockname()[1]
+
+
+class Running:
+    """A server that runs; `publish` is what the service would do."""
+
+    def __init__(self, opened, loop, stop, hub):
+        self.url, self.hub, self.token = opened.url, hub, TOKEN
+        # The gate is the outermost of what the application consists of.
+        self.server = opened.server
+        app = opened.server.config.app
+        self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
+        self._loop, self._stop = loop, stop
+
+    def publish(self, *publications):
+        self._loop.call_soon_threadsafe(self.hub.publish, publications)
+
+    def forget_failures(self):
+        """Nobody has shown a wrong token."""
+        self.door.failures.levels.clear()
+
+    def drop_connections(self):
+        """Whoever is connected is so no more."""
+
+        def drop():
+            for one in list(self.server.server_state.connections):
+                one.transport.abort()
+
+        self._loop.call_soon_threadsafe(drop)
+
+    def stop(self):
+        self._loop.call_soon_threadsafe(self._stop.set)
+
+
+@contextmanager
+def serving(folder, archive, machines, newest, scenes=None, security="none", **settings):
+    """Run a server until the block ends."""
+    token = folder / "token"
+    token.touch(mode=0o600)
+    token.write_text(TOKEN)
+    hub, registry = Hub(), CollectorRegistry()
+    hub.publish(newest)
+    Gauge("machines", "Machines served", registry=registry).set(len(machines))
+    section = HttpServer(
+        **{"port": free_port(), "security": security, "token": {"file": "token"}} | settings
+    )
+    sources = Sources(hub, archive, machines, registry, scenes or {})
+    opened = open_http(section, sources, folder, folder)
+    ready, found = threading.Event(), []
+
+    async def run():
+        stop = asyncio.Event()
+        found.append(Running(opened, asyncio.get_running_loop(), stop, hub))
+        task = asyncio.create_task(serve_http(opened, stop))
+        while not opened.server.started and not task.done():
+            await asyncio.sleep(0.01)
+        ready.set()
+        await task
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()), daemon=True)
+    thread.start()
+    assert ready.wait(10.0)
+    try:
+        yield found[0]
+    finally:
+        found[0].stop()
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
+def again(publication, **changed):
+    """The same, said later."""
+    moment = time.time()
+    return dataclasses.replace(
+        publication,
+        **{"time": moment, "published": moment, "number": publication.number + 1} | changed,
+    )
+
+
+def event(machine, kind, text):
+    """One that happened now."""
+    return Event(time.time(), machine, kind, text)

@@ -1,0 +1,96 @@
+"""Real parts for the tests of the service: a broker, a machine that tells OPC UA, the service."""
+
+import asyncio
+import contextlib
+import json
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from live.service import run
+from live.settings import service_from_data
+
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="needs mosquitto")
+#: Long for a machine that many share; nothing waits so long when all is well, s.
+PATIENCE_S = 60.0
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        return one.getsockname()[1]
+
+
+async def until(condition, patience=PATIENCE_S):
+    """Wait until something holds; what it is then."""
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        if found := condition():
+            return found
+        await asyncio.sleep(0.02)
+    raise AssertionError("did not come about in time")
+
+
+@contextlib.asynccontextmanager
+async def serving(data, base):
+    """The service of a file's content, with all its doors open; stopped at the end."""
+    stop, ready = asyncio.Event(), asyncio.get_running_loop().create_future()
+    task = asyncio.create_task(run(service_from_data(data, "test", Path(base)), stop, ready.set_result))
+    try:
+        await asyncio.wait({task, ready}, return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        yield ready.result()
+    finally:
+        stop.set()
+        await task
+
+
+class Broker:
+    """A Mosquitto of its own on the loopback."""
+
+    def __init__(self, folder, *lines):
+        self.port = free_port()
+        self.folder = Path(folder)
+        self.config = self.folder / "mosquitto.conf"
+        common = (
+            f"listener {self.port} 127.0.0.1",
+            "persistence false",
+            "max_inflight_messages 0",
+            "max_queued_messages 0",
+            "set_tcp_nodelay true",
+        )
+        self.config.write_text("\n".join((*common, *lines)) + "\n")
+        self.process = None
+
+    def start(self):
+        self.process = subprocess.Popen(
+            [MOSQUITTO, "-c", str(self.config)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port)):
+                return self
+            time.sleep(0.02)
+        raise AssertionError("the broker does not answer")
+
+    def stop(self):
+        self.process.kill()
+        self.process.wait()
+
+    def __enter__(self):
+        return self.start()
+
+    def __exit__(self, *_):
+        self.stop()
+
+
+def message(time_s, readings):
+    return json.dumps({"time": time_s, **readings})

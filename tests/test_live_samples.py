@@ -1,0 +1,136 @@
+"""Readings become samples: in order, late, missing, by nothing but what arrives in which order."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from live.machine import _waiting
+from live.samples import Rule, Waiting, arrived, instant_of
+
+PLAIN = Rule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
+NAN = math.nan
+
+
+def run(rule, told, waiting=None):
+    """All samples that a stream leads to, and the verdicts."""
+    waiting, samples, verdicts = waiting or Waiting(), [], []
+    for time, values in told:
+        step = arrived(rule, waiting, time, values)
+        waiting = step.waiting
+        samples += step.samples
+        verdicts.append(step.verdict)
+    return waiting, samples, verdicts
+
+
+def test_a_whole_sample_is_closed_at_once_at_the_nearest_instant():
+    _, samples, _ = run(PLAIN, [(100.2, (1.0, 2.0)), (100.9, (3.0, 4.0))])
+    assert samples == [(100.0, (1.0, 2.0)), (101.0, (3.0, 4.0))]
+
+
+def test_readings_that_come_one_by_one_are_one_sample():
+    _, samples, _ = run(PLAIN, [(100.1, (1.0, None)), (100.2, (None, 2.0))])
+    assert samples == [(100.0, (1.0, 2.0))]
+
+
+def test_what_was_not_told_in_time_is_missing():
+    _, samples, _ = run(PLAIN, [(100.0, (1.0, None)), (101.0, (3.0, 4.0))])
+    np.testing.assert_equal(samples, [(100.0, (1.0, NAN)), (101.0, (3.0, 4.0))])
+
+
+def test_a_reading_said_to_be_missing_is_not_waited_for():
+    _, samples, _ = run(PLAIN, [(100.0, (1.0, NAN))])
+    np.testing.assert_equal(samples, [(100.0, (1.0, NAN))])
+
+
+def test_a_late_reading_is_taken_within_the_lateness_and_left_out_after_it():
+    patient = PLAIN._replace(lateness=3.0)
+    told = [(100.0, (1.0, None)), (102.0, (5.0, 6.0)), (100.1, (None, 2.0)), (101.0, (3.0, 4.0))]
+    _, samples, verdicts = run(patient, told)
+    assert [values for _, values in samples] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+    assert set(verdicts) == {"taken"}
+    _, samples, verdicts = run(PLAIN, told)
+    assert [at for at, _ in samples] == [100.0, 102.0]
+    assert verdicts[2:] == ["late", "late"]
+
+
+def test_a_value_holds_for_as_long_as_it_is_said_to():
+    told = [(100.0, (1.0, 2.0)), (101.0, (3.0, None)), (102.0, (4.0, None)), (103.0, (5.0, 6.0))]
+    _, samples, _ = run(PLAIN._replace(hold=1.0), told)
+    np.testing.assert_equal([one for _, (_, one) in samples], [2.0, 2.0, NAN, 6.0])
+
+
+def test_a_probe_reading_joins_the_next_sample_and_holds_for_no_other():
+    rule = PLAIN._replace(hold=10.0)
+    told = [
+        (100.0, (1.0, 2.0, None)),
+        (100.1, (None, None, 7.0)),
+        (101.0, (1.0, 2.0, None)),
+        (102.0, (1.0, 2.0, None)),
+    ]
+    _, samples, verdicts = run(rule, told)
+    np.testing.assert_equal([one for _, (*_, one) in samples], [NAN, 7.0, NAN])
+    assert set(verdicts) == {"taken"}
+
+
+@pytest.mark.parametrize("time", [NAN, math.inf, -1.0, 1e300])
+def test_what_is_no_time_changes_nothing(time):
+    waiting, samples, verdicts = run(PLAIN, [(time, (1.0, 2.0))])
+    assert (waiting, samples, verdicts) == (Waiting(), [], ["no-time"])
+
+
+def test_a_time_ahead_of_the_clock_does_not_shut_out_those_that_follow():
+    step = arrived(PLAIN, Waiting(), 5e9, (1.0, 2.0), limit=1e9)
+    assert step.verdict == "ahead"
+    assert run(PLAIN, [(100.0, (1.0, 2.0))], step.waiting)[1]
+
+
+STREAMS = st.lists(
+    st.tuples(
+        st.floats(0.0, 40.0),
+        st.lists(st.one_of(st.none(), st.floats(-5.0, 5.0), st.just(NAN)), min_size=3, max_size=3),
+    ),
+    max_size=60,
+)
+RULES = st.builds(
+    Rule,
+    interval=st.sampled_from([0.5, 1.0, 3.0]),
+    lateness=st.sampled_from([0.0, 1.0, 7.0]),
+    hold=st.sampled_from([0.0, 2.0]),
+    wanted=st.sampled_from([2, 3]),
+)
+
+
+@given(RULES, STREAMS)
+def test_samples_come_in_order_each_instant_once_and_none_is_older_than_a_late_one(rule, told):
+    waiting, samples, verdicts = run(rule, told)
+    at = [instant for instant, _ in samples]
+    assert at == sorted(set(at))
+    assert all(instant_of(rule, instant) == pytest.approx(instant) for instant in at)
+    assert len(waiting.cells) <= rule.lateness / rule.interval + 3
+    assert verdicts.count("taken") >= len(samples)
+
+
+@given(RULES, STREAMS, st.integers(0, 60))
+def test_a_stream_that_is_interrupted_leads_to_the_same_samples(rule, told, cut):
+    """What waits goes through the store and back in between."""
+    _, whole, _ = run(rule, told)
+    waiting, first, _ = run(rule, told[:cut])
+    _, second, _ = run(rule, told[cut:], _waiting(json.loads(json.dumps(waiting))))
+    np.testing.assert_equal(first + second, whole)
+
+
+@given(RULES, STREAMS)
+def test_told_twice_changes_no_sample(rule, told):
+    """As a broker does that was not acknowledged."""
+    _, once, _ = run(rule, told)
+    waiting, samples = Waiting(), []
+    for one in told:
+        for _ in range(2):
+            step = arrived(rule, waiting, *one)
+            waiting = step.waiting
+            samples += step.samples
+    np.testing.assert_equal(samples, once)

@@ -1,0 +1,87 @@
+"""The command of the service beside the control."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.errors import InputError
+
+
+class Role(StrEnum):
+    """What a user may do."""
+
+    READS = "reads"
+    WRITES = "writes"
+
+
+def serve(
+    service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
+    add_user: Annotated[
+        str | None,
+        typer.Option(help="Add this OPC UA user and end; the password comes from standard input."),
+    ] = None,
+    role: Annotated[
+        Role, typer.Option(help="What the user may do: reads, or also writes probe readings.")
+    ] = Role.READS,
+) -> None:
+    """Run beside the control: readings in, displacement and offsets out, until it is stopped.
+
+    Readings come from OPC UA, MQTT or lines of CSV; estimates go out by OPC UA, MQTT and HTTP. What
+    was read is kept, so that after a stop of any kind it goes on as if it had never been stopped.
+
+    Example: [bold]thermojoint serve service.toml[/bold]
+
+    Example: [bold]thermojoint serve service.toml --add-user panel < password.txt[/bold]
+    """
+    from live.settings import read_service
+
+    given = read_service(service)
+    if add_user is not None:
+        server = given.given.opcua
+        _add_user(given.base, server.users if server else None, add_user, role)
+        return
+    # After the file: a mistake in it is told before the libraries are loaded.
+    import asyncio
+    import signal
+
+    from live.log_lines import log_to
+    from live.service import run
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, stop.set)
+        await run(given, stop)
+
+    _check_installed()
+    log_to()
+    asyncio.run(until_stopped())
+
+
+def _check_installed() -> None:
+    from importlib.util import find_spec
+
+    for name in ("prometheus_client", "asyncua", "aiomqtt", "starlette", "uvicorn"):
+        if find_spec(name) is None:
+            raise InputError(f"serve: needs {name}; pip install 'thermojoint[serve]'")
+
+
+def _add_user(base: Path, users: str | None, name: str, role: Role) -> None:
+    """Add a user to the file that the service names; the password is never an argument."""
+    import getpass
+    import sys
+
+    from live.users import add_user
+    from thermojoint.cli import console
+
+    if users is None:
+        raise InputError("--add-user: the service has no file of users; add users to [opcua]")
+    asked = f"password of {name}: "
+    password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
+    add_user(base / users, name, role.value, password.rstrip("\r\n"))
+    console.wrote(base / users)
