@@ -37,9 +37,11 @@ GATE = 5.0
 MODEL_ERROR, MODEL_SHARE = 0.2, 0.01
 #: A distrusted channel is believed again after this long without a fault, s.
 RETURN = 30.0
-#: A channel that was off is believed again only if it is so much less off than it was, or so near
-#: in standard deviations of the model: a model that has lost it wanders.
-NEARER, NEAR = 0.5, 2.0
+#: A channel that was off is believed again only if it is off by no more than this part of what it
+#: was, or by so many standard deviations of the model: a model that has lost it wanders. If it has
+#: jumped back by that part or more, it need only be as near as any.
+NEARER, NEAR = 0.25, 1.0
+JUMPED_BACK = 0.5
 #: No thermometer in a machine changes faster than this, K/s, beyond a jump of `JUMP`, K.
 RATE, JUMP = 2.0, 3.0
 #: A value that repeats for this long, s, and this many samples may be stuck, ...
@@ -273,6 +275,8 @@ def look(
         kept = (1.0 - 1.0 / LEARNT) ** run
         watch.habit[k] = kept * watch.habit[k] + (1.0 - kept) * watch.repeats[k] / run
         rise, before = reading - watch.last[k], watch.rise[k]
+        if change >= JUMPED_BACK * watch.off[k]:
+            watch.off[k] = np.nan
         watch.last[k], watch.changed[k], watch.expected[k] = reading, time, said
         watch.repeats[k] = 0.0
         if not change >= 0.0:

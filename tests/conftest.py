@@ -1,5 +1,6 @@
 """Fixtures that several test files share."""
 
+import copy
 import os
 import signal
 import tomllib
@@ -123,3 +124,15 @@ def hand_made_model(coarse_response):
         reference_power_W=295.0,
         span=Span(60.0, (0.0, 2.0), {"delta_T": (0.0, 8.0), "T1": (0.0, 2.0), "T2": (0.0, 12.0)}),
     )
+
+
+@pytest.fixture(scope="session")
+def coarse_day(coarse_data, tmp_path_factory):
+    """A day of the coarse machine at 20 s: two loads, a pause, a cool-down."""
+    history = tmp_path_factory.mktemp("day") / "load.csv"
+    rows = "0,1.5 10000,1.5 10100,0.3 24000,0.3 24100,0 30000,0 30100,1 60000,1 60100,0"
+    history.write_text("time_s,heat_input\n" + rows.replace(" ", "\n") + "\n")
+    data = copy.deepcopy(coarse_data)
+    data["march"] |= {"duration_min": 1440.0, "step_s": 20.0, "thermal": "reduced"}
+    data["heat_input"] = {"kind": "sampled", "file": str(history)}
+    return simulate(case_from_data(data, "day", Path())).response

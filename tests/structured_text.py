@@ -20,17 +20,19 @@ from dataclasses import dataclass, field
 
 import pytest
 
-#: Words that no name may be: of ST, of Instruction List, of types, standard functions and blocks.
-RESERVED = set(
-    "ABS ACOS ACTION ADD AND ANDN ANY ARRAY ASIN AT ATAN BOOL BY BYTE CAL CASE CONCAT CONFIGURATION "
-    "CONSTANT COS CTD CTU CTUD DATE DELETE DINT DIV DO DT DWORD ELSE ELSIF EN END_IF ENO EQ EXIT EXP "
-    "EXPT F_EDGE F_TRIG FALSE FIND FOR FROM FUNCTION GE GT IF INITIAL_STEP INSERT INT INTERFACE JMP "
-    "LD LE LEFT LEN LIMIT LINT LN LOG LREAL LT LWORD MAX METHOD MID MIN MOD MOVE MUL MUX NE NON_RETAIN "
-    "NOT OF ON OR ORN PRIORITY PROGRAM PT PV R R_EDGE R_TRIG READ_ONLY READ_WRITE REAL REPEAT REPLACE "
-    "RESOURCE RET RETAIN RETURN RIGHT ROL ROR RS RTC S SEL SHL SHR SIN SINGLE SINT SQRT SR ST STEP "
-    "STN STRING STRUCT SUB SUPER TAN TASK THEN THIS TIME TO TOD TOF TON TP TRANSITION TRUE TRUNC "
-    "TYPE UDINT UINT ULINT UNTIL USINT VAR WHILE WITH WORD WSTRING XOR XORN".split()
-)
+#: No name may be one: words of ST and Instruction List, types, standard functions and blocks.
+_WORDS = """
+    ABS ACOS ACTION ADD AND ANDN ANY ARRAY ASIN AT ATAN BOOL BY BYTE CAL CASE CONCAT
+    CONFIGURATION CONSTANT COS CTD CTU CTUD DATE DELETE DINT DIV DO DT DWORD ELSE ELSIF EN
+    END_IF ENO EQ EXIT EXP EXPT F_EDGE F_TRIG FALSE FIND FOR FROM FUNCTION GE GT IF
+    INITIAL_STEP INSERT INT INTERFACE JMP LD LE LEFT LEN LIMIT LINT LN LOG LREAL LT LWORD
+    MAX METHOD MID MIN MOD MOVE MUL MUX NE NON_RETAIN NOT OF ON OR ORN PRIORITY PROGRAM PT
+    PV R R_EDGE R_TRIG READ_ONLY READ_WRITE REAL REPEAT REPLACE RESOURCE RET RETAIN RETURN
+    RIGHT ROL ROR RS RTC S SEL SHL SHR SIN SINGLE SINT SQRT SR ST STEP STN STRING STRUCT SUB
+    SUPER TAN TASK THEN THIS TIME TO TOD TOF TON TP TRANSITION TRUE TRUNC TYPE UDINT UINT
+    ULINT UNTIL USINT VAR WHILE WITH WORD WSTRING XOR XORN
+"""
+RESERVED = frozenset(_WORDS.split())
 #: Standard functions of one real argument that gives one of the same type, and their names in C.
 REAL_FUNCTIONS = {"ABS": "fabs", "SQRT": "sqrt", "EXP": "exp", "LN": "log", "SIN": "sin"}
 REAL_FUNCTIONS |= {"COS": "cos"}
@@ -38,10 +40,18 @@ CONVERSIONS = {
     "DINT_TO_LREAL": ("DINT", "LREAL"),
     "DINT_TO_REAL": ("DINT", "REAL"),
     "REAL_TO_LREAL": ("REAL", "LREAL"),
-    "BOOL_TO_DINT": ("BOOL", "DINT"),
+    "LREAL_TO_DINT": ("LREAL", "DINT"),
+    "REAL_TO_DINT": ("REAL", "DINT"),
 }
-C_TYPES = {"LREAL": "double", "REAL": "float", "DINT": "int32_t", "BOOL": "_Bool", "WORD": "uint16_t"}
+C_TYPES = {
+    "LREAL": "double",
+    "REAL": "float",
+    "DINT": "int32_t",
+    "BOOL": "_Bool",
+    "WORD": "uint16_t",
+}
 REALS = ("LREAL", "REAL")
+UNITS = ("function_declaration", "function_block_declaration", "program_declaration")
 COMMENTS = ("comment", "block_comment")
 ARITHMETIC, COMPARISONS = {"+", "-", "*", "/"}, {"<", "<=", ">", ">=", "=", "<>"}
 
@@ -66,7 +76,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a unit: its section is ``input``, ``output``, ``inout``, ``constant``, ``own``."""
+    """A variable of a unit; its section is input, output, inout, constant or own."""
 
     name: str
     type: str
@@ -116,9 +126,10 @@ class Translator:
 
     def program(self, root):
         for node in root.named_children:
-            if node.type in ("function_declaration", "function_block_declaration"):
-                self.declared(node)
-            elif node.type == "program_declaration":
+            if (
+                node.type in ("function_declaration", "function_block_declaration")
+                or node.type == "program_declaration"
+            ):
                 self.declared(node)
             elif node.type == "type_declaration":
                 self.named_types(node)
@@ -260,7 +271,6 @@ class Translator:
             self.fail(node, "no output")
         return Typed(f"{instance.text}.v_{variable.name.lower()}", variable.type, variable.size)
 
-
     def on_integer_literal(self, node):
         if not re.fullmatch(r"-?\d+", text_of(node)):
             self.fail(node, "an integer without a type is a decimal one")
@@ -324,7 +334,9 @@ class Translator:
         if name in CONVERSIONS:
             source, target = CONVERSIONS[name]
             [one] = [self.expression(value, source) for value in given]
-            return Typed(f"({C_TYPES[target]})({one.text})", target)
+            # To the nearest integer.
+            value = f"lrint({one.text})" if target == "DINT" else one.text
+            return Typed(f"({C_TYPES[target]})({value})", target)
         values = [self.expression(one) for one in given]
         kinds = {one.type for one in values}
         if name in {*REAL_FUNCTIONS, "EXPT"} and kinds <= set(REALS) and len(kinds) == 1:
@@ -449,8 +461,10 @@ class Translator:
                 values = ", ".join(one.initial)
                 self.output.append(f"static const {kind} {name}_{v}{size} = {{{values}}};")
                 continue
-            members.append(f"{kind} {'*' if one.section == 'inout' else ''}{v}"
-                           f"{'' if one.section == 'inout' else size};")
+            members.append(
+                f"{kind} {'*' if one.section == 'inout' else ''}{v}"
+                f"{'' if one.section == 'inout' else size};"
+            )
             if one.initial:
                 [value] = one.initial
                 begun.append(f"self->{v} = {value};")
@@ -471,7 +485,9 @@ class Translator:
                 inputs.append(f"{kind} {v}")
             elif one.section == "constant":
                 values = ", ".join(one.initial)
-                self.output.append(f"static const {kind} {unit.name.lower()}_{v}{size} = {{{values}}};")
+                self.output.append(
+                    f"static const {kind} {unit.name.lower()}_{v}{size} = {{{values}}};"
+                )
             else:
                 own.append(f"{kind} {v}{size} = {{0}};" if size else f"{kind} {v} = 0;")
         self.output.append(

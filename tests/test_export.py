@@ -1,10 +1,8 @@
 """An exported estimator is the estimator: compiled, sanitised, and run against Python."""
 
-import copy
 import ctypes
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +15,6 @@ from estimator.export.program import REFUSED, Precision
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples
-from fesim.case.schema import case_from_data
-from fesim.simulate import simulate
 from models.assembly import assemble
 from models.assembly_file import write_assembly
 from models.filters.phi import divided_differences, phi_functions
@@ -32,22 +28,10 @@ def estimator(hand_made_model):
     return Fchs(assemble(hand_made_model, DT, 7200.0))
 
 
-@pytest.fixture(scope="module")
-def day(coarse_data, tmp_path_factory):
-    """A day of the coarse machine: two loads, a pause, a cool-down."""
-    history = tmp_path_factory.mktemp("day") / "load.csv"
-    rows = "0,1.5 10000,1.5 10100,0.3 24000,0.3 24100,0 30000,0 30100,1 60000,1 60100,0"
-    history.write_text("time_s,heat_input\n" + rows.replace(" ", "\n") + "\n")
-    data = copy.deepcopy(coarse_data)
-    data["march"] |= {"duration_min": 1440.0, "step_s": DT, "thermal": "reduced"}
-    data["heat_input"] = {"kind": "sampled", "file": str(history)}
-    return simulate(case_from_data(data, "day", Path())).response
-
-
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
-def test_a_day_of_the_coarse_machine_is_the_same_in_c(estimator, day, precision, tmp_path):
-    samples = list(response_samples(day, estimator.assembly.model))[1:]
+def test_a_day_of_the_coarse_machine_is_the_same_in_c(estimator, coarse_day, precision, tmp_path):
+    samples = list(response_samples(coarse_day, estimator.assembly.model))[1:]
     found = export_program(estimator, precision, "spindle", samples)
     done, figures = selftest(written(found, tmp_path), "spindle", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -74,10 +74,15 @@ def test_a_channel_comes_back_some_time_after_its_last_fault():
 def test_a_channel_that_is_off_stays_out_where_the_model_without_it_wanders_towards_it():
     rows, said = healthy(200)
     rows[50:, 0] += 5.0
-    said[50:, 0] += np.linspace(0.0, 2.0, 150)
+    said[50:, 0] += np.linspace(0.0, 3.0, 150)
     found = believed(followed(rows, said))
     assert not found[50:, 0].any()
     assert found[:, 1:].all()
+    # Jumped back, it need not be nearer than any other.
+    rows[150:, 0] -= 5.5
+    said[150:, 0] -= said[150, 0] - rows[150, 0] - 0.8
+    found = believed(followed(rows, said))
+    assert found[150 + round(RETURN / STEP) + 1 :, 0].all()
 
 
 def test_an_empty_channel_is_not_believed_and_shows_no_fault():

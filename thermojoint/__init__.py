@@ -22,6 +22,18 @@ if TYPE_CHECKING:
     from calibrate.chain import calibrate_responses as calibrate
     from calibrate.learning.learn import learn
     from calibrate.provenance import provenance_of
+    from compensation.loop.run import Closed, close_loop
+    from compensation.loop.schema import Loop, read_loop
+    from compensation.offsets.preview import preview as preview_offsets
+    from compensation.offsets.preview import read_estimate
+    from compensation.offsets.settings import Settings as OffsetSettings
+    from compensation.offsets.settings import read_settings as read_offset_settings
+    from estimator.export.c_source import write_c
+    from estimator.export.exporting import export_program
+    from estimator.export.fmu import Standard as FmiStandard
+    from estimator.export.fmu import write_fmu
+    from estimator.export.program import Precision, Program
+    from estimator.export.structured_text import write_structured_text
     from estimator.fchs.estimator import Fchs
     from estimator.interface import Channel, Estimate, Estimator, Status, follow
     from estimator.judge import Validated
@@ -56,15 +68,21 @@ __all__ = [
     "Calibrated",
     "Case",
     "Channel",
+    "Closed",
     "ConvergenceError",
     "Estimate",
     "Estimator",
     "Fchs",
+    "FmiStandard",
     "InputError",
     "Learned",
     "LearnedModel",
     "Log",
+    "Loop",
     "Model",
+    "OffsetSettings",
+    "Precision",
+    "Program",
     "Provenance",
     "RampInput",
     "SampledInput",
@@ -79,16 +97,22 @@ __all__ = [
     "assemble",
     "calibrate",
     "case_from_data",
+    "close_loop",
+    "export_program",
     "follow",
     "learn",
     "load_estimator",
     "make_response",
+    "preview_offsets",
     "provenance_of",
     "read_assembly",
     "read_case",
+    "read_estimate",
     "read_learned",
     "read_log",
+    "read_loop",
     "read_model",
+    "read_offset_settings",
     "read_provenance",
     "read_response",
     "read_structure",
@@ -98,10 +122,13 @@ __all__ = [
     "start_estimator",
     "validate",
     "write_assembly",
+    "write_c",
+    "write_fmu",
     "write_learned",
     "write_model",
     "write_response",
     "write_structure",
+    "write_structured_text",
 ]
 
 #: Public name to where it stands; kept in step with the imports above by the tests.
@@ -110,15 +137,21 @@ _HOMES = {
     "Calibrated": "calibrate.chain:Calibrated",
     "Case": "fesim.case.schema:Case",
     "Channel": "estimator.interface:Channel",
+    "Closed": "compensation.loop.run:Closed",
     "ConvergenceError": "artefacts.errors:ConvergenceError",
     "Estimate": "estimator.interface:Estimate",
     "Estimator": "estimator.interface:Estimator",
     "Fchs": "estimator.fchs.estimator:Fchs",
+    "FmiStandard": "estimator.export.fmu:Standard",
     "InputError": "artefacts.errors:InputError",
     "Learned": "estimator.learned.estimator:Learned",
     "LearnedModel": "models.learned:LearnedModel",
     "Log": "artefacts.log:Log",
+    "Loop": "compensation.loop.schema:Loop",
     "Model": "models.parameters:Model",
+    "OffsetSettings": "compensation.offsets.settings:Settings",
+    "Precision": "estimator.export.program:Precision",
+    "Program": "estimator.export.program:Program",
     "Provenance": "models.model_file:Provenance",
     "RampInput": "fesim.case.schema:RampInput",
     "SampledInput": "fesim.case.schema:SampledInput",
@@ -133,16 +166,22 @@ _HOMES = {
     "assemble": "models.assembly:assemble",
     "calibrate": "calibrate.chain:calibrate_responses",
     "case_from_data": "fesim.case.schema:case_from_data",
+    "close_loop": "compensation.loop.run:close_loop",
+    "export_program": "estimator.export.exporting:export_program",
     "follow": "estimator.interface:follow",
     "learn": "calibrate.learning.learn:learn",
     "load_estimator": "estimator.saved_state:load_state",
     "make_response": "artefacts.response:make_response",
+    "preview_offsets": "compensation.offsets.preview:preview",
     "provenance_of": "calibrate.provenance:provenance_of",
     "read_assembly": "models.assembly_file:read_assembly",
     "read_case": "fesim.case.schema:read_case",
+    "read_estimate": "compensation.offsets.preview:read_estimate",
     "read_learned": "models.learned:read_learned",
     "read_log": "artefacts.log_file:read_log",
+    "read_loop": "compensation.loop.schema:read_loop",
     "read_model": "models.model_file:read_model",
+    "read_offset_settings": "compensation.offsets.settings:read_settings",
     "read_provenance": "models.model_file:read_provenance",
     "read_response": "artefacts.response:read_response",
     "read_structure": "meshes.exchange:read_structure",
@@ -152,10 +191,13 @@ _HOMES = {
     "start_estimator": "estimator.starting:started",
     "validate": "estimator.judge:validate_model",
     "write_assembly": "models.assembly_file:write_assembly",
+    "write_c": "estimator.export.c_source:write_c",
+    "write_fmu": "estimator.export.fmu:write_fmu",
     "write_learned": "models.learned:write_learned",
     "write_model": "models.model_file:write_model",
     "write_response": "artefacts.response:write_response",
     "write_structure": "meshes.exchange:write_structure",
+    "write_structured_text": "estimator.export.structured_text:write_structured_text",
 }
 
 if not TYPE_CHECKING:  # a type checker sees the imports above, and refuses any other name

@@ -75,7 +75,7 @@ class TuningSection(_Section):
 
 
 class Loop(_Section):
-    """The whole file."""
+    """A closed loop as its file says."""
 
     title: str
     plant: PlantSection
@@ -103,6 +103,11 @@ def files_of(loop: Loop) -> list[Path]:
 
 def read_loop(path: Path | str) -> Loop:
     """Read the file of a closed loop; names of files in it are relative to its folder.
+
+    Parameters
+    ----------
+    path : Path or str
+        TOML.
 
     Raises
     ------

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
+from estimator.export import erfc
 from estimator.export.program import (
     Contents,
     Interface,
@@ -107,6 +108,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
             "tables": tables,
+            "tolerance": tolerance,
+            "erfc": _erfc(kernel, precision),
             "width": WIDTH,
             "most_heat": (1.0 + SLACK) * model.calibrated.heat,
             "least_heat": -SLACK * model.calibrated.heat,
@@ -146,6 +149,18 @@ def _interface(estimator: JointAware) -> Interface:
         axes=axes,
         statuses=_STATUSES,
     )
+
+
+def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
+    """Coefficients of a function that Structured Text has not, if a law of the joint has it."""
+    if (kernel.laws[:, 0] != 0.0).all():
+        return None
+    return {
+        **{name.lower(): getattr(erfc, name) for name in "ABCDPQ"},
+        "inverse_root_pi": erfc.INVERSE_ROOT_PI,
+        # Beyond, it underflows.
+        "largest": 26.5 if precision is Precision.DOUBLE else 9.0,
+    }
 
 
 def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> list[Table]:

@@ -76,7 +76,9 @@ def decimal(value: float, precision: Precision) -> str:
 
 def literal(value: float, precision: Precision) -> str:
     """Return a number with its type, for an expression: nothing is converted unseen."""
-    return f"{_TYPES[precision]}#{decimal(value, precision)}"
+    text = decimal(value, precision)
+    typed = f"{_TYPES[precision]}#{text.removeprefix('-')}"
+    return f"(-{typed})" if text.startswith("-") else typed
 
 
 def initial(values: ArrayLike, precision: Precision) -> str:

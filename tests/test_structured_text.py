@@ -1,0 +1,249 @@
+"""An estimator in Structured Text is the estimator: held to strict rules, and run."""
+
+import math
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import structured_text
+from exported import needs_gcc
+from machine_logs import machine_log
+from observed import SENSORS, observed_data, observer
+from observed import run as observed_run
+from observed import step as observed_step
+from structured_text import FLAGS, HEAD, Translator, parsed, run
+
+from calibrate.learning.learn import learn
+from estimator.export import joint_aware
+from estimator.export.exporting import export_program
+from estimator.export.program import Precision
+from estimator.export.structured_text import decimal, literal, st_files
+from estimator.fchs.estimator import Fchs
+from estimator.joint_aware.reduced_machine import reduce_machine
+from estimator.learned.estimator import Learned
+from estimator.learned.samples import samples_of
+from estimator.measured import response_samples
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from models.assembly import assemble
+from models.assembly_file import write_assembly
+from thermojoint.cli.app import app
+
+pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+pytestmark = needs_gcc
+DT = 20.0
+
+
+@pytest.fixture(scope="module")
+def fchs(hand_made_model):
+    return Fchs(assemble(hand_made_model, DT, 7200.0))
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return Learned(learn([machine_log()], ["x_um", "z_um"], 4))
+
+
+@pytest.fixture(scope="module")
+def aware(coarse_data):
+    data = observed_data(coarse_data)
+    case = case_from_data(data, "case", Path())
+    setup = set_up(case)
+    machine = reduce_machine(case, setup, SENSORS)
+    return observer(machine, {"step 2": observed_run(data, setup, observed_step(2.0))})
+
+
+def agrees(program, folder, flags=FLAGS):
+    """Run the self-test; it must agree as closely as it is meant to."""
+    done, figures = run(st_files(program), program.name, folder, flags)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["samples"] == program.samples
+    assert figures["differing"] == 0
+    double = program.precision is Precision.DOUBLE
+    allowed = 1e-12 * figures["largest displacement"] if double else 0.01e-6
+    assert figures["largest difference"] <= allowed
+    return figures
+
+
+@pytest.mark.parametrize("precision", Precision)
+def test_a_day_of_the_coarse_machine_is_the_same(fchs, coarse_day, precision, tmp_path):
+    samples = list(response_samples(coarse_day, fchs.assembly.model))[1:]
+    figures = agrees(export_program(fchs, precision, "spindle", samples), tmp_path)
+    assert figures["samples"] == 4320
+
+
+@pytest.mark.parametrize("precision", Precision)
+def test_a_leaking_estimator_is_the_same_at_any_interval(hand_made_model, precision, tmp_path):
+    model = Fchs(assemble(replace(hand_made_model, leak=1.0 / 7200.0), DT, 7200.0))
+    agrees(export_program(model, precision, "spindle"), tmp_path)
+
+
+@pytest.mark.parametrize("precision", Precision)
+def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
+    log = machine_log(hours=24.0, seed=5, start=500000.0)
+    samples = list(samples_of(learned.model, [log]))
+    agrees(export_program(learned, precision, "m", samples, interval=60.0), tmp_path / "even")
+    agrees(export_program(learned, precision, "m"), tmp_path / "uneven")
+
+
+@pytest.mark.parametrize("precision", Precision)
+def test_a_joint_aware_estimator_is_the_same(aware, precision, monkeypatch, tmp_path):
+    monkeypatch.setattr(joint_aware, "SAMPLES", 900)
+    agrees(export_program(aware, precision, "machine"), tmp_path)
+
+
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(aware, monkeypatch, tmp_path):
+    monkeypatch.setattr(joint_aware, "ITERATIONS", 0)
+    monkeypatch.setattr(joint_aware, "SAMPLES", 60)
+    program = export_program(aware, Precision.DOUBLE, "machine")
+    last = told(program, tmp_path, [{}] * 40, ("newton_steps",))[-1]
+    assert last["status"] & joint_aware.NOT_SETTLED
+    assert last["newton_steps"] == -1
+    assert math.isfinite(last["displacement_x"])
+
+
+def told(program, folder, calls, more=()):
+    """What the function block says in calls of it: inputs beyond the recorded sample by name."""
+    name, outputs = program.name.lower(), [one.name for one in program.interface.outputs]
+    names = ["status", *more, *outputs]
+    lines = []
+    for row, call in zip(program.kept.samples.tolist(), calls, strict=False):
+        names_in = [f"reading_{one.name}" for one in program.interface.inputs]
+        given = {"reset": 0} | dict(zip(names_in, row[1:], strict=True))
+        # An input that is not given keeps what it had.
+        given |= {"interval": row[0]} if program.interface.timed else {}
+        given |= call
+        lines += [f"one.v_{key.lower()} = {value};" for key, value in given.items()]
+        lines.append(f"fb_{name}(&one);")
+        lines += [f'printf("%.17g ", (double)one.v_{key.lower()});' for key in names]
+        lines.append('puts("");')
+    body = "\n".join(lines)
+    text = HEAD + Translator().program(parsed(st_files(program)[f"{program.name}.st"]))
+    text += f"\nstatic fb_{name}_t one;\nint main(void) {{ begin_fb_{name}(&one);\n{body} }}\n"
+    (folder / "calls.c").write_text(text, encoding="utf-8")
+    command = ["gcc", *FLAGS, "calls.c", "-lm", "-o", "calls"]
+    subprocess.run(command, cwd=folder, check=True)
+    done = subprocess.run(["./calls"], cwd=folder, check=True, capture_output=True, text=True)
+    rows = [line.split() for line in done.stdout.splitlines()]
+    return [
+        {key: int(value) if key in ("status", *more) else float(value) for key, value in pairs}
+        for pairs in (zip(names, row, strict=True) for row in rows)
+    ]
+
+
+@pytest.mark.parametrize("bad", ["NAN", "INFINITY", "-6000.0"])
+def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(fchs, bad, tmp_path):
+    program = export_program(
+        fchs, Precision.DOUBLE, "spindle", [(DT * k, k, 0.1, 0.2) for k in range(1, 6)]
+    )
+    found = told(program, tmp_path, [{}, {"reading_T1": bad}, {"interval": 0.0}, {}, {"reset": 1}])
+    assert [one["status"] for one in found[1:3]] == [0x8000] * 2
+    assert found[1]["displacement_x"] == found[0]["displacement_x"]
+    # The good sample comes two intervals after the last good one: that of 0 s does not count.
+    state, _ = fchs.sample(fchs.initial_state(), DT, (1, 0.1, 0.2))
+    _, there = fchs.sample(state, 3 * DT, (4, 0.1, 0.2))
+    assert found[3]["displacement_x"] == pytest.approx(there.displacement[0], rel=1e-11)
+    _, fresh = fchs.sample(fchs.initial_state(), DT, (5, 0.1, 0.2))
+    assert found[4]["displacement_x"] == pytest.approx(fresh.displacement[0], rel=1e-11)
+
+
+def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
+    middle = [0.5 * sum(learned.model.spans[name]) for name in learned.model.columns]
+    samples = [(60.0 * k, *middle) for k in range(3)]
+    program = export_program(learned, Precision.DOUBLE, "m", samples, interval=60.0)
+    key = f"reading_{program.interface.inputs[0].name}"
+    found = told(program, tmp_path, [{}, {key: "NAN"}, {key: 1e31}])
+    assert [one["status"] for one in found] == [0, 8, 8]
+    there = told(program, tmp_path, [{}, {}, {}])
+    assert found[2]["displacement_x"] == there[2]["displacement_x"]
+
+
+def test_the_complementary_error_function_is_good_to_the_last_digits(aware, tmp_path):
+    text = HEAD + Translator().program(
+        parsed(st_files(export_program(aware, "double", "m"))["m.st"])
+    )
+    text += r"""
+int main(void)
+{ for (int k = -600; k < 2660; k++) printf("%.17g\n", f_m_erfc(k / 100.0 + 1e-3)); }
+"""
+    (tmp_path / "e.c").write_text(text, encoding="utf-8")
+    subprocess.run(["gcc", *FLAGS, "e.c", "-lm", "-o", "e"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./e"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    got = np.array([float(line) for line in done.stdout.split()])
+    there = np.array([math.erfc(k / 100.0 + 1e-3) for k in range(-600, 2660)])
+    near = there > 1e-300
+    np.testing.assert_allclose(got[near], there[near], rtol=2e-15)
+
+
+def test_the_command_writes_a_folder_that_runs(fchs, tmp_path, capsys):
+    write_assembly(fchs.assembly, tmp_path / "estimator.json")
+    names = [str(tmp_path / name) for name in ("estimator.json", "program")]
+    app(
+        ["export", names[0], "--to", "st", "--out", names[1], "--name", "Spindle_2"],
+        standalone_mode=False,
+    )
+    assert "multiplications" in capsys.readouterr().out
+    files = {one.name: one.read_text("utf-8") for one in Path(names[1]).glob("*.st")}
+    assert set(files) == {"Spindle_2.st", "Spindle_2_selftest.st"}
+    done, figures = run(files, "Spindle_2", tmp_path / "run")
+    assert done.returncode == 0
+    assert figures["samples"] > 500
+
+
+@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("value", [0.1, -1e-30, 3.0, 1e22, 2.0**-120, 0.0])
+def test_numbers_have_a_point_and_come_back_to_the_last_bit(value, precision):
+    text = decimal(value, precision)
+    assert "." in text.split("E")[0]
+    number = np.float64 if precision is Precision.DOUBLE else np.float32
+    assert number(text) == number(value)
+    assert literal(value, precision).strip("(-").startswith(("LREAL#", "REAL#"))
+
+
+GOOD = """
+FUNCTION_BLOCK FB_a
+VAR_INPUT x : LREAL; END_VAR
+VAR_OUTPUT y : LREAL; END_VAR
+VAR CONSTANT c : ARRAY [0..1] OF LREAL := [1.0, 2.0]; END_VAR
+VAR k : DINT; w : WORD; END_VAR
+FOR k := 0 TO 1 DO y := y + c[k] * x; END_FOR;
+END_FUNCTION_BLOCK
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("c[k] * x", "c[k] * k", "LREAL \\* DINT"),
+        ("c[k] * x", "c[k] * 2.0", "has its type"),
+        ("c[k] * x", "c[k] * REAL#2.0", "LREAL \\* REAL"),
+        ("c[k] * x", "c[k] * z", "not declared"),
+        ("c[k] * x", "c[x]", "not DINT"),
+        ("y := y", "x := y", "variable of its own"),
+        ("y := y", "c[0] := y", "variable of its own"),
+        ("y := y", "k := 2; y := y", "variable of a loop"),
+        ("[1.0, 2.0]", "[1.0, 2.0, 3.0]", "3 initial values for 2"),
+        ("[1.0, 2.0]", "[1.0, 2]", "DINT, not LREAL"),
+        ("w : WORD", "X : WORD", "taken"),
+        ("w : WORD", "w__1 : WORD", "not a name"),
+        ("w : WORD", "ton : WORD", "reserved"),
+        ("c[k] * x;", "c[k] * x", "grammar refuses"),
+    ],
+)
+def test_what_a_strict_system_refuses_is_refused_here(old, new, said):
+    Translator().program(parsed(GOOD))
+    assert old in GOOD
+    with pytest.raises(AssertionError, match=said):
+        Translator().program(parsed(GOOD.replace(old, new)))
+
+
+def test_an_index_beyond_its_array_stops_the_run(tmp_path):
+    text = structured_text.in_c(GOOD.replace("0 TO 1 DO", "0 TO 2 DO"))
+    text += "int main(void) { static fb_a_t one; fb_a(&one); }"
+    (tmp_path / "b.c").write_text(text, encoding="utf-8")
+    subprocess.run(["gcc", *FLAGS, "b.c", "-lm", "-o", "b"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./b"], cwd=tmp_path, check=False, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "2 of 2" in done.stderr
