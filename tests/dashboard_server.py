@@ -2,12 +2,12 @@
 
 import asyncio
 import dataclasses
-import socket
 import threading
 import time
 from contextlib import contextmanager
 
 import numpy as np
+from live_parts import free_port
 from prometheus_client import CollectorRegistry, Gauge
 
 from live.archive import Archive
@@ -72,12 +72,6 @@ def keep(path, runs, events=()):
 def about(estimator, layout, since):
     """What stays of a machine."""
     return About(layout, estimator.kind, "model.h5", since, ranges_of(estimator))
-
-
-def free_port():
-    """A port that nobody has."""
-    with socket.create_server(("127.0.0.1", 0)) as found:
-        return found.getsockname()[1]
 
 
 class Running:

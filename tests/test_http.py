@@ -12,12 +12,14 @@ import time
 from datetime import UTC, datetime, timedelta
 
 import httpx
+import live_parts
 import numpy as np
 import pytest
 from cryptography import x509
-from dashboard_server import TOKEN, again, event, free_port, keep, serving
+from dashboard_server import TOKEN, again, event, keep, serving
 from hypothesis import given
 from hypothesis import strategies as st
+from live_parts import free_port
 
 from artefacts.errors import InputError
 from benchmarks import http_fuzz
@@ -34,6 +36,7 @@ from live.publication import Layout, Publication, Quality, as_json
 from live.scene import Scene
 from live.secret import read_secret
 from live.settings import HttpServer, Secret
+from models.model_file import Provenance, write_model
 
 LAYOUT = Layout(("x", "y"), ("X",), (Channel("heat_spindle", "W"),), ("T1_degC", "T2_degC"))
 ABOUT = About(LAYOUT, "joint-aware", "mill.h5", 1.7e9)
@@ -434,6 +437,48 @@ def test_an_address_that_is_taken_is_one_line(tmp_path):
 def test_a_key_without_its_certificate_is_refused():
     with pytest.raises(ValueError, match="belong together"):
         HttpServer(token=Secret(file="token"), key_file="key.pem")
+
+
+# The service
+
+
+def test_a_service_opens_this_door_by_its_file(tmp_path, hand_made_model):
+    """From a line of CSV to what a program is told of it."""
+    write_model(hand_made_model, tmp_path / "model.json", Provenance(case="by hand"))
+    token = tmp_path / "token"
+    token.touch(mode=0o600)
+    token.write_text(TOKEN)
+    now = math.floor(time.time()) - 30
+    rows = [f"{now + 2 * k},{20 + k / 10},20,20,20,20" for k in range(10)]
+    lines = ["time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC", *rows]
+    (tmp_path / "mill-1.csv").write_text("\n".join(lines) + "\n")
+    data = {
+        "folder": "kept",
+        "models": {"mill": {"file": "model.json", "interval_s": 2.0, "run_length_min": 20.0}},
+        "machines": {"mill-1": {"model": "mill", "source": "csv"}},
+        "sources": {"csv": {"kind": "csv", "path": "{machine}.csv"}},
+        "http": {"port": free_port(), "token": {"file": "token"}},
+    }
+
+    async def told():
+        async with live_parts.serving(data, tmp_path) as running:
+            await live_parts.until(lambda: running.hub.newest["mill-1"].number == 10)
+            trusted = ssl.create_default_context(cafile=tmp_path / "kept" / "http_certificate.pem")
+            url = f"https://127.0.0.1:{data['http']['port']}"
+            async with httpx.AsyncClient(
+                base_url=url, headers=BEARER, verify=trusted, trust_env=False
+            ) as client:
+                paths = ("", "/latest", "/history")
+                answers = [await client.get(f"/api/machines/mill-1{path}") for path in paths]
+                return as_json(running.hub.newest["mill-1"]), [one.json() for one in answers]
+
+    newest, (stays, latest, history) = asyncio.run(told())
+    assert latest["displacement_um"] == newest["displacement_um"]
+    assert stays["kind"] == "fchs"
+    assert stays["model"] == "model.json"
+    assert {"time since the start", "heat", "T1"} <= {one["name"] for one in stays["valid"]}
+    assert len(history["time_s"]) == 10
+    assert history["readings"]["a_degC"][-1] == pytest.approx(20.9)
 
 
 # Anything

@@ -31,8 +31,8 @@ from estimator.joint_aware.reduced_machine import (
     reduce_machine,
 )
 from fesim.case.schema import Case
+from fesim.outside import contacts_of, outside_of
 from fesim.setup.machine import Setup
-from meshes.faces import boundary_faces, triangles_of
 
 SCHEMA = "thermojoint-surface"
 SCHEMA_VERSION = 1
@@ -105,20 +105,16 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
         fitted.sensors @ turn, model.modes.sensors, atol=SAME * np.abs(model.modes.sensors).max()
     ):
         raise InputError("scene: the model was calibrated with another case or mesh; give its own")
-    mesh = setup.structure.mesh
-    used, corners = np.unique(boundary_faces(mesh, mesh.boundary_facets()), return_inverse=True)
-    faces = corners.reshape(-1, len(mesh.elem.refdom.facets[0]))
     assert setup.modes is not None  # reduce_machine needs them
-    basis = setup.modes.basis[setup.spaces.heat.nodal_dofs[0][used]]
-    points, triangles, contacts = _contacts(setup)
+    outside, contacts = outside_of(setup), contacts_of(setup)
     return Surface(
         model=fingerprint(model),
-        points=np.ascontiguousarray(mesh.p[:, used].T),
-        triangles=triangles_of(faces),
-        rows=np.asarray(basis @ turn, dtype=np.float32),
-        contact_points=points,
-        contact_triangles=triangles,
-        contacts=contacts,
+        points=outside.points,
+        triangles=outside.corners,
+        rows=np.asarray(setup.modes.basis[outside.of] @ turn, dtype=np.float32),
+        contact_points=contacts.points,
+        contact_triangles=contacts.corners,
+        contacts=contacts.of,
         up=np.asarray(up, dtype=float),
     )
 
@@ -147,23 +143,6 @@ def _alignment(found: Modes, model: Modes) -> Array:
         left, _, right = np.linalg.svd(seen[:, group].T @ wanted[:, group])
         turn[np.ix_(group, group)] = left @ right
     return turn
-
-
-def _contacts(setup: Setup) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Points, triangles and contact elements of side a of all joints."""
-    points: list[Array] = [np.empty((0, 3))]
-    triangles: list[NDArray[np.int64]] = [np.empty((0, 3), dtype=np.int64)]
-    contacts: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
-    count, first = 0, 0
-    for joint in setup.joints:
-        for corners, element in zip(joint.pieces, joint.piece_element, strict=True):
-            found = triangles_of(count + np.arange(len(corners))[None, :])
-            points.append(corners)
-            triangles.append(found)
-            contacts.append(np.full(len(found), first + int(element)))
-            count += len(corners)
-        first += len(joint.area)
-    return np.concatenate(points), np.concatenate(triangles), np.concatenate(contacts)
 
 
 def temperatures(surface: Surface, estimator: JointAware, state: Array) -> Array:

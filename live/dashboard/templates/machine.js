@@ -10,6 +10,8 @@ const COLUMNS = ["displacement_um", "band_um", "offsets_um", "details", "reading
 const UNITS = {
   W: ["Heat", "W", 1], K: ["Estimated temperatures", "K", 1], Pa: ["Pressure in the joints", "MPa", 1e-6],
   um: ["Parts of the displacement", "µm", 1], "": ["Relative", "1", 1], degC: ["Temperatures", "°C", 1],
+  rpm: ["Speed", "1/min", 1], kW: ["Power", "kW", 1], A: ["Current", "A", 1], Nm: ["Torque", "Nm", 1],
+  percent: ["Load", "%", 1], degF: ["Temperatures", "°F", 1],
 };
 
 const page = { about: null, span: 3600, past: null, newest: null, charts: [], revision: 0, drawn: 0, line: "opening" };
@@ -35,7 +37,10 @@ function plan(about) {
       const keys = about[group].filter((key) => unitOf(key) === unit);
       if (!keys.length) continue;
       const [title, shownUnit, factor] = UNITS[unit];
-      found.push({ title: group === "readings" ? "Readings" : title, unit: shownUnit, group, keys, factor });
+      const read = unit === "um" ? "Displacement, as read by a probe" : "Readings";
+      // A probe reads now and then: points, no line between them.
+      const mode = group === "readings" && unit === "um" ? "markers" : "lines";
+      found.push({ title: group === "readings" ? read : title, unit: shownUnit, group, keys, factor, mode });
     }
   }
   return found.map((chart) => {
@@ -64,7 +69,8 @@ async function drawAll() {
   });
   await draw(document.getElementById("c-displacement"), past.time_s, axes, from, to, page.revision);
   for (const chart of page.charts) {
-    const curves = chart.keys.map((key) => ({ name: bare(key), values: scaled(past[chart.group][key], chart.factor) }));
+    const curves = chart.keys.map((key) => (
+      { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
     await draw(chart.node, past.time_s, curves, from, to, page.revision);
   }
 }
@@ -163,10 +169,10 @@ function readings() {
     const channel = unitOf(key) ? key.slice(0, -unitOf(key).length - 1) : key;
     const [, unit] = UNITS[unitOf(key)];
     const has = (names) => names.includes(key) || names.includes(channel);
-    const state = has(one.distrusted) ? "distrusted" : has(one.missing) || one.readings[key] === null ? "missing" : "used";
+    const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : one.readings[key] === null ? "none" : "used";
     row.dataset.state = state;
     write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)} ${unit}`);
-    write(row.children[2], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted" }[state]);
+    write(row.children[2], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
   }
 }
 
