@@ -25,6 +25,8 @@ REFUSED = 1 << 15
 #: What begins a name, and leaves room for the rest of it.
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 31
+#: The rest of it; with what stands before, no name has more than 63 characters.
+_LONGEST_PART = 48
 
 
 class Precision(StrEnum):
@@ -338,7 +340,7 @@ def distinct(names: Sequence[str], what: str) -> tuple[str, ...]:
             f"export: the {what} {', '.join(names)} are not distinct as names of a program; "
             "rename one"
         )
-    if max(map(len, found), default=0) > _LONGEST:
+    if max(map(len, found), default=0) > _LONGEST_PART:
         raise InputError(f"export: the {what} {', '.join(names)}: a name is too long; rename it")
     return found
 
