@@ -2,7 +2,8 @@
 
 On what `thermojoint reproduce` leaves in its folder. The sensors read what the machine's own model
 says of a heat input of 2 that is on for 72 of every 120 min, with 0.03 K of noise (joint-aware), or
-rise to the highest calibrated temperatures and fall as often (FCHS). Needs gcc.
+rise to the highest calibrated temperatures and fall as often (FCHS); or they are those of the
+measured machine (learned). Needs gcc, and is run from the root of a clone.
 
     python -m benchmarks.exported_day results              # about a minute
 """
@@ -14,12 +15,15 @@ import ctypes
 import subprocess
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
 from artefacts.arrays import Array
+from artefacts.log_file import read_log
+from calibrate.learning.learn import learn
 from estimator.export.c_source import c_files
 from estimator.export.exporting import export_program
 from estimator.export.program import Precision, Program
@@ -29,11 +33,14 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.starting import started
+from estimator.learned.estimator import Learned
+from estimator.learned.samples import samples_of
 from models.assembly import assemble
 from models.model_file import read_model
 
 DAY, INTERVAL, PERIOD, ON, FOLLOWS = 86400.0, 2.0, 7200.0, 4320.0, 1800.0
 HEAT, NOISE = 2.0, 0.03
+MACHINE = Path("examples/measured_machine")
 
 
 def fchs_samples(estimator: Fchs) -> Array:
@@ -74,15 +81,26 @@ def in_c(
     state, estimate = ctypes.create_string_buffer(found.state), (number * 256)()
     library.day_init(state)
     readings, rows = number * (samples.shape[1] - 1), samples[:, 1:].tolist()
+    intervals = np.diff(samples[:, 0], prepend=0.0).tolist()
     displacement, begun = np.empty((len(samples), axes)), time.process_time()
-    interval = (number(INTERVAL),) if timed else ()
-    for k, row in enumerate(rows):
-        library.day_step(state, *interval, readings(*row), estimate)
+    for k, (row, interval) in enumerate(zip(rows, intervals, strict=True)):
+        passed = (number(interval),) if timed else ()
+        library.day_step(state, *passed, readings(*row), estimate)
         displacement[k] = estimate[:axes]
     return displacement, (time.process_time() - begun) / len(rows)
 
 
-def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> None:
+def learned() -> tuple[Learned, Array]:
+    """Return a model of the measured machine, and time, s, and readings of all that is known."""
+    logs = [read_log([MACHINE / f"{name}.csv"]) for name in ("learned", "unseen")]
+    model = replace(learn(logs[:1], ["disp1_um", "disp2_um"], 4), log_end=None)
+    samples = [row for log in logs for row in samples_of(model, [log])]
+    return Learned(model), np.array(samples)
+
+
+def compared(
+    name: str, estimator: Estimator, samples: Array, timed: bool, interval: float = INTERVAL
+) -> None:
     """Print a line for each precision."""
     begun = time.process_time()
     results = follow(estimator, samples.tolist(), estimator.initial_state())
@@ -94,7 +112,7 @@ def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> No
         (Precision.DOUBLE, ctypes.c_double),
         (Precision.SINGLE, ctypes.c_float),
     ):
-        found = export_program(estimator, precision, "day")
+        found = export_program(estimator, precision, "day", interval=interval)
         with tempfile.TemporaryDirectory() as folder:
             here, spent = in_c(found, Path(folder), number, samples, len(estimator.axes), timed)
         worst = np.abs(here - python).max()
@@ -105,13 +123,14 @@ def compared(name: str, estimator: Estimator, samples: Array, timed: bool) -> No
 
 
 def main() -> None:
-    """Compare both kinds."""
+    """Compare every kind."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("results", type=Path)
     given = parser.parse_args()
     fchs = Fchs(assemble(read_model(given.results / "model.json"), INTERVAL, 7200.0))
     samples = fchs_samples(fchs)
     compared("fchs", fchs, samples, timed=True)
+    compared("learned", *learned(), timed=True, interval=60.0)
     observer, _ = started(given.results / "joint_aware.h5")
     compared("joint-aware", observer, joint_aware_samples(observer), timed=False)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from artefacts.errors import InputError
-from estimator.export.recorded import Recorded, recorded
+from estimator.export.recorded import Recorded, check_answerable, even, recorded
 from estimator.interface import Estimator, Status
 
 #: What a self-test allows: in double precision relative to the largest displacement, in single m.
@@ -25,6 +24,8 @@ REFUSED = 1 << 15
 #: What begins a name, and leaves room for the rest of it.
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 31
+#: The rest of it; with what stands before, no name has more than 63 characters.
+_LONGEST_PART = 48
 
 
 class Precision(StrEnum):
@@ -260,9 +261,9 @@ def program(
     if samples is None:
         samples, origin = contents.duty(), contents.origin
     if not interface.timed:
-        samples = _even(samples, interface.interval, origin)
+        samples = even(samples, interface.interval, origin)
     kept = recorded(contents.estimator, samples, interface.interval, origin)
-    _answerable(kept, interface.statuses)
+    check_answerable(kept, interface.statuses)
     return Program(
         name,
         interface,
@@ -338,33 +339,6 @@ def distinct(names: Sequence[str], what: str) -> tuple[str, ...]:
             f"export: the {what} {', '.join(names)} are not distinct as names of a program; "
             "rename one"
         )
-    if max(map(len, found), default=0) > _LONGEST:
+    if max(map(len, found), default=0) > _LONGEST_PART:
         raise InputError(f"export: the {what} {', '.join(names)}: a name is too long; rename it")
     return found
-
-
-def _even(
-    samples: Iterable[Sequence[float]], step: float, origin: str
-) -> Iterator[Sequence[float]]:
-    """Yield samples that come at every step, nothing missing."""
-    last = None
-    for sample in samples:
-        late = last is not None and abs(sample[0] - last - step) > 1e-6 * step
-        if late or not all(map(math.isfinite, sample)):
-            raise InputError(
-                f"{origin}: the sample at {sample[0]:g} s is late or has a reading missing; for "
-                f"the self-test give one every {step:g} s, or leave --samples out"
-            )
-        last = sample[0]
-        yield sample
-
-
-def _answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
-    known = sum(one.value for one in statuses)
-    for row, word in enumerate(kept.words):
-        if word & ~known:
-            raise InputError(
-                f"{kept.origin}: sample {row} is one that the exported program judges otherwise "
-                f"({Status(word).words}); give another log for the self-test, or leave --samples "
-                "out"
-            )

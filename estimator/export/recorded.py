@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
-from estimator.interface import Estimator, follow
+from estimator.interface import Estimator, Status, follow
 
 #: Samples at the nominal interval that a duty cycle begins with; then intervals of so many of it.
 EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)
@@ -78,6 +78,44 @@ def recorded(
     if not rows:
         raise InputError(f"{origin}: no samples; give at least one")
     return Recorded(np.array(rows), np.array(shifts), tuple(words), origin)
+
+
+def even(samples: Iterable[Sequence[float]], step: float, origin: str) -> Iterator[Sequence[float]]:
+    """Yield samples that come at every step, nothing missing.
+
+    Raises
+    ------
+    InputError
+        One is late or has a reading missing.
+    """
+    last = None
+    for sample in samples:
+        late = last is not None and abs(sample[0] - last - step) > 1e-6 * step
+        if late or not all(map(math.isfinite, sample)):
+            raise InputError(
+                f"{origin}: the sample at {sample[0]:g} s is late or has a reading missing; for "
+                f"the self-test give one every {step:g} s, or leave --samples out"
+            )
+        last = sample[0]
+        yield sample
+
+
+def check_answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
+    """Refuse samples of which Python says what no program of this kind does.
+
+    Raises
+    ------
+    InputError
+        There is one.
+    """
+    known = sum(one.value for one in statuses)
+    for row, word in enumerate(kept.words):
+        if word & ~known:
+            raise InputError(
+                f"{kept.origin}: sample {row} is one that the exported program judges otherwise "
+                f"({Status(word).words}); give another log for the self-test, or leave --samples "
+                "out"
+            )
 
 
 def duty_cycle(ranges: Sequence[tuple[float, float]], interval: float) -> Array:
