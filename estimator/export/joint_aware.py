@@ -167,7 +167,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
     system, readings = observer.system, len(observer.system.rows)
-    gain, _ = observer.gain(np.arange(readings), np.zeros(model.warm.shape), model.step)
+    gain = observer.usual_gain
     relaxing = model.step * model.remainder.rates / (1.0 + model.step * model.remainder.rates)
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
