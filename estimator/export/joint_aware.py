@@ -166,7 +166,7 @@ def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
 def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> list[Table]:
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
-    system, readings = observer.system, len(observer.system.rows)
+    system = observer.system
     gain = observer.usual_gain
     relaxing = model.step * model.remainder.rates / (1.0 + model.step * model.remainder.rates)
     # decay - 1 without cancellation.
