@@ -14,10 +14,11 @@ from live.archive import Archive
 from live.http.server import open_http, serve_http
 from live.http.sources import About, Sources
 from live.hub import Hub
-from live.publication import Layout, Publication, Quality, as_row
+from live.publication import Layout, Publication, as_row
 from live.settings import HttpServer
 from live.store import Batch, Checkpoint, Event, commit, era_of, open_store
 from live.validity import ranges_of
+from live.watchdog import quality_of
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
 
@@ -41,7 +42,7 @@ def published(name, layout, estimates, samples, start):
             number=number,
             time=start + one.time,
             published=start + one.time,
-            quality=Quality.GOOD if one.words == "ok" else Quality.UNCERTAIN,
+            quality=quality_of(one.words),
             layout=layout,
             displacement=one.displacement,
             band=one.band,

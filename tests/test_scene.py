@@ -21,7 +21,7 @@ from estimator.joint_aware.surface import (
 )
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from live.scene import scene_of, upright
+from live.scene import EYE, front_of, scene_of, upright
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -139,3 +139,12 @@ def test_up_becomes_the_third_axis_by_a_rotation(up):
     turn = upright(up)
     assert turn @ up == pytest.approx([0.0, 0.0, 1.0])
     assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_a_joint_is_looked_at_from_its_front():
+    corners = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    found = front_of(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert found[0] > 1.0
+    assert abs(found[1]) < 1e-9
+    both = front_of(corners, np.array([[0, 1, 2], [0, 2, 1]]))
+    assert both == pytest.approx(EYE)
