@@ -44,6 +44,7 @@ PATHS = (
     "/api/machines/mill-1/latest",
     "/api/machines/mill-1/history",
     "/api/machines/mill-1/scene",
+    "/api/machines/mill-1/residuals",
     "/api/events",
     "/api/stream",
     "/metrics",
@@ -333,7 +334,9 @@ def serve(folder: Path) -> None:
     hub = Hub()
     hub.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
-    sources = Sources(hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {})
+    sources = Sources(
+        hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
+    )
     section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
     opened = open_http(section, sources, folder, folder)
     print(opened.socket.getsockname()[1], flush=True)

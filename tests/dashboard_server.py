@@ -107,7 +107,9 @@ class Running:
 
 
 @contextmanager
-def serving(folder, archive, machines, newest, scenes=None, security="none", **settings):
+def serving(
+    folder, archive, machines, newest, scenes=None, residuals=None, security="none", **settings
+):
     """Run a server until the block ends."""
     token = folder / "token"
     token.touch(mode=0o600)
@@ -118,7 +120,7 @@ def serving(folder, archive, machines, newest, scenes=None, security="none", **s
     section = HttpServer(
         **{"port": free_port(), "security": security, "token": {"file": "token"}} | settings
     )
-    sources = Sources(hub, archive, machines, registry, scenes or {})
+    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
     opened = open_http(section, sources, folder, folder)
     ready, found = threading.Event(), []
 
