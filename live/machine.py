@@ -161,7 +161,13 @@ def silent(
     The offsets freeze and decay as their settings say; an estimate that is too old moves none.
     """
     output = machine.output
-    if served.output is not None and output is not None and age > served.output.trust.oldest:
+    told = machine.said.number > 0
+    if (
+        served.output is not None
+        and output is not None
+        and told
+        and age > served.output.trust.oldest
+    ):
         output = _cycled(served, output, machine.said.time + age, None)
     before = shown(machine)
     quality = quality_at(age, uncertain, bad) if before.number else Quality.BAD
