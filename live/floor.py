@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from live.arrivals import Arrival
 from live.log_lines import EventLog
-from live.machine import Machine, rest_of, shown, silent, state_bytes, taken
+from live.machine import Machine, rest_of, shown, silent, state_bytes, taken, with_waiting
 from live.metrics import Metrics
 from live.publication import Publication, Quality, as_row
 from live.samples import arrived
@@ -136,7 +136,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             if one.kept:
                 outcome.kept.append(one.kept)
             continue
-        place.machine = replace(place.machine, waiting=step.waiting)
+        place.machine = with_waiting(place.machine, step.waiting)
         if one.kept:
             place.unkept.append(one.kept)
         for instant, readings in step.samples:
@@ -146,7 +146,8 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             outcome.kept += place.unkept
             place.unkept = []
             last = outcome.taken[-1]
-            outcome.taken[-1] = replace(last, rest=rest_of(place.machine, place.position))
+            rest = rest_of(place.machine, place.position)
+            outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
     return outcome
 
 

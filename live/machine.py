@@ -143,6 +143,19 @@ def taken(
     return Machine(machine.name, state, cold, output, machine.waiting, said, said), ""
 
 
+def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
+    """Return a machine with other readings that wait; far quicker than `dataclasses.replace`."""
+    return Machine(
+        machine.name,
+        machine.state,
+        machine.cold,
+        machine.output,
+        waiting,
+        machine.said,
+        machine.usable,
+    )
+
+
 def shown(machine: Machine) -> Publication:
     """Return what is said of a machine now: after a refused sample, the last estimate."""
     said, last = machine.said, machine.usable
