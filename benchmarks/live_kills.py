@@ -157,7 +157,7 @@ def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> Hist
                 break
         # One that does not follow its file ends by itself.
         with suppress(subprocess.TimeoutExpired):
-            service.wait(2.0)
+            service.wait(0.5)
         if service.poll() is None:
             service.send_signal(signal.SIGTERM)
         assert service.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
