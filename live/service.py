@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -240,7 +241,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         name: About(
             layout=place.served.layout,
             kind=place.served.estimator.kind,
-            model=place.served.file,
+            model=Path(place.served.file).name,
             since=running.archive.model(name).begun,
             valid=ranges_of(place.served.estimator),
         )
