@@ -61,7 +61,19 @@ PATHS = (
     "/%ff%fe",
     "/\\..\\",
 )
-METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PRI", "get", "X" * 99)
+METHODS = (
+    "GET",
+    "HEAD",
+    "POST",
+    "PUT",
+    "DELETE",
+    "OPTIONS",
+    "TRACE",
+    "CONNECT",
+    "PRI",
+    "get",
+    "X" * 99,
+)
 QUERIES = (
     "",
     "points=99999999999999999999",
@@ -141,7 +153,7 @@ def _credentials(chance: random.Random, token: str) -> list[str]:
             ["Authorization:"],
             [f"Authorization: Bearer {token}", "Authorization: Bearer x"],
             ["Cookie: thermojoint=" + "9" * chance.randrange(2000) + ".0"],
-            ["Cookie: __Host-thermojoint=1e9.zz; ; =; a=\"b"],
+            ['Cookie: __Host-thermojoint=1e9.zz; ; =; a="b'],
             ["Cookie: " + ";" * 500],
         ]
     )
@@ -320,9 +332,7 @@ def serve(folder: Path) -> None:
     hub = Hub()
     hub.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
-    sources = Sources(
-        hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}
-    )
+    sources = Sources(hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {})
     section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
     opened = open_http(section, sources, folder, folder)
     print(opened.socket.getsockname()[1], flush=True)
@@ -373,9 +383,7 @@ def main() -> int:
                 process.kill()
 
 
-def judge(
-    process: subprocess.Popen[str], port: int, folder: Path, count: int, seed: int
-) -> int:
+def judge(process: subprocess.Popen[str], port: int, folder: Path, count: int, seed: int) -> int:
     """Attack, look at the process before and after, print; return the exit code."""
     security = ssl.create_default_context(cafile=folder / "http_certificate.pem")
     before = latest(port, security)

@@ -29,7 +29,7 @@ from live.settings import HttpServer, OpcuaServer, Service
 from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
-_AT_ONCE = 128
+_AT_ONCE = 32
 #: Blocks of arrivals that may wait; then readers wait, too.
 _MOST_BLOCKS = 2_000
 #: Between two looks at silences and checkpoints, s.

@@ -141,7 +141,8 @@ def again(publication, **changed):
     """The same, said later."""
     moment = time.time()
     return dataclasses.replace(
-        publication, **{"time": moment, "published": moment, "number": publication.number + 1} | changed
+        publication,
+        **{"time": moment, "published": moment, "number": publication.number + 1} | changed,
     )
 
 

@@ -67,7 +67,9 @@ def floor(tmp_path_factory):
     run = [publication(k, now - 100.0 + k) for k in range(1, 101)]
     archive = keep(folder / "store.db", [run], [event("mill-1", "status", "T2 is missing")])
     machines = {"mill-1": ABOUT, "mill-2": ABOUT}
-    scene = Scene({"surface": {"points_m": [[0.0], [0.0], [0.0]]}}, lambda: {"temperature_K": [1.0]})
+    scene = Scene(
+        {"surface": {"points_m": [[0.0], [0.0], [0.0]]}}, lambda: {"temperature_K": [1.0]}
+    )
     with serving(
         folder,
         archive,
@@ -194,7 +196,9 @@ def test_without_a_token_nothing_is_said(floor):
         answer = httpx.get(f"{floor.url}{path}")
         assert answer.status_code == 401, path
         assert "mill" not in answer.text
-    assert httpx.get(f"{floor.url}/", headers={"accept": "text/html"}).headers["location"] == "/login"
+    assert (
+        httpx.get(f"{floor.url}/", headers={"accept": "text/html"}).headers["location"] == "/login"
+    )
 
 
 @pytest.mark.parametrize(
