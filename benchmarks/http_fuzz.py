@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import json
 import random
 import socket
@@ -43,6 +44,7 @@ PATHS = (
     "/api/machines/mill-1/latest",
     "/api/machines/mill-1/history",
     "/api/machines/mill-1/scene",
+    "/api/machines/mill-1/residuals",
     "/api/events",
     "/api/stream",
     "/metrics",
@@ -256,7 +258,7 @@ def attack(
 def _sent(
     host: str, port: int, token: str, seed: str, security: ssl.SSLContext | None
 ) -> int | None:
-    """Send one request; return the status of the answer, 0 for none, None for a server that hangs."""
+    """Send one request; return the status of the answer: 0 without one, None if nothing comes."""
     chance = random.Random(seed)
     content = request(chance, token)
     try:
@@ -332,10 +334,16 @@ def serve(folder: Path) -> None:
     hub = Hub()
     hub.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
-    sources = Sources(hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {})
+    sources = Sources(
+        hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
+    )
     section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
     opened = open_http(section, sources, folder, folder)
     print(opened.socket.getsockname()[1], flush=True)
+    # As the service does: what stays for good is not looked through for garbage again and again,
+    # which leaves the garbage collector time for connections that are over.
+    gc.collect()
+    gc.freeze()
     asyncio.run(serve_http(opened, asyncio.Event()))
 
 

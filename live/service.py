@@ -10,10 +10,13 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from artefacts.arrays import Array
+from estimator.joint_aware.estimator import JointAware
 from live import floor as floors
 from live.archive import Archive
 from live.arrivals import Arrival, Note
@@ -24,9 +27,13 @@ from live.machine import restored, shown
 from live.metrics import Metrics, fresh_metrics
 from live.notify import tell_systemd
 from live.readers.reading import Reader, readers_of
+from live.residuals import residuals_of
 from live.served import Served, served_models, single
 from live.settings import HttpServer, OpcuaServer, Service
 from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
+
+if TYPE_CHECKING:
+    from live.scene import Scene
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
 _AT_ONCE = 32
@@ -239,10 +246,43 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         )
         for name, place in running.floor.places.items()
     }
-    sources = Sources(running.hub, running.archive, machines, running.metrics.registry, {})
+    sources = Sources(
+        running.hub,
+        running.archive,
+        machines,
+        running.metrics.registry,
+        _scenes(running),
+        {
+            name: partial(_residuals_of, place)
+            for name, place in running.floor.places.items()
+            if isinstance(place.served.estimator, JointAware)
+        },
+    )
     opened = open_http(section, sources, running.service.base, running.service.folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
+
+
+def _scenes(running: Running) -> dict[str, Scene]:
+    """The machines whose models have a scene."""
+    from live.scene import scene_of
+
+    service, found = running.service, {}
+    for name, section in service.machines.items():
+        file = service.given.models[section.model].scene
+        if file is not None:
+            place = running.floor.places[name]
+            state = partial(_state_of, place)
+            found[name] = scene_of(service.path(file), place.served.estimator, state)
+    return found
+
+
+def _residuals_of(place: Place) -> dict[str, float | None] | None:
+    return residuals_of(place.served, place.machine)
+
+
+def _state_of(place: Place) -> Array:
+    return place.machine.state
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:

@@ -59,6 +59,7 @@ class ModelSection(Section):
     run_length_min: Positive = 120.0
     reads: Literal["thermometers", "above-ambient"] = "thermometers"
     offsets: str | None = None
+    scene: str | None = None
     lateness_s: NotNegative = 5.0
     hold_s: NotNegative = 0.0
 

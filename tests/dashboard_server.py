@@ -2,22 +2,23 @@
 
 import asyncio
 import dataclasses
-import socket
 import threading
 import time
 from contextlib import contextmanager
 
 import numpy as np
+from live_parts import free_port
 from prometheus_client import CollectorRegistry, Gauge
 
 from live.archive import Archive
 from live.http.server import open_http, serve_http
 from live.http.sources import About, Sources
 from live.hub import Hub
-from live.publication import Layout, Publication, Quality, as_row
+from live.publication import Layout, Publication, as_row
 from live.settings import HttpServer
 from live.store import Batch, Checkpoint, Event, commit, era_of, open_store
 from live.validity import ranges_of
+from live.watchdog import quality_of
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
 
@@ -41,7 +42,7 @@ def published(name, layout, estimates, samples, start):
             number=number,
             time=start + one.time,
             published=start + one.time,
-            quality=Quality.GOOD if one.words == "ok" else Quality.UNCERTAIN,
+            quality=quality_of(one.words),
             layout=layout,
             displacement=one.displacement,
             band=one.band,
@@ -74,18 +75,13 @@ def about(estimator, layout, since):
     return About(layout, estimator.kind, "model.h5", since, ranges_of(estimator))
 
 
-def free_port():
-    """A port that nobody has."""
-    with socket.create_server(("127.0.0.1", 0)) as found:
-        return found.getsockname()[1]
-
-
 class Running:
     """A server that runs; `publish` is what the service would do."""
 
     def __init__(self, opened, loop, stop, hub):
         self.url, self.hub, self.token = opened.url, hub, TOKEN
         # The gate is the outermost of what the application consists of.
+        self.server = opened.server
         app = opened.server.config.app
         self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
         self._loop, self._stop = loop, stop
@@ -97,12 +93,23 @@ class Running:
         """Nobody has shown a wrong token."""
         self.door.failures.levels.clear()
 
+    def drop_connections(self):
+        """Whoever is connected is so no more."""
+
+        def drop():
+            for one in list(self.server.server_state.connections):
+                one.transport.abort()
+
+        self._loop.call_soon_threadsafe(drop)
+
     def stop(self):
         self._loop.call_soon_threadsafe(self._stop.set)
 
 
 @contextmanager
-def serving(folder, archive, machines, newest, scenes=None, security="none", **settings):
+def serving(
+    folder, archive, machines, newest, scenes=None, residuals=None, security="none", **settings
+):
     """Run a server until the block ends."""
     token = folder / "token"
     token.touch(mode=0o600)
@@ -113,7 +120,7 @@ def serving(folder, archive, machines, newest, scenes=None, security="none", **s
     section = HttpServer(
         **{"port": free_port(), "security": security, "token": {"file": "token"}} | settings
     )
-    sources = Sources(hub, archive, machines, registry, scenes or {})
+    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
     opened = open_http(section, sources, folder, folder)
     ready, found = threading.Event(), []
 

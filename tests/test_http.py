@@ -1,4 +1,4 @@
-"""The door for browsers and programs: who passes, what is said, what is refused, what never grows."""
+"""The door for browsers and programs: who passes, what is said, what is refused."""
 
 import asyncio
 import base64
@@ -12,27 +12,32 @@ import time
 from datetime import UTC, datetime, timedelta
 
 import httpx
+import live_parts
 import numpy as np
 import pytest
 from cryptography import x509
-from dashboard_server import TOKEN, again, event, free_port, keep, serving
+from dashboard_server import TOKEN, again, event, keep, serving
 from hypothesis import given
 from hypothesis import strategies as st
+from live_parts import free_port
 
 from artefacts.errors import InputError
 from benchmarks import http_fuzz
 from estimator.interface import Channel
 from live.http import gate, server
 from live.http.access import SHORTEST_TOKEN, access_by
+from live.http.bodies import Words, summary
 from live.http.certificate import GOOD_FOR, own_certificate
 from live.http.parameters import moment, read_parameters, whole_number
 from live.http.rates import MOST_CLIENTS, Buckets, client_of
-from live.http.sources import About, Scene
+from live.http.sources import About
 from live.http.stream import stream
 from live.hub import Hub
 from live.publication import Layout, Publication, Quality, as_json
+from live.scene import Scene
 from live.secret import read_secret
 from live.settings import HttpServer, Secret
+from models.model_file import Provenance, write_model
 
 LAYOUT = Layout(("x", "y"), ("X",), (Channel("heat_spindle", "W"),), ("T1_degC", "T2_degC"))
 ABOUT = About(LAYOUT, "joint-aware", "mill.h5", 1.7e9)
@@ -104,6 +109,20 @@ def test_the_latest_is_what_was_published(floor, ask):
     assert ask.get("/api/machines/mill-1/latest").json() == as_json(newest)
 
 
+def test_an_overview_says_the_same_in_fewer_words():
+    one = publication(3, 1234.5)
+    short, whole = summary(one), as_json(one)
+    assert {key: whole[key] for key in short} == short
+    assert set(short) < set(whole)
+
+
+def test_what_is_said_is_put_into_words_once_for_all_who_listen():
+    words, one = Words(as_json), publication(1, 1.0)
+    assert words(one) is words(one)
+    assert json.loads(words(again(one, status="ok")))["status"] == "ok"
+    assert len(words.said) == 1
+
+
 def test_all_machines_stand_in_the_overview_also_those_without_a_sample(ask):
     found = {one["machine"]: one for one in ask.get("/api/machines").json()["machines"]}
     assert found["mill-1"]["quality"] == "good"
@@ -173,13 +192,14 @@ def test_an_unknown_machine_gets_the_nearest_name(ask):
 
 @given(st.text())
 def test_no_text_is_read_as_anything_but_a_number_in_range(text):
-    try:
-        found = read_parameters([("points", text)], {"points": whole_number(2, 5000)})
-    except InputError as error:
-        assert "\n" not in str(error)
-        assert len(str(error)) < 400
-    else:
-        assert 2 <= found["points"] <= 5000
+    readers = {"points": whole_number(2, 5000)}
+    if text.isascii() and text.isdigit() and 2 <= int(text) <= 5000 and len(text) < 10:
+        assert read_parameters([("points", text)], readers) == {"points": int(text)}
+        return
+    with pytest.raises(InputError) as refusal:
+        read_parameters([("points", text)], readers)
+    assert "\n" not in str(refusal.value)
+    assert len(str(refusal.value)) < 400
 
 
 @given(st.floats(0.0, 4e9))
@@ -365,7 +385,7 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
     async def slow():
         hub = Hub()
         hub.publish([publication(1, 1.0)])
-        found = stream(hub, frozenset(["mill-1"]), 0.0, as_json)
+        found = stream(hub, frozenset(["mill-1"]), 0.0, Words(as_json))
         await anext(found)
         first = json.loads((await anext(found)).split(b"data: ")[1])
         for k in range(2, 102):
@@ -414,7 +434,7 @@ def test_tls_is_what_is_spoken_and_the_ticket_is_for_it_alone(tmp_path):
 def test_without_tls_nobody_else_can_reach_it(tmp_path):
     with (
         pytest.raises(InputError, match="unencrypted"),
-        serving(tmp_path, None, {}, [], address="0.0.0.0"),  # noqa: S104
+        serving(tmp_path, None, {}, [], address="0.0.0.0"),
     ):
         pass
 
@@ -432,6 +452,48 @@ def test_an_address_that_is_taken_is_one_line(tmp_path):
 def test_a_key_without_its_certificate_is_refused():
     with pytest.raises(ValueError, match="belong together"):
         HttpServer(token=Secret(file="token"), key_file="key.pem")
+
+
+# The service
+
+
+def test_a_service_opens_this_door_by_its_file(tmp_path, hand_made_model):
+    """From a line of CSV to what a program is told of it."""
+    write_model(hand_made_model, tmp_path / "model.json", Provenance(case="by hand"))
+    token = tmp_path / "token"
+    token.touch(mode=0o600)
+    token.write_text(TOKEN)
+    now = math.floor(time.time()) - 30
+    rows = [f"{now + 2 * k},{20 + k / 10},20,20,20,20" for k in range(10)]
+    lines = ["time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC", *rows]
+    (tmp_path / "mill-1.csv").write_text("\n".join(lines) + "\n")
+    data = {
+        "folder": "kept",
+        "models": {"mill": {"file": "model.json", "interval_s": 2.0, "run_length_min": 20.0}},
+        "machines": {"mill-1": {"model": "mill", "source": "csv"}},
+        "sources": {"csv": {"kind": "csv", "path": "{machine}.csv"}},
+        "http": {"port": free_port(), "token": {"file": "token"}},
+    }
+
+    async def told():
+        async with live_parts.serving(data, tmp_path) as running:
+            await live_parts.until(lambda: running.hub.newest["mill-1"].number == 10)
+            trusted = ssl.create_default_context(cafile=tmp_path / "kept" / "http_certificate.pem")
+            url = f"https://127.0.0.1:{data['http']['port']}"
+            async with httpx.AsyncClient(
+                base_url=url, headers=BEARER, verify=trusted, trust_env=False
+            ) as client:
+                paths = ("", "/latest", "/history")
+                answers = [await client.get(f"/api/machines/mill-1{path}") for path in paths]
+                return as_json(running.hub.newest["mill-1"]), [one.json() for one in answers]
+
+    newest, (stays, latest, history) = asyncio.run(told())
+    assert latest["displacement_um"] == newest["displacement_um"]
+    assert stays["kind"] == "fchs"
+    assert stays["model"] == "model.json"
+    assert {"time since the start", "heat", "T1"} <= {one["name"] for one in stays["valid"]}
+    assert len(history["time_s"]) == 10
+    assert history["readings"]["a_degC"][-1] == pytest.approx(20.9)
 
 
 # Anything

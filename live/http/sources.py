@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 from prometheus_client import CollectorRegistry
 
 from live.archive import Archive
 from live.hub import Hub
 from live.publication import Layout
+from live.scene import Scene
 from live.validity import Range
 
 
@@ -39,26 +39,6 @@ class About:
     valid: tuple[Range, ...] = ()
 
 
-#: The machine in 3-D: what stays (points, triangles) and what the newest state says of it.
-Shape = Mapping[str, Any]
-Fields = Mapping[str, Any]
-
-
-class Scene(NamedTuple):
-    """A machine in 3-D.
-
-    Attributes
-    ----------
-    shape : mapping
-        Points, triangles and contact elements, ready for JSON.
-    fields : callable
-        Returns temperatures and pressures of the newest state, ready for JSON; None before any.
-    """
-
-    shape: Shape
-    fields: Callable[[], Fields | None]
-
-
 @dataclass(frozen=True, eq=False)
 class Sources:
     """All that the server shows.
@@ -75,6 +55,9 @@ class Sources:
         For Prometheus.
     scenes : mapping
         Machines that have a picture in 3-D.
+    residuals : mapping
+        Machines whose estimator says what a reading should be; reading minus model, K, by reading,
+        None before the first sample.
     """
 
     hub: Hub
@@ -82,3 +65,4 @@ class Sources:
     machines: Mapping[str, About]
     registry: CollectorRegistry
     scenes: Mapping[str, Scene]
+    residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]

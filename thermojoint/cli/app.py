@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.cli import compensating, exporting, learning, placing, serving, thermal_test
+from thermojoint.cli import compensating, exporting, learning, placing, scene, serving, thermal_test
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -31,6 +31,7 @@ COMMANDS = (
     compensating.compensate,
     compensating.control,
     serving.serve,
+    scene.scene,
     thermal_test.iso230_3,
     models.reproduce,
     structures.view,

@@ -84,6 +84,14 @@ def _is_observer(path: Path) -> bool:
     return is_observer(path)
 
 
+def _is_surface(path: Path) -> bool:
+    import h5py
+
+    with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
+        return bool(file.attrs.get("schema") == "thermojoint-surface")
+    return False
+
+
 def _is_march_state(path: Path) -> bool:
     import numpy as np
 
@@ -143,6 +151,7 @@ MARCH_STATE = Kind("the state of a simulation", _is_march_state)
 MODEL = Kind("a model file", _json(schema="thermojoint-model"))
 LEARNED = Kind("a learned model", _json(schema="thermojoint-learned-model"))
 OBSERVER = Kind("a joint-aware model", _is_observer)
+SURFACE = Kind("the surface of a machine", _is_surface)
 CALIBRATION_REPORT = Kind(
     "the report of a calibration", _json("parameters", "directions", "profiles", "further_runs")
 )

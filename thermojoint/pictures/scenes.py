@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skfem import Mesh
 
 from artefacts.errors import unknown_name
+from meshes.faces import boundary_faces
 from meshes.structure import Structure
 from thermojoint.pictures.camera import Array, Camera, Vector, Window, window_around
 from thermojoint.pictures.colour_scale import ColourScale, colour_scale
@@ -206,14 +207,6 @@ def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
     area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], last)
     inward = mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T - corners.mean(axis=1)
     return np.asarray(-area * np.sign(np.einsum("ni,ni->n", area, inward))[:, None])
-
-
-def boundary_faces(mesh: Mesh, facets: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Vertices of boundary `facets` in order around each, shape (m, 3 or 4)."""
-    cells = mesh.f2t[0, facets]
-    local = np.argmax(mesh.t2f[:, cells] == facets, axis=0)
-    corners = np.array(mesh.elem.refdom.facets)
-    return np.asarray(mesh.t[corners[local].T, cells].T, dtype=np.int64)
 
 
 def bodies(structure: Structure, named: Iterable[str] = ()) -> dict[str, Surface]:

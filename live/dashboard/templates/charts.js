@@ -40,7 +40,7 @@ function layoutOf(from, to, revision) {
 
 const CONFIG = { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false };
 
-// curves: [{ name, values, band }], each as long as times.
+// curves: [{ name, values, band, mode }], each as long as times.
 function traces(times, curves) {
   const x = times.map(localTime);
   const found = [];
@@ -54,7 +54,7 @@ function traces(times, curves) {
       found.push({ ...shared, y: edge(1), fill: "tonexty", fillcolor: faint(line) });
     }
     found.push({
-      x, y: curve.values, name: curve.name, type: "scatter", mode: "lines",
+      x, y: curve.values, name: curve.name, type: "scatter", mode: curve.mode || "lines",
       line: { color: line, width: 2, dash: DASHES[k % DASHES.length] },
       hovertemplate: "%{y:.4~g}",
     });

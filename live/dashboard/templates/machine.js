@@ -10,6 +10,8 @@ const COLUMNS = ["displacement_um", "band_um", "offsets_um", "details", "reading
 const UNITS = {
   W: ["Heat", "W", 1], K: ["Estimated temperatures", "K", 1], Pa: ["Pressure in the joints", "MPa", 1e-6],
   um: ["Parts of the displacement", "µm", 1], "": ["Relative", "1", 1], degC: ["Temperatures", "°C", 1],
+  rpm: ["Speed", "1/min", 1], kW: ["Power", "kW", 1], A: ["Current", "A", 1], Nm: ["Torque", "Nm", 1],
+  percent: ["Load", "%", 1], degF: ["Temperatures", "°F", 1],
 };
 
 const page = { about: null, span: 3600, past: null, newest: null, charts: [], revision: 0, drawn: 0, line: "opening" };
@@ -35,7 +37,10 @@ function plan(about) {
       const keys = about[group].filter((key) => unitOf(key) === unit);
       if (!keys.length) continue;
       const [title, shownUnit, factor] = UNITS[unit];
-      found.push({ title: group === "readings" ? "Readings" : title, unit: shownUnit, group, keys, factor });
+      const read = unit === "um" ? "Displacement, as read by a probe" : "Readings";
+      // A probe reads now and then: points, no line between them.
+      const mode = group === "readings" && unit === "um" ? "markers" : "lines";
+      found.push({ title: group === "readings" ? read : title, unit: shownUnit, group, keys, factor, mode });
     }
   }
   return found.map((chart) => {
@@ -45,7 +50,9 @@ function plan(about) {
     node.setAttribute("role", "img");
     node.setAttribute("aria-label", `${heading} over time: ${chart.keys.map(bare).join(", ")}`);
     document.getElementById("charts").append(card);
-    return { ...chart, node };
+    const curves = (past) => chart.keys.map((key) => (
+      { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
+    return { node, curves };
   });
 }
 
@@ -53,20 +60,33 @@ function scaled(values, factor) {
   return factor === 1 ? values : values.map((value) => (value === null ? null : factor * value));
 }
 
+// Only what is in view is drawn: a phone has better things to do.
+const inView = new Set();
+const watcher = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    if (entry.isIntersecting) inView.add(entry.target);
+    else inView.delete(entry.target);
+  }
+  if (entries.some((entry) => entry.isIntersecting)) drawAll();
+}, { rootMargin: "200px" });
+
 async function drawAll() {
   if (!page.past || document.hidden) return;
   page.revision += 1;
   page.drawn = Date.now();
   const to = clock.now(), from = to - page.span, past = page.past;
-  const axes = page.about.axes.map((axis) => {
+  for (const chart of page.charts) {
+    if (!inView.has(chart.node)) continue;
+    const curves = chart.curves(past);
+    await draw(chart.node, past.time_s, curves, from, to, page.revision);
+  }
+}
+
+function displacementCurves(past) {
+  return page.about.axes.map((axis) => {
     const band = past.band_um[axis];
     return { name: `δ${axis}`, values: past.displacement_um[axis], band: band.some((one) => one !== null) ? band : null };
   });
-  await draw(document.getElementById("c-displacement"), past.time_s, axes, from, to, page.revision);
-  for (const chart of page.charts) {
-    const curves = chart.keys.map((key) => ({ name: bare(key), values: scaled(past[chart.group][key], chart.factor) }));
-    await draw(chart.node, past.time_s, curves, from, to, page.revision);
-  }
 }
 
 async function load() {
@@ -157,16 +177,28 @@ function readings() {
       row.id = `reading-${key}`;
       const head = el("th", "", bare(key));
       head.scope = "row";
-      row.append(head, el("td", "n"), el("td", "used"));
+      const residual = el("td", "n residual", "–");
+      residual.hidden = !page.about.offers.includes("residuals");
+      row.append(head, el("td", "n"), residual, el("td", "used"));
       body.append(row);
     }
     const channel = unitOf(key) ? key.slice(0, -unitOf(key).length - 1) : key;
     const [, unit] = UNITS[unitOf(key)];
     const has = (names) => names.includes(key) || names.includes(channel);
-    const state = has(one.distrusted) ? "distrusted" : has(one.missing) || one.readings[key] === null ? "missing" : "used";
+    const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : one.readings[key] === null ? "none" : "used";
     row.dataset.state = state;
     write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)} ${unit}`);
-    write(row.children[2], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted" }[state]);
+    write(row.children[3], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
+  }
+}
+
+// What a reading says beyond the estimate: a sensor that lies stands out.
+async function residuals() {
+  if (document.hidden) return;
+  const found = (await ask(`${base}/residuals`)).residuals_K;
+  for (const [key, value] of Object.entries(found)) {
+    const row = document.getElementById(`reading-${key}`);
+    if (row) write(row.querySelector(".residual"), value === null ? "–" : shown(value, 2, true));
   }
 }
 
@@ -210,7 +242,7 @@ function news(publications) {
   readings();
   ages();
   // A curve of 8 h need not be drawn anew every second.
-  const pause = page.span <= 3600 ? 900 : 5000;
+  const pause = page.span <= 900 ? 900 : page.span <= 3600 ? 1900 : 4900;
   if (Date.now() - page.drawn >= pause) drawAll();
 }
 
@@ -242,7 +274,8 @@ ask(base).then(async (about) => {
   page.about = about;
   spans();
   model();
-  page.charts = plan(about);
+  page.charts = [{ node: document.getElementById("c-displacement"), curves: displacementCurves }, ...plan(about)];
+  page.charts.forEach((chart) => watcher.observe(chart.node));
   listen(`/api/stream?machine=${encodeURIComponent(name)}&every_s=0.5`, news, line);
   document.addEventListener("theme", () => drawAll());
   document.addEventListener("visibilitychange", () => drawAll());
@@ -250,7 +283,12 @@ ask(base).then(async (about) => {
   setInterval(() => events().catch(() => {}), 15000);
   // Thinned again from time to time: the curves stay as short as they were.
   setInterval(() => { if (page.line === "live") load().catch(() => {}); }, 300000);
-  if (about.scene) {
+  if (about.offers.includes("residuals")) {
+    document.querySelector("th.residual").hidden = false;
+    setInterval(() => residuals().catch(() => {}), 5000);
+    setTimeout(() => residuals().catch(() => {}), 1000);
+  }
+  if (about.offers.includes("scene")) {
     document.getElementById("scene-card").hidden = false;
     await drawScene(name);
     setInterval(() => drawScene(name), 5000);

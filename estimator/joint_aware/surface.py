@@ -1,0 +1,191 @@
+"""The surface of the machine that a joint-aware model is of: temperatures and pressures to look at.
+
+A model has no mesh. A surface file keeps what a picture needs of the mesh: the outer faces, what
+the model's amplitudes say of the temperature at their corners, and the contact elements:
+
+    T = rows a,   rows = (basis of the case at the corners) (turn to the model's modes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from artefacts.files import whole_file
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.model_file import fingerprint
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.parameters import with_factors
+from estimator.joint_aware.reduced_machine import (
+    Modes,
+    along,
+    diagonal_basis,
+    on_basis,
+    reduce_machine,
+)
+from fesim.case.schema import Case
+from fesim.outside import contacts_of, outside_of
+from fesim.setup.machine import Setup
+
+SCHEMA = "thermojoint-surface"
+SCHEMA_VERSION = 1
+#: Rates this close are one: their modes may be turned among each other.
+ALIKE = 1e-6
+#: The modes are those of the model if they say the same of its sensors and sources to this.
+SAME = 1e-5
+_ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles", "contacts", "up")
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a picture needs; n corners, t triangles, r modes.
+
+    Attributes
+    ----------
+    model : str
+        Fingerprint of the model it belongs to.
+    points : ndarray, shape (n, 3)
+        m.
+    triangles : ndarray of int, shape (t, 3)
+        Corners.
+    rows : ndarray, shape (n, r)
+        Temperature at the corners per amplitude, single precision.
+    contact_points, contact_triangles
+        The same of side a of all joints.
+    contacts : ndarray of int
+        The contact element that each of these triangles is part of.
+    up : ndarray, shape (3,)
+        Where up is.
+    """
+
+    model: str
+    points: Array
+    triangles: NDArray[np.int64]
+    rows: NDArray[np.float32]
+    contact_points: Array
+    contact_triangles: NDArray[np.int64]
+    contacts: NDArray[np.int64]
+    up: Array
+
+
+def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Surface:
+    """Return the surface of the machine of a model.
+
+    Parameters
+    ----------
+    case : Case
+        That the model was calibrated with.
+    setup : Setup
+        Of this case.
+    model : ObserverModel
+        Joint-aware.
+    up : ndarray, shape (3,)
+        Where up is.
+
+    Raises
+    ------
+    InputError
+        The model was calibrated with another case, or another mesh of it.
+    """
+    machine = along(reduce_machine(case, setup, model.sensors), model.axes)
+    fitted = with_factors(machine, {name: factor for name, (factor, _) in model.factors.items()})
+    rates, turn = diagonal_basis(fitted, model.held)
+    found = on_basis(fitted, rates, turn)
+    if not _alike(found, model.modes):
+        raise InputError("scene: the model was calibrated with another case or mesh; give its own")
+    turn = turn @ _alignment(found, model.modes)
+    if not np.allclose(
+        fitted.sensors @ turn, model.modes.sensors, atol=SAME * np.abs(model.modes.sensors).max()
+    ):
+        raise InputError("scene: the model was calibrated with another case or mesh; give its own")
+    assert setup.modes is not None  # reduce_machine needs them
+    outside, contacts = outside_of(setup), contacts_of(setup)
+    return Surface(
+        model=fingerprint(model),
+        points=outside.points,
+        triangles=outside.corners,
+        rows=np.asarray(setup.modes.basis[outside.of] @ turn, dtype=np.float32),
+        contact_points=contacts.points,
+        contact_triangles=contacts.corners,
+        contacts=contacts.of,
+        up=np.asarray(up, dtype=float),
+    )
+
+
+def _alike(found: Modes, model: Modes) -> bool:
+    """Whether modes have the shapes and the rates of a model's."""
+    return (
+        found.rates.shape == model.rates.shape
+        and found.jump.shape == model.jump.shape
+        and bool(np.allclose(found.rates, model.rates, rtol=SAME, atol=SAME * model.rates.max()))
+    )
+
+
+def _alignment(found: Modes, model: Modes) -> Array:
+    """Turn modes among those of the same rate, at least in sign, to a model's, shape (r, r).
+
+    The nearest orthogonal matrix (Procrustes) by what both say of sensors, joints and inputs.
+    """
+    seen, wanted = (
+        np.vstack([one / max(np.abs(one).max(), 1e-300) for one in (m.sensors, m.jump, m.drive.T)])
+        for m in (found, model)
+    )
+    begins = np.flatnonzero(np.diff(found.rates) > ALIKE * found.rates[1:]) + 1
+    turn = np.zeros((found.rates.size, found.rates.size))
+    for group in np.split(np.arange(found.rates.size), begins):
+        left, _, right = np.linalg.svd(seen[:, group].T @ wanted[:, group])
+        turn[np.ix_(group, group)] = left @ right
+    return turn
+
+
+def temperatures(surface: Surface, estimator: JointAware, state: Array) -> Array:
+    """Return the temperature at every corner above the initial ambient, K, shape (n,)."""
+    amplitudes = unpacked(state, estimator.parts).linear[: surface.rows.shape[1]]
+    return np.asarray(surface.rows @ amplitudes.astype(np.float32), dtype=float)
+
+
+def pressures(surface: Surface, estimator: JointAware, state: Array) -> Array:
+    """Return the pressure in every triangle of the joints, Pa."""
+    return np.asarray(unpacked(state, estimator.parts).pressure[surface.contacts])
+
+
+def write_surface(surface: Surface, path: Path) -> None:
+    """Write a surface to `path` (HDF5), whole or not at all."""
+    with whole_file(Path(path)) as part, h5py.File(part, "w") as file:
+        for name in _ARRAYS:
+            file.create_dataset(name, data=getattr(surface, name), compression="gzip")
+        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["model"] = surface.model
+
+
+def read_surface(path: Path, model: ObserverModel) -> Surface:
+    """Read the surface of a model.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, no surface, or that of another model.
+    """
+    path = Path(path)
+    again = "write it with 'thermojoint scene'"
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; {again}")
+    try:
+        with h5py.File(path, "r") as file:
+            header = file.attrs["schema"], int(file.attrs["schema_version"])
+            of = str(file.attrs["model"])
+            arrays = {name: np.asarray(file[name][()]) for name in _ARRAYS}
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: no readable surface of a machine; {again}") from error
+    if header != (SCHEMA, SCHEMA_VERSION):
+        raise InputError(f"{path}: no surface of version {SCHEMA_VERSION}; {again}")
+    if of != fingerprint(model):
+        raise InputError(f"{path}: the surface of another model; {again} of this one")
+    return Surface(of, **arrays)

@@ -1,0 +1,60 @@
+"""What of a machine can be seen: its outer faces and its contact elements, as triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from fesim.setup.machine import Setup
+from meshes.faces import boundary_faces, triangles_of
+
+
+class Triangles(NamedTuple):
+    """Triangles, and what each corner or each of them is.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3)
+        Corners, m.
+    corners : ndarray of int, shape (t, 3)
+        Of each triangle.
+    of : ndarray of int
+        Of the outside, for each corner: the unknown of `Setup.spaces.heat`. Of the joints, for each
+        triangle: the contact element.
+    """
+
+    points: Array
+    corners: NDArray[np.int64]
+    of: NDArray[np.int64]
+
+
+def outside_of(setup: Setup) -> Triangles:
+    """Return all boundary faces of a machine, those in its joints included."""
+    mesh = setup.structure.mesh
+    used, corners = np.unique(boundary_faces(mesh, mesh.boundary_facets()), return_inverse=True)
+    faces = corners.reshape(-1, len(mesh.elem.refdom.facets[0]))
+    return Triangles(
+        np.ascontiguousarray(mesh.p[:, used].T),
+        triangles_of(faces),
+        np.asarray(setup.spaces.heat.nodal_dofs[0][used], dtype=np.int64),
+    )
+
+
+def contacts_of(setup: Setup) -> Triangles:
+    """Return the contact elements, on side a of all joints."""
+    points: list[Array] = [np.empty((0, 3))]
+    triangles: list[NDArray[np.int64]] = [np.empty((0, 3), dtype=np.int64)]
+    contacts: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    count, first = 0, 0
+    for joint in setup.joints:
+        for corners, element in zip(joint.pieces, joint.piece_element, strict=True):
+            found = triangles_of(count + np.arange(len(corners))[None, :])
+            points.append(corners)
+            triangles.append(found)
+            contacts.append(np.full(len(found), first + int(element)))
+            count += len(corners)
+        first += len(joint.area)
+    return Triangles(np.concatenate(points), np.concatenate(triangles), np.concatenate(contacts))

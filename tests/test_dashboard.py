@@ -1,0 +1,296 @@
+"""The dashboard in a browser: what the service says stands on the page, and old values look old."""
+
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dashboard_server import TOKEN, about, again, event, keep, layout_of, published, serving
+from observed import SENSORS, estimates, observed_data, observer, run, step
+
+from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.reduced_machine import reduce_machine
+from estimator.joint_aware.surface import surface_of, write_surface
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from live.publication import Quality, as_json
+from live.scene import scene_of
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+#: Nothing to the outside, software in place of a graphics card.
+FLAGS = (
+    "--no-sandbox --disable-gpu --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --enable-unsafe-swiftshader"
+)
+PHONE, PANEL = {"width": 390, "height": 844}, {"width": 1024, "height": 768}
+WAIT_MS = 15_000
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with")
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory, coarse_data):
+    """Three machines of a simulated warm-up; one has lost a sensor, one says nothing more."""
+    folder = tmp_path_factory.mktemp("dashboard")
+    data = observed_data(coarse_data)
+    case = case_from_data(data, "case", Path())
+    setup = set_up(case)
+    response = run(data, setup, step(1.0), 5.0)
+    estimator = observer(reduce_machine(case, setup, SENSORS), {"step": response})
+    samples = list(samples_in(response, estimator.model.sensors))
+    state, found = estimates(estimator, samples)
+    surface = surface_of(case, setup, estimator.model, np.array([0.0, 1.0, 0.0]))
+    write_surface(surface, folder / "scene.h5")
+    scenes = {"mill-1": scene_of(folder / "scene.h5", estimator, lambda: state)}
+    layout = layout_of(estimator, ("X", "Y"))
+    differ = {"mill-10": lambda: {"T1_K": 5.25, "T2_K": None}}
+    told = published("mill-1", layout, found, samples, time.time() - samples[-1][0])
+    silent = replace(told[-1], machine="mill-2", quality=Quality.BAD, status="silent")
+    partial = replace(
+        told[-1],
+        machine="mill-10",
+        quality=Quality.UNCERTAIN,
+        status="reading-missing:T2 sensor-distrusted:T1",
+        readings=np.where(np.array(layout.readings) == "T2_K", np.nan, told[-1].readings),
+    )
+    runs = [told, [silent], [partial]]
+    archive = keep(folder / "store.db", runs, [event("mill-10", "status", "T1 is distrusted")])
+    machines = {run[-1].machine: about(estimator, layout, told[0].time) for run in runs}
+    newest = [one[-1] for one in runs]
+    with serving(folder, archive, machines, newest, scenes, differ, requests_per_s=1e3) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(chromium, floor):
+    """A page that is logged in, and complains of nothing."""
+    context = chromium.new_context(viewport=PANEL)
+    context.set_default_timeout(WAIT_MS)
+    context.request.post(f"{floor.url}/login", form={"token": TOKEN})
+    found = context.new_page()
+    errors = []
+    found.on("pageerror", lambda error: errors.append(str(error)))
+    yield found
+    context.close()
+    assert errors == []
+
+
+def opened(page, floor, path):
+    """Go to a page and wait until the stream is live."""
+    page.goto(f"{floor.url}{path}")
+    page.wait_for_selector("#line[data-state=live]")
+
+
+def until(page, expression):
+    """Wait until an expression holds; the browser's own way would need eval, which pages refuse."""
+    deadline = time.monotonic() + WAIT_MS / 1000.0
+    while not page.evaluate(expression):
+        assert time.monotonic() < deadline, expression
+        page.wait_for_timeout(50)
+
+
+def number(text):
+    """What stands on the page, as a number."""
+    return float(text.replace("−", "-"))
+
+
+def curve(page, chart, name):
+    """Values of a drawn curve."""
+    return page.evaluate(
+        "([chart, name]) => document.querySelector(chart).data.find((one) => one.name === name).y",
+        [chart, name],
+    )
+
+
+def test_the_dashboard_asks_for_the_token(chromium, floor):
+    context = chromium.new_context(viewport=PHONE)
+    page = context.new_page()
+    page.goto(f"{floor.url}/machines/mill-1")
+    assert page.url == f"{floor.url}/login"
+    page.fill("#token", "wrong")
+    page.click("button.main")
+    assert "not the token" in page.inner_text("[role=alert]")
+    page.fill("#token", TOKEN)
+    page.click("button.main")
+    page.wait_for_selector("#line[data-state=live]")
+    assert page.evaluate("document.cookie") == ""
+    page.click("text=Log out")
+    page.wait_for_url("**/login")
+    context.close()
+
+
+def test_the_overview_shows_every_machine_worst_first(page, floor):
+    opened(page, floor, "/")
+    names = page.locator(".tile-name").all_inner_texts()
+    assert names == ["mill-2", "mill-10", "mill-1"]
+    assert page.inner_text("#counts") == "1 bad · 1 uncertain · 1 good"
+    tile = page.locator(".tile", has_text="mill-10")
+    assert "T1: left out" in tile.inner_text()
+    told = as_json(floor.hub.newest["mill-1"])["displacement_um"]
+    shown = page.locator(".tile", has_text="mill-1").last.locator(".tile-axis b").all_inner_texts()
+    assert [number(one) for one in shown] == pytest.approx(list(told.values()), abs=0.051)
+    page.fill("#find", "10")
+    assert page.locator(".tile:visible").count() == 1
+
+
+def test_the_page_of_a_machine_says_what_the_service_says(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-displacement').data")
+    told = as_json(floor.hub.newest["mill-1"])
+    assert page.inner_text("#word").lower() == "good"
+    for axis in ("x", "y"):
+        assert number(page.inner_text(f"#axis-{axis} .number")) == pytest.approx(
+            told["displacement_um"][axis], abs=0.051
+        )
+        assert f"{told['band_um'][axis]:.2f}" in page.inner_text(f"#axis-{axis} .band")
+    assert number(page.inner_text("#offset-X .number")) == pytest.approx(
+        told["offsets_um"]["X"], abs=0.051
+    )
+    past = page.request.get(f"{floor.url}/api/machines/mill-1/history?points=720").json()
+    drawn = curve(page, "#c-displacement", "δx")
+    assert len(drawn) > 100
+    assert drawn[: len(past["time_s"])] == past["displacement_um"]["x"][: len(drawn)]
+    valid = page.inner_text("#valid")
+    assert "T1" in valid
+    assert "time since the start" in valid
+
+
+def test_what_is_new_is_drawn_into_the_charts_that_are_there(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-displacement').data")
+    page.evaluate("window.kept = document.querySelector('#c-displacement .main-svg')")
+    before = floor.hub.newest["mill-1"]
+    floor.publish(again(before, displacement=np.array([123.4e-6, -56.7e-6])))
+    until(page, "document.querySelector('#axis-x .number').textContent === '+123.4'")
+    until(
+        page, "document.querySelector('#c-displacement').data.some((one) => one.y.at(-1) === 123.4)"
+    )
+    assert page.evaluate("document.querySelector('#c-displacement .main-svg') === window.kept")
+    floor.publish(again(before))
+
+
+def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-pressure').data")
+    told = page.request.get(f"{floor.url}/api/machines/mill-1/fields").json()
+    for chart, values in (("#c-temperature", "temperature_K"), ("#c-pressure", "pressure_MPa")):
+        drawn = page.evaluate(
+            "(chart) => [...document.querySelector(chart).data[0].intensity]", chart
+        )
+        assert drawn == told[values]
+    opened(page, floor, "/machines/mill-2")
+    assert not page.is_visible("#scene-card")
+
+
+def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):
+    opened(page, floor, "/machines/mill-10")
+    assert page.inner_text("#word").lower() == "uncertain"
+    assert "T2: no reading" in page.inner_text("#reasons")
+    assert "missing" in page.inner_text("#reading-T2_K")
+    assert "distrusted" in page.inner_text("#reading-T1_K")
+    assert "used" in page.inner_text("#reading-s_K")
+    until(page, "document.querySelector('#reading-T1_K .residual').textContent === '+5.25'")
+    page.wait_for_selector("#events li time")
+    assert "T1 is distrusted" in page.inner_text("#events")
+
+
+def test_a_machine_that_is_silent_is_bad_and_says_how_old_its_value_is(page, floor):
+    opened(page, floor, "/machines/mill-2")
+    assert page.inner_text("#word").lower() == "bad"
+    assert "no samples arrive" in page.inner_text("#reasons")
+
+
+@pytest.mark.parametrize("path", ["/", "/machines/mill-1", "/machines/mill-10"])
+def test_on_a_phone_nothing_stands_beside_the_page(page, floor, path):
+    page.set_viewport_size(PHONE)
+    opened(page, floor, path)
+    page.wait_for_timeout(300)
+    width = page.evaluate("document.documentElement.scrollWidth")
+    assert width <= PHONE["width"]
+
+
+def test_light_and_dark_follow_the_system_until_somebody_chooses(page, floor):
+    def background():
+        return page.evaluate("getComputedStyle(document.body).backgroundColor")
+
+    page.emulate_media(color_scheme="light")
+    opened(page, floor, "/")
+    light = background()
+    page.emulate_media(color_scheme="dark")
+    dark = background()
+    assert light != dark
+    page.click("#theme")
+    assert background() == light
+    page.reload()
+    assert background() == light
+    page.click("#theme")
+    page.emulate_media(color_scheme="light")
+    assert background() == dark
+
+
+def test_every_control_can_be_reached_by_keyboard_and_has_a_name(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll("button, a, input, [role=img]")].filter((one) =>
+             !one.textContent.trim() && !one.getAttribute("aria-label") && !one.labels?.length)
+             .map((one) => one.outerHTML)"""
+    )
+    assert nameless == []
+    seen = set()
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        seen.add(page.evaluate("document.activeElement.textContent.trim()"))
+    assert {"‹ All", "Log out", "15 min"} <= seen
+    assert page.get_attribute("#status [aria-live]", "aria-live") == "polite"
+
+
+def test_when_the_stream_breaks_the_page_says_so_and_recovers(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    page.context.set_offline(True)
+    floor.drop_connections()
+    page.wait_for_selector("#line[data-state=lost]")
+    assert page.inner_text("#word").lower() == "no connection"
+    assert "old" in page.inner_text("#reasons")
+    assert page.evaluate("document.body.classList.contains('stale')")
+    page.context.set_offline(False)
+    page.wait_for_selector("#line[data-state=live]", timeout=20_000)
+    assert page.inner_text("#word").lower() == "good"
+
+
+def test_a_line_that_falls_silent_is_no_live_line(page, floor):
+    """Without so much as a beat the values are old, whatever the socket says."""
+    page.route(
+        "**/api/stream*",
+        lambda route: route.fulfill(
+            content_type="text/event-stream",
+            body='event: news\ndata: {"now_s": 1.0, "publications": []}\n\nretry: 60000\n\n',
+        ),
+    )
+    page.goto(f"{floor.url}/")
+    page.wait_for_selector("#line[data-state=lost]")
+
+
+def test_nothing_comes_from_elsewhere_and_no_script_stands_in_a_page(page, floor):
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    opened(page, floor, "/machines/mill-1")
+    assert all(url.startswith((floor.url, "data:", "blob:")) for url in asked)
+    assert page.evaluate("document.querySelectorAll('script:not([src])').length") == 0
+    blocked = page.evaluate(
+        """() => new Promise((done) => setTimeout(() => {
+             try { done(eval("1")) } catch { done("refused") }
+           }))"""
+    )
+    assert blocked == "refused"

@@ -1,0 +1,43 @@
+"""The command that writes what the dashboard needs for a picture of the machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermojoint.cli import arguments, file_kinds
+
+
+def scene(
+    case: Annotated[Path, typer.Argument(help="Case that the model was calibrated with (TOML).")],
+    model: Annotated[Path, typer.Argument(help="Joint-aware model.")],
+    out: Annotated[Path, typer.Option(help="Surface of the machine to write (.h5).")],
+) -> None:
+    """Write the surface of a machine, for the 3-D picture in the service's dashboard.
+
+    A joint-aware model has no mesh; this keeps the mesh's outer faces and what the model says of
+    their temperature. The service file names it: scene = "machine_scene.h5" in [models.NAME].
+
+    Example: [bold]thermojoint scene machine.toml joint_aware.h5 --out machine_scene.h5[/bold]
+    """
+    arguments.check_outputs({"--out": (out, file_kinds.SURFACE)}, [case, model])
+    import numpy as np
+
+    from estimator.joint_aware.model_file import read_observer
+    from estimator.joint_aware.surface import surface_of, write_surface
+    from fesim.case.schema import read_case
+    from fesim.setup.machine import set_up
+    from thermojoint.cli import console
+    from thermojoint.pictures.scenes import up_direction
+
+    found = read_observer(model)
+    given = read_case(case)
+    march = given.march.model_copy(update={"thermal": "reduced"})
+    given = given.model_copy(update={"march": march})
+    setup = set_up(given)
+    held = (*given.supports.fixed, *given.supports.springs)
+    up = np.array(up_direction(setup.structure, held))
+    write_surface(surface_of(given, setup, found, up), out)
+    console.wrote(out)
