@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -114,20 +115,18 @@ async def listen(port: int, service: psutil.Process, seconds: float) -> dict[str
         now = time.time()
         content = json.loads(message.payload)  # type: ignore[attr-defined]
         if now - begun > _WARM_UP_S and content["number"] and "silent" not in content["status"]:
-            # The instant of a sample is rounded to the second; its message's time is in no field
-            # but the time that it was published at, which is later than its arrival.
-            delays.append(now - sent_at(content["machine"], content["time_s"]))
+            # The instant of a sample is near the time of its message, within a wavering.
+            instant = content["time_s"]
+            sent_at = times.get(content["machine"], ())
+            if sent_at:
+                delays.append(now - min(sent_at, key=lambda one: abs(one - instant)))
 
-    def sent_at(machine: str, instant: float) -> float:
-        """When a machine sent what belongs to an instant: the same moment of every second."""
-        return phases.get(machine, 0.0) + instant
-
-    phases: dict[str, float] = {}
+    times: dict[str, deque[float]] = {}
 
     def sent(client: object, data: object, message: object) -> None:
         content = json.loads(message.payload)  # type: ignore[attr-defined]
-        at = content["time"]
-        phases[message.topic.rpartition("/")[2]] = at - np.floor(at + 0.5)  # type: ignore[attr-defined]
+        machine = message.topic.rpartition("/")[2]  # type: ignore[attr-defined]
+        times.setdefault(machine, deque(maxlen=64)).append(content["time"])
 
     async with aiomqtt.Client("127.0.0.1", port) as client:
         client._client.message_callback_add("thermojoint/#", heard)

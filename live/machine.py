@@ -286,12 +286,13 @@ def restored(
 def _waiting(content: list[Any] | None) -> Waiting:
     if content is None:
         return Waiting()
-    before, newest, cells, held, probed = content
+    before, newest, cells, held, phase, probed = content
     return Waiting(
         before,
         newest,
         tuple((instant, tuple(values)) for instant, values in cells),
         tuple((since, value) for since, value in held),
+        phase,
         probed,
     )
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from benchmarks.live_fuzz import DOORS, check
 from live.arrivals import Arrival, Note
+from live.opcua_values import status_of
 from live.publication import Quality
 from live.readers import csv_pipe, mqtt, opcua
 from live.served import served
 from live.settings import ModelSection, MqttSource
-from live.writers.opcua import status_of
 from models.assembly import assemble
 from models.assembly_file import write_assembly
 

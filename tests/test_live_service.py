@@ -423,7 +423,7 @@ def test_a_service_killed_at_random_moments_says_what_one_says_that_never_was(mo
     lines = csv_of(rows).splitlines(keepends=True)
     (tmp_path / "day.csv").write_text("".join(lines))
     live_kills.prepare(tmp_path, model, "x", INTERVAL, 0.2)
-    assert live_kills.kill_through(tmp_path, lines, 3, random.Random(3), 0.6) >= 1
+    assert live_kills.kill_through(tmp_path, lines, 3, random.Random(3), 0.0, 0.6) == 3
     killed = live_kills.finish(tmp_path, "killed", 1200, 60.0)
 
     async def undisturbed():
