@@ -33,7 +33,7 @@ PATIENCE_S = 15.0
 AT_ONCE = 8
 #: How long the server waits here for a request to become whole, s.
 REQUEST_S = 0.25
-#: What the process may grow by: malloc's fragments and OpenSSL's, as Python itself keeps nothing, MB.
+#: What the process may grow by, MB: fragments of malloc and OpenSSL; Python itself keeps nothing.
 GROWTH_MB = 15.0
 #: Requests before the first look at the server's memory: caches fill, pools grow to their size.
 WARM = 1000

@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from artefacts.errors import InputError, unknown_name
@@ -27,7 +27,7 @@ from live.http.bodies import Words, about_body, encoded, events_body, history_bo
 from live.http.gate import Door, Gate, body_of, client, open_door, refused, too_many, wrong_token
 from live.http.parameters import moment, number, one_of, read_parameters, whole_number
 from live.http.sources import About, Sources
-from live.http.stream import stream
+from live.http.stream import Counted, stream
 from live.publication import as_json
 
 #: Rows of the history and events that one request may ask for.
@@ -291,21 +291,6 @@ class Site:
         if found is None:
             raise HTTPException(404, f"{name} has no picture in 3-D; give the service a scene file")
         return found
-
-
-class Counted(StreamingResponse):
-    """A stream that says when it is over, however it ends."""
-
-    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
-        super().__init__(content, media_type="text/event-stream")
-        self._left = left
-
-    async def __call__(self, *given: Any) -> None:  # noqa: ANN401
-        """Send until the reader goes."""
-        try:
-            await super().__call__(*given)
-        finally:
-            self._left()
 
 
 async def _wrong(request: Request, error: Exception) -> Response:

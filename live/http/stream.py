@@ -9,6 +9,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+from starlette.responses import StreamingResponse
 
 from live.http.bodies import encoded
 from live.hub import Hub
@@ -61,3 +64,18 @@ async def stream(
                     b",".join(news),
                 )
             await asyncio.sleep(every)
+
+
+class Counted(StreamingResponse):
+    """A stream that says when it is over, however it ends."""
+
+    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
+        super().__init__(content, media_type="text/event-stream")
+        self._left = left
+
+    async def __call__(self, *given: Any) -> None:  # noqa: ANN401
+        """Send until the reader goes."""
+        try:
+            await super().__call__(*given)
+        finally:
+            self._left()
