@@ -87,7 +87,12 @@ def started(place: Path, name: str) -> subprocess.Popen[bytes]:
 
 
 def kill_through(
-    place: Path, lines: Sequence[str], count: int, draw: random.Random, longest: float
+    place: Path,
+    lines: Sequence[str],
+    count: int,
+    draw: random.Random,
+    shortest: float,
+    longest: float,
 ) -> int:
     """Feed a service the lines of a day, and kill it `count` times; return how often it had begun.
 
@@ -100,8 +105,9 @@ def kill_through(
     count : int
     draw : Random
         Draws the moments.
-    longest : float
-        A service lives so long at most after its first sign of life, s.
+    shortest, longest : float
+        A service lives so long after its first sign of life, s; less than 0: it is killed as it
+        starts.
     """
     fed = place / "fed.csv"
     fed.write_text(lines[0])
@@ -113,7 +119,7 @@ def kill_through(
             before = log.read_bytes().count(b"event=ready") if log.exists() else 0
             service = started(place, "killed")
             until, alive = time.monotonic() + 120.0, 0.0
-            lives = draw.uniform(-0.5, longest)
+            lives = draw.uniform(shortest, longest)
             rows = list(lines[at : at + per_life])
             share = max(1, len(rows) // 20)
             while time.monotonic() < until and service.poll() is None:
@@ -157,7 +163,7 @@ def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> Hist
                 break
         # One that does not follow its file ends by itself.
         with suppress(subprocess.TimeoutExpired):
-            service.wait(2.0)
+            service.wait(0.5)
         if service.poll() is None:
             service.send_signal(signal.SIGTERM)
         assert service.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
@@ -225,7 +231,7 @@ def main() -> None:
         (place / "day.csv").write_text("".join(lines))
         prepare(place, model, "disp1", given.interval_s, 2.0)
         begun = time.monotonic()
-        alive = kill_through(place, lines, given.count, random.Random(given.seed), 1.5)
+        alive = kill_through(place, lines, given.count, random.Random(given.seed), -0.5, 1.5)
         killed = finish(place, "killed", len(lines) - 1)
         whole = finish(place, "whole", len(lines) - 1)
         found = differences(whole, killed)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from live.arrivals import Arrival
 from live.log_lines import EventLog
-from live.machine import Machine, rest_of, shown, silent, state_bytes, taken
+from live.machine import Machine, rest_of, shown, silent, state_bytes, taken, with_waiting
 from live.metrics import Metrics
 from live.publication import Publication, Quality, as_row
 from live.samples import arrived
@@ -41,8 +41,8 @@ class Place:
         When its last usable sample was taken, by the service's own clock, s.
     fresh : bool
         No sample has come since the service began.
-    told : Quality
-        As last published.
+    told : tuple of Quality and str
+        Quality and status as last published.
     rows : list of (ndarray, str)
         Samples since the last checkpoint.
     unkept : list of callable
@@ -55,7 +55,7 @@ class Place:
     position: Any
     heard: float
     fresh: bool = True
-    told: Quality = Quality.BAD
+    told: tuple[Quality, str] = (Quality.BAD, "no-sample")
     rows: list[tuple[Any, str]] = field(default_factory=list)
     unkept: list[Callable[[], None]] = field(default_factory=list)
 
@@ -136,7 +136,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             if one.kept:
                 outcome.kept.append(one.kept)
             continue
-        place.machine = replace(place.machine, waiting=step.waiting)
+        place.machine = with_waiting(place.machine, step.waiting)
         if one.kept:
             place.unkept.append(one.kept)
         for instant, readings in step.samples:
@@ -146,7 +146,8 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             outcome.kept += place.unkept
             place.unkept = []
             last = outcome.taken[-1]
-            outcome.taken[-1] = replace(last, rest=rest_of(place.machine, place.position))
+            rest = rest_of(place.machine, place.position)
+            outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
     return outcome
 
 
@@ -179,7 +180,7 @@ def _sample(
     place.rows.append((row, said.status))
     outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
     published = shown(place.machine)
-    place.told = published.quality
+    place.told = published.quality, published.status
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
 
@@ -207,7 +208,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         )
         place.machine, after = machine, machine.output
         moved = before and after and not np.array_equal(before.steps, after.steps)
-        if said.quality is not place.told:
+        if (said.quality, said.status) != place.told:
             floor.log.say(
                 now,
                 "silent",
@@ -216,7 +217,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             )
         elif not moved:
             continue
-        place.told = said.quality
+        place.told = said.quality, said.status
         changed.append(said)
     return changed
 
@@ -240,7 +241,7 @@ def count_qualities(floor: Floor) -> None:
     """Count the machines by quality."""
     found = dict.fromkeys(Quality, 0)
     for place in floor.places.values():
-        found[place.told] += 1
+        found[place.told[0]] += 1
     for quality, count in found.items():
         floor.metrics.quality.labels(quality.word).set(count)
 

@@ -143,6 +143,19 @@ def taken(
     return Machine(machine.name, state, cold, output, machine.waiting, said, said), ""
 
 
+def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
+    """Return a machine with other readings that wait; far quicker than `dataclasses.replace`."""
+    return Machine(
+        machine.name,
+        machine.state,
+        machine.cold,
+        machine.output,
+        waiting,
+        machine.said,
+        machine.usable,
+    )
+
+
 def shown(machine: Machine) -> Publication:
     """Return what is said of a machine now: after a refused sample, the last estimate."""
     said, last = machine.said, machine.usable
@@ -161,7 +174,13 @@ def silent(
     The offsets freeze and decay as their settings say; an estimate that is too old moves none.
     """
     output = machine.output
-    if served.output is not None and output is not None and age > served.output.trust.oldest:
+    told = machine.said.number > 0
+    if (
+        served.output is not None
+        and output is not None
+        and told
+        and age > served.output.trust.oldest
+    ):
         output = _cycled(served, output, machine.said.time + age, None)
     before = shown(machine)
     quality = quality_at(age, uncertain, bad) if before.number else Quality.BAD
@@ -267,12 +286,13 @@ def restored(
 def _waiting(content: list[Any] | None) -> Waiting:
     if content is None:
         return Waiting()
-    before, newest, cells, held, probed = content
+    before, newest, cells, held, phase, probed = content
     return Waiting(
         before,
         newest,
         tuple((instant, tuple(values)) for instant, values in cells),
         tuple((since, value) for since, value in held),
+        phase,
         probed,
     )
 

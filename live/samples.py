@@ -1,6 +1,7 @@
 """From readings as they arrive to whole samples at the estimator's instants, in order.
 
-Instants are the multiples of an interval (since 1970). A reading belongs to the nearest one. A
+Instants lie an interval apart, beginning where the first reading was told (to a sixteenth of the
+interval), so that a source whose moments waver misses none. A reading belongs to the nearest one. A
 sample is closed as soon as all its readings were told, and no older one is waited for; or when a
 reading has come that is later by half an interval and the lateness that is waited for. What was not
 told by then is missing, unless its last value still holds. Readings that come now and then, as
@@ -19,6 +20,8 @@ from typing import NamedTuple
 Told = Sequence[float | None]
 #: No time before 1970 or behind 2200 is one.
 LATEST = 7.3e9
+#: Instants begin at such a part of an interval.
+_PARTS = 16.0
 
 
 class Rule(NamedTuple):
@@ -55,6 +58,8 @@ class Waiting(NamedTuple):
         (instant, readings) of every sample that is not closed, oldest first.
     held : tuple of (float, float)
         Time and value of each reading that was told last; empty if nothing holds.
+    phase : float
+        Of the instants beyond the multiples of the interval, s; NaN before the first reading.
     probed : float
         Latest time of a reading that comes now and then by itself, s; -inf before.
     """
@@ -63,6 +68,7 @@ class Waiting(NamedTuple):
     newest: float = -math.inf
     cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
     held: tuple[tuple[float, float], ...] = ()
+    phase: float = math.nan
     probed: float = -math.inf
 
 
@@ -84,9 +90,19 @@ class Arrived(NamedTuple):
     verdict: str
 
 
-def instant_of(rule: Rule, time: float) -> float:
+def phase_of(rule: Rule, time: float) -> float:
+    """Return the phase (s) of instants that begin at a time.
+
+    In sixteenths of the interval: the difference of two instants is then the interval to the last
+    bit, and what an estimator keeps for an interval is found again.
+    """
+    part = time / rule.interval - math.floor(time / rule.interval)
+    return math.floor(_PARTS * part + 0.5) / _PARTS * rule.interval
+
+
+def instant_of(rule: Rule, phase: float, time: float) -> float:
     """Return the instant (s) that a time belongs to."""
-    return math.floor(time / rule.interval + 0.5) * rule.interval
+    return math.floor((time - phase) / rule.interval + 0.5) * rule.interval + phase
 
 
 def arrived(
@@ -110,7 +126,8 @@ def arrived(
         return Arrived(waiting, [], "no-time")
     if time > limit:
         return Arrived(waiting, [], "ahead")
-    instant = instant_of(rule, time)
+    phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
+    instant = instant_of(rule, phase, time)
     probed = waiting.probed
     if all(one is None for one in told[: rule.wanted]):
         if time <= probed:
@@ -118,7 +135,7 @@ def arrived(
         probed = time
         if not math.isnan(waiting.last):
             # What comes now and then joins the next sample.
-            instant = max(instant, instant_of(rule, waiting.last + rule.interval))
+            instant = max(instant, instant_of(rule, phase, waiting.last + rule.interval))
     if instant <= waiting.last:
         return Arrived(waiting, [], "late")
     cells = _merged(waiting.cells, instant, tuple(told))
@@ -130,7 +147,7 @@ def arrived(
         if rule.hold > 0.0:
             values, held = _filled(rule, held, last, values)
         samples.append((last, tuple(math.nan if one is None else one for one in values)))
-    return Arrived(Waiting(last, newest, cells, held, probed), samples, "taken")
+    return Arrived(Waiting(last, newest, cells, held, phase, probed), samples, "taken")
 
 
 def _merged(

@@ -15,8 +15,9 @@ from estimator.interface import Estimator
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.surface import Surface, pressures, read_surface, temperatures
 
-#: From where it is looked at, in its size: x, y and above.
-EYE = {"x": 1.5, "y": 1.5, "z": 0.9}
+#: From where it is looked at, in its size; a joint from its front, and so much from above.
+EYE = np.array([1.5, 1.5, 0.9])
+FRONT, ABOVE = 2.0, 0.5
 _MEGA = 1e6
 
 
@@ -74,11 +75,27 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
 def shape_of(surface: Surface) -> dict[str, Any]:
     """Return what of a scene stays the same; turned so that up is z, as the browser turns it."""
     turn = upright(surface.up)
+    contacts = surface.contact_points @ turn.T
     return {
-        "eye": EYE,
-        "surface": _mesh(surface.points @ turn.T, surface.triangles, "vertex"),
-        "joints": _mesh(surface.contact_points @ turn.T, surface.contact_triangles, "cell"),
+        "surface": _mesh(surface.points @ turn.T, surface.triangles, "vertex", EYE),
+        "joints": _mesh(
+            contacts,
+            surface.contact_triangles,
+            "cell",
+            front_of(contacts, surface.contact_triangles),
+        ),
     }
+
+
+def front_of(points: Array, triangles: NDArray[np.int64]) -> Array:
+    """Return from where most of some triangles is seen, shape (3,): `EYE` if from nowhere more."""
+    first, second, third = (points[triangles[:, k]] for k in range(3))
+    areas = np.cross(second - first, third - first)
+    normal = areas.sum(axis=0)
+    size, whole = float(np.linalg.norm(normal)), float(np.linalg.norm(areas, axis=1).sum())
+    if not size > 0.5 * whole:
+        return EYE
+    return FRONT * normal / size + np.array([0.0, 0.0, ABOVE])
 
 
 def upright(up: Array) -> Array:
@@ -89,8 +106,9 @@ def upright(up: Array) -> Array:
     return turn if up[axis] > 0.0 else np.array([turn[1], turn[0], -turn[2]])
 
 
-def _mesh(points: Array, triangles: NDArray[np.int64], per: str) -> dict[str, Any]:
+def _mesh(points: Array, triangles: NDArray[np.int64], per: str, eye: Array) -> dict[str, Any]:
     return {
+        "eye": dict(zip("xyz", np.round(eye, 3).tolist(), strict=True)),
         "points_m": np.round(points.T, 5).tolist(),
         "triangles": triangles.T.tolist(),
         "per": per,

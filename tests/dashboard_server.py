@@ -14,10 +14,11 @@ from live.archive import Archive
 from live.http.server import open_http, serve_http
 from live.http.sources import About, Sources
 from live.hub import Hub
-from live.publication import Layout, Publication, Quality, as_row
+from live.publication import Layout, Publication, as_row
 from live.settings import HttpServer
 from live.store import Batch, Checkpoint, Event, commit, era_of, open_store
 from live.validity import ranges_of
+from live.watchdog import quality_of
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
 
@@ -41,7 +42,7 @@ def published(name, layout, estimates, samples, start):
             number=number,
             time=start + one.time,
             published=start + one.time,
-            quality=Quality.GOOD if one.words == "ok" else Quality.UNCERTAIN,
+            quality=quality_of(one.words),
             layout=layout,
             displacement=one.displacement,
             band=one.band,
@@ -106,7 +107,9 @@ class Running:
 
 
 @contextmanager
-def serving(folder, archive, machines, newest, scenes=None, security="none", **settings):
+def serving(
+    folder, archive, machines, newest, scenes=None, residuals=None, security="none", **settings
+):
     """Run a server until the block ends."""
     token = folder / "token"
     token.touch(mode=0o600)
@@ -117,7 +120,7 @@ def serving(folder, archive, machines, newest, scenes=None, security="none", **s
     section = HttpServer(
         **{"port": free_port(), "security": security, "token": {"file": "token"}} | settings
     )
-    sources = Sources(hub, archive, machines, registry, scenes or {})
+    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
     opened = open_http(section, sources, folder, folder)
     ready, found = threading.Event(), []
 

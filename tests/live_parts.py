@@ -40,7 +40,9 @@ async def until(condition, patience=PATIENCE_S):
 async def serving(data, base):
     """The service of a file's content, with all its doors open; stopped at the end."""
     stop, ready = asyncio.Event(), asyncio.get_running_loop().create_future()
-    task = asyncio.create_task(run(service_from_data(data, "test", Path(base)), stop, ready.set_result))
+    task = asyncio.create_task(
+        run(service_from_data(data, "test", Path(base)), stop, ready.set_result)
+    )
     try:
         await asyncio.wait({task, ready}, return_when=asyncio.FIRST_COMPLETED)
         if task.done():

@@ -47,6 +47,7 @@ def floor(tmp_path_factory, coarse_data):
     write_surface(surface, folder / "scene.h5")
     scenes = {"mill-1": scene_of(folder / "scene.h5", estimator, lambda: state)}
     layout = layout_of(estimator, ("X", "Y"))
+    differ = {"mill-10": lambda: {"T1_K": 5.25, "T2_K": None}}
     told = published("mill-1", layout, found, samples, time.time() - samples[-1][0])
     silent = replace(told[-1], machine="mill-2", quality=Quality.BAD, status="silent")
     partial = replace(
@@ -60,7 +61,7 @@ def floor(tmp_path_factory, coarse_data):
     archive = keep(folder / "store.db", runs, [event("mill-10", "status", "T1 is distrusted")])
     machines = {run[-1].machine: about(estimator, layout, told[0].time) for run in runs}
     newest = [one[-1] for one in runs]
-    with serving(folder, archive, machines, newest, scenes, requests_per_s=1e3) as server:
+    with serving(folder, archive, machines, newest, scenes, differ, requests_per_s=1e3) as server:
         yield server
 
 
@@ -200,6 +201,7 @@ def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):
     assert "missing" in page.inner_text("#reading-T2_K")
     assert "distrusted" in page.inner_text("#reading-T1_K")
     assert "used" in page.inner_text("#reading-s_K")
+    until(page, "document.querySelector('#reading-T1_K .residual').textContent === '+5.25'")
     page.wait_for_selector("#events li time")
     assert "T1 is distrusted" in page.inner_text("#events")
 

@@ -26,6 +26,7 @@ from benchmarks import http_fuzz
 from estimator.interface import Channel
 from live.http import gate, server
 from live.http.access import SHORTEST_TOKEN, access_by
+from live.http.bodies import Words, summary
 from live.http.certificate import GOOD_FOR, own_certificate
 from live.http.parameters import moment, read_parameters, whole_number
 from live.http.rates import MOST_CLIENTS, Buckets, client_of
@@ -106,6 +107,20 @@ def lines(answer):
 def test_the_latest_is_what_was_published(floor, ask):
     newest = floor.hub.newest["mill-1"]
     assert ask.get("/api/machines/mill-1/latest").json() == as_json(newest)
+
+
+def test_an_overview_says_the_same_in_fewer_words():
+    one = publication(3, 1234.5)
+    short, whole = summary(one), as_json(one)
+    assert {key: whole[key] for key in short} == short
+    assert set(short) < set(whole)
+
+
+def test_what_is_said_is_put_into_words_once_for_all_who_listen():
+    words, one = Words(as_json), publication(1, 1.0)
+    assert words(one) is words(one)
+    assert json.loads(words(again(one, status="ok")))["status"] == "ok"
+    assert len(words.said) == 1
 
 
 def test_all_machines_stand_in_the_overview_also_those_without_a_sample(ask):
@@ -370,7 +385,7 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
     async def slow():
         hub = Hub()
         hub.publish([publication(1, 1.0)])
-        found = stream(hub, frozenset(["mill-1"]), 0.0, as_json)
+        found = stream(hub, frozenset(["mill-1"]), 0.0, Words(as_json))
         await anext(found)
         first = json.loads((await anext(found)).split(b"data: ")[1])
         for k in range(2, 102):

@@ -21,7 +21,8 @@ from estimator.joint_aware.surface import (
 )
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from live.scene import scene_of, upright
+from live.residuals import residuals
+from live.scene import EYE, front_of, scene_of, upright
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -139,3 +140,24 @@ def test_up_becomes_the_third_axis_by_a_rotation(up):
     turn = upright(up)
     assert turn @ up == pytest.approx([0.0, 0.0, 1.0])
     assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_a_joint_is_looked_at_from_its_front():
+    corners = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    found = front_of(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert found[0] > 1.0
+    assert abs(found[1]) < 1e-9
+    both = front_of(corners, np.array([[0, 1, 2], [0, 2, 1]]))
+    assert both == pytest.approx(EYE)
+
+
+def test_the_reading_of_a_sensor_that_lies_stands_out_by_what_it_lies(estimator, response):
+    samples = [list(one) for one in samples_in(response, estimator.model.sensors)]
+    at = 1 + SENSORS.index("T1")
+    for sample in samples[-20:]:
+        sample[at] += 5.0
+    state, found = estimates(estimator, samples)
+    assert found[-1].distrusted == ("T1",)
+    differ = residuals(estimator, state, np.array(samples[-1][1:]))
+    assert differ[at - 1] == pytest.approx(5.0, abs=0.5)
+    assert np.abs(np.delete(differ, at - 1)).max() < 0.5

@@ -50,6 +50,7 @@ def loaded(*arguments):
         ["iso230-3", "--help"],
         ["control", "--help"],
         ["export", "--help"],
+        ["serve", "--help"],
     ],
 )
 def test_help_and_version_load_none_of_the_libraries(arguments):

@@ -16,18 +16,18 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from artefacts.errors import InputError, unknown_name
 from live.dashboard.assets import asset
 from live.dashboard.pages import page
 from live.http.access import Access
-from live.http.bodies import about_body, encoded, events_body, history_body, summary
+from live.http.bodies import Words, about_body, encoded, events_body, history_body, summary
 from live.http.gate import Door, Gate, body_of, client, open_door, refused, too_many, wrong_token
 from live.http.parameters import moment, number, one_of, read_parameters, whole_number
 from live.http.sources import About, Sources
-from live.http.stream import stream
+from live.http.stream import Counted, stream
 from live.publication import as_json
 
 #: Rows of the history and events that one request may ask for.
@@ -65,6 +65,8 @@ class Site:
     door: Door
     most_streams: int
     streams: int = 0
+    _whole: Words = field(default_factory=lambda: Words(as_json))
+    _short: Words = field(default_factory=lambda: Words(summary))
     _reading: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(READERS))
 
     def routes(self) -> list[Route]:
@@ -82,6 +84,7 @@ class Site:
             Route(f"{one}/history", self.history),
             Route(f"{one}/scene", self.scene),
             Route(f"{one}/fields", self.fields),
+            Route(f"{one}/residuals", self.residuals),
             Route("/api/events", self.events),
             Route("/api/stream", self.stream),
             Route("/metrics", self.metrics),
@@ -163,7 +166,8 @@ class Site:
         """What stays of a machine."""
         name, about = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
-        return answered(about_body(name, about, name in self.sources.scenes))
+        further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
+        return answered(about_body(name, about, [one for one in further if name in further[one]]))
 
     async def latest(self, request: Request) -> Response:
         """The newest publication of a machine."""
@@ -219,6 +223,17 @@ class Site:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
         return answered(found)
 
+    async def residuals(self, request: Request) -> Response:
+        """Reading minus model, of the newest sample."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        if name not in self.sources.residuals:
+            raise HTTPException(404, f"{name} has an estimator that does not expect readings")
+        found = self.sources.residuals[name]()
+        if found is None:
+            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
+        return answered({"machine": name, "residuals_K": found})
+
     async def stream(self, request: Request) -> Response:
         """News, as long as the reader stays."""
         given = read_parameters(
@@ -232,7 +247,7 @@ class Site:
                 429, f"{self.streams} streams are open already; close one", **{"retry-after": "10"}
             )
         wanted = [given["machine"]] if "machine" in given else list(self.sources.machines)
-        told: Callable[..., dict[str, Any]] = as_json if "machine" in given else summary
+        told = self._whole if "machine" in given else self._short
         news = stream(self.sources.hub, frozenset(wanted), given.get("every_s", 1.0), told)
         self.streams += 1
         return Counted(news, self._left)
@@ -276,21 +291,6 @@ class Site:
         if found is None:
             raise HTTPException(404, f"{name} has no picture in 3-D; give the service a scene file")
         return found
-
-
-class Counted(StreamingResponse):
-    """A stream that says when it is over, however it ends."""
-
-    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
-        super().__init__(content, media_type="text/event-stream")
-        self._left = left
-
-    async def __call__(self, *given: Any) -> None:  # noqa: ANN401
-        """Send until the reader goes."""
-        try:
-            await super().__call__(*given)
-        finally:
-            self._left()
 
 
 async def _wrong(request: Request, error: Exception) -> Response:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,10 @@ import numpy as np
 from artefacts.arrays import Array
 from live.archive import History
 from live.http.sources import About
-from live.publication import Publication, Quality, as_json, detail_name, iso_time
+from live.publication import Publication, Quality, detail_name, iso_time
 from live.store import Event
 
 _MICRO = 1e6
-#: Keys of a publication that an overview of many machines shows.
-_SUMMARY = ("machine", "time_s", "published_s", "quality", "status", "displacement_um", "band_um")
 
 
 def encoded(body: Any) -> bytes:  # noqa: ANN401
@@ -26,13 +25,48 @@ def encoded(body: Any) -> bytes:  # noqa: ANN401
 
 
 def summary(publication: Publication) -> dict[str, Any]:
-    """Return the part of a publication that an overview shows."""
-    whole = as_json(publication)
-    return {key: whole[key] for key in _SUMMARY}
+    """Return the part of a publication that an overview shows, under the same names."""
+    axes = publication.layout.axes
+    return {
+        "machine": publication.machine,
+        "time_s": _rounded(publication.time, 3),
+        "published_s": _rounded(publication.published, 3),
+        "quality": publication.quality.word,
+        "status": publication.status,
+        "displacement_um": dict(
+            zip(axes, _numbers(_MICRO * publication.displacement, 4), strict=True)
+        ),
+        "band_um": dict(zip(axes, _numbers(_MICRO * publication.band, 4), strict=True)),
+    }
 
 
-def about_body(machine: str, about: About, has_scene: bool) -> dict[str, Any]:
-    """Return what stays of a machine."""
+@dataclass(frozen=True, eq=False)
+class Words:
+    """What is said of publications, put into words once for all who listen.
+
+    Attributes
+    ----------
+    body : callable
+        What of a publication is said.
+    said : dict
+        Machine to its newest publication and its words.
+    """
+
+    body: Callable[[Publication], dict[str, Any]]
+    said: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
+
+    def __call__(self, publication: Publication) -> bytes:
+        """Return a publication as JSON."""
+        before = self.said.get(publication.machine)
+        if before is not None and before[0] is publication:
+            return before[1]
+        words = encoded(self.body(publication))
+        self.said[publication.machine] = (publication, words)
+        return words
+
+
+def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str, Any]:
+    """Return what stays of a machine, and which of its further addresses answer."""
     layout = about.layout
     return {
         "machine": machine,
@@ -48,7 +82,7 @@ def about_body(machine: str, about: About, has_scene: bool) -> dict[str, Any]:
             {"name": one.name, "low": one.low, "high": one.high, "unit": one.unit}
             for one in about.valid
         ],
-        "scene": has_scene,
+        "offers": sorted(offers),
     }
 
 
@@ -95,4 +129,8 @@ def _named(names: Iterable[str], values: Array) -> dict[str, list[float | None]]
 
 def _numbers(values: Array, digits: int) -> list[float | None]:
     """Return a column, rounded; half a picometre or a tenth of a millikelvin is noise."""
-    return [round(one, digits) if math.isfinite(one) else None for one in values.tolist()]
+    return [_rounded(one, digits) for one in values.tolist()]
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None

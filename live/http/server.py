@@ -28,8 +28,10 @@ from live.settings import HttpServer, is_loopback
 REQUEST_S = 10.0
 #: A reader that takes nothing for this long is gone, s.
 READER_S = 30.0
-#: Connections at the same time, beside one for each stream.
-MOST_CONNECTIONS = 256
+#: Connections at the same time, beside one for each stream; and those of one client.
+MOST_CONNECTIONS, MOST_OF_ONE = 256, 128
+#: TLS must stand, or have ended, so long after it has begun, s; asyncio would wait for a minute.
+TLS_S = 5.0
 
 
 class PatientProtocol(H11Protocol):
@@ -39,9 +41,16 @@ class PatientProtocol(H11Protocol):
     _unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin; the first request must come soon."""
+        """Begin; the first request must come soon, and nobody takes all the places."""
         super().connection_made(transport)
         self._await_request()
+        host = self.client and self.client[0]
+        same = sum(
+            isinstance(one, PatientProtocol) and one.client is not None and one.client[0] == host
+            for one in self.connections
+        )
+        if same > MOST_OF_ONE:
+            transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
@@ -97,12 +106,32 @@ class PatientProtocol(H11Protocol):
 
 
 class Server(uvicorn.Server):
-    """A server among other tasks: signals are for the service."""
+    """A server among other tasks: signals are for the service, sockets are given."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Leave signals alone."""
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen; TLS is not waited for as long as asyncio would."""
+        config, loop = self.config, asyncio.get_running_loop()
+        patience = TLS_S if config.ssl else None
+
+        def protocol() -> PatientProtocol:
+            return PatientProtocol(config, self.server_state, {})
+
+        self.servers = [
+            await loop.create_server(
+                protocol,
+                sock=one,
+                ssl=config.ssl,
+                ssl_handshake_timeout=patience,
+                ssl_shutdown_timeout=patience,
+            )
+            for one in sockets or ()
+        ]
+        self.started = True
 
 
 def make_server(app: Starlette, section: HttpServer, base: Path, folder: Path) -> Server:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry
@@ -55,6 +55,9 @@ class Sources:
         For Prometheus.
     scenes : mapping
         Machines that have a picture in 3-D.
+    residuals : mapping
+        Machines whose estimator says what a reading should be; reading minus model, K, by reading,
+        None before the first sample.
     """
 
     hub: Hub
@@ -62,3 +65,4 @@ class Sources:
     machines: Mapping[str, About]
     registry: CollectorRegistry
     scenes: Mapping[str, Scene]
+    residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]

@@ -11,6 +11,8 @@ import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
+from starlette.responses import StreamingResponse
+
 from live.http.bodies import encoded
 from live.hub import Hub
 from live.publication import Publication
@@ -19,13 +21,15 @@ from live.publication import Publication
 BEAT_S = 3.0
 #: A stream ends after this, s; a browser opens it again, and is asked who it is.
 LONGEST_S = 3600.0
+#: Publications that are put into words before others may have the event loop.
+AT_ONCE = 64
 
 
 async def stream(
     hub: Hub,
     machines: frozenset[str],
     every: float,
-    told: Callable[[Publication], dict[str, Any]],
+    told: Callable[[Publication], bytes],
 ) -> AsyncIterator[bytes]:
     """Yield events: at once all that is there, then what has changed, at most once in `every` s.
 
@@ -38,7 +42,7 @@ async def stream(
     every : float
         Shortest time between two events, s.
     told : callable
-        What is said of a publication.
+        What is said of a publication, as JSON.
     """
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
@@ -48,8 +52,30 @@ async def stream(
                 changed = await asyncio.wait_for(follower.wait(), BEAT_S)
             except TimeoutError:
                 changed = set()
-            news = [told(hub.newest[name]) for name in sorted(changed & machines)]
+            news = []
+            for name in sorted(changed & machines):
+                news.append(told(hub.newest[name]))
+                if len(news) % AT_ONCE == 0:
+                    await asyncio.sleep(0)
             if news or not changed:
-                body = encoded({"now_s": time.time(), "publications": news})
-                yield b"event: news\ndata: " + body + b"\n\n"
+                now = encoded(time.time())
+                yield b'event: news\ndata: {"now_s":%b,"publications":[%b]}\n\n' % (
+                    now,
+                    b",".join(news),
+                )
             await asyncio.sleep(every)
+
+
+class Counted(StreamingResponse):
+    """A stream that says when it is over, however it ends."""
+
+    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
+        super().__init__(content, media_type="text/event-stream")
+        self._left = left
+
+    async def __call__(self, *given: Any) -> None:  # noqa: ANN401
+        """Send until the reader goes."""
+        try:
+            await super().__call__(*given)
+        finally:
+            self._left()

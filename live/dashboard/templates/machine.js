@@ -50,7 +50,10 @@ function plan(about) {
     node.setAttribute("role", "img");
     node.setAttribute("aria-label", `${heading} over time: ${chart.keys.map(bare).join(", ")}`);
     document.getElementById("charts").append(card);
-    return { ...chart, node };
+    const curves = (past) => chart.keys.map((key) => (
+      { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
+    const used = (one) => chart.keys.some((key) => (one[chart.group][key] ?? null) !== null);
+    return { node, card, curves, used };
   });
 }
 
@@ -58,21 +61,33 @@ function scaled(values, factor) {
   return factor === 1 ? values : values.map((value) => (value === null ? null : factor * value));
 }
 
+// Only what is in view is drawn: a phone has better things to do.
+const inView = new Set();
+const watcher = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    if (entry.isIntersecting) inView.add(entry.target);
+    else inView.delete(entry.target);
+  }
+  if (entries.some((entry) => entry.isIntersecting)) drawAll();
+}, { rootMargin: "200px" });
+
 async function drawAll() {
   if (!page.past || document.hidden) return;
   page.revision += 1;
   page.drawn = Date.now();
   const to = clock.now(), from = to - page.span, past = page.past;
-  const axes = page.about.axes.map((axis) => {
+  for (const chart of page.charts) {
+    if (!inView.has(chart.node)) continue;
+    const curves = chart.curves(past);
+    await draw(chart.node, past.time_s, curves, from, to, page.revision);
+  }
+}
+
+function displacementCurves(past) {
+  return page.about.axes.map((axis) => {
     const band = past.band_um[axis];
     return { name: `δ${axis}`, values: past.displacement_um[axis], band: band.some((one) => one !== null) ? band : null };
   });
-  await draw(document.getElementById("c-displacement"), past.time_s, axes, from, to, page.revision);
-  for (const chart of page.charts) {
-    const curves = chart.keys.map((key) => (
-      { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
-    await draw(chart.node, past.time_s, curves, from, to, page.revision);
-  }
 }
 
 async function load() {
@@ -82,6 +97,10 @@ async function load() {
   page.past = past;
   past.holes.forEach((hole) => interrupt(past, hole));
   if (page.newest) append(page.newest);
+  // A probe that is never read needs no empty chart.
+  for (const chart of page.charts) {
+    if (chart.card) chart.card.hidden = chart.curves(past).every((one) => one.values.every((value) => value === null));
+  }
   await drawAll();
 }
 
@@ -161,9 +180,11 @@ function readings() {
     if (!row) {
       row = el("tr");
       row.id = `reading-${key}`;
-      const head = el("th", "", bare(key));
+      const head = el("th", "", unitOf(key) === "um" ? `${bare(key)} (probe)` : bare(key));
       head.scope = "row";
-      row.append(head, el("td", "n"), el("td", "used"));
+      const residual = el("td", "n residual", "–");
+      residual.hidden = !page.about.offers.includes("residuals");
+      row.append(head, el("td", "n"), residual, el("td", "used"));
       body.append(row);
     }
     const channel = unitOf(key) ? key.slice(0, -unitOf(key).length - 1) : key;
@@ -172,7 +193,17 @@ function readings() {
     const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : one.readings[key] === null ? "none" : "used";
     row.dataset.state = state;
     write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)} ${unit}`);
-    write(row.children[2], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
+    write(row.children[3], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
+  }
+}
+
+// What a reading says beyond the estimate: a sensor that lies stands out.
+async function residuals() {
+  if (document.hidden) return;
+  const found = (await ask(`${base}/residuals`)).residuals_K;
+  for (const [key, value] of Object.entries(found)) {
+    const row = document.getElementById(`reading-${key}`);
+    if (row) write(row.querySelector(".residual"), value === null ? "–" : shown(value, 2, true));
   }
 }
 
@@ -210,13 +241,14 @@ function news(publications) {
   for (const one of publications) {
     page.newest = one;
     if (page.past) append(one);
+    for (const chart of page.charts) if (chart.card && chart.card.hidden && chart.used(one)) chart.card.hidden = false;
   }
   status();
   axes();
   readings();
   ages();
   // A curve of 8 h need not be drawn anew every second.
-  const pause = page.span <= 3600 ? 900 : 5000;
+  const pause = page.span <= 900 ? 900 : page.span <= 3600 ? 1900 : 4900;
   if (Date.now() - page.drawn >= pause) drawAll();
 }
 
@@ -248,7 +280,8 @@ ask(base).then(async (about) => {
   page.about = about;
   spans();
   model();
-  page.charts = plan(about);
+  page.charts = [{ node: document.getElementById("c-displacement"), curves: displacementCurves }, ...plan(about)];
+  page.charts.forEach((chart) => watcher.observe(chart.node));
   listen(`/api/stream?machine=${encodeURIComponent(name)}&every_s=0.5`, news, line);
   document.addEventListener("theme", () => drawAll());
   document.addEventListener("visibilitychange", () => drawAll());
@@ -256,7 +289,12 @@ ask(base).then(async (about) => {
   setInterval(() => events().catch(() => {}), 15000);
   // Thinned again from time to time: the curves stay as short as they were.
   setInterval(() => { if (page.line === "live") load().catch(() => {}); }, 300000);
-  if (about.scene) {
+  if (about.offers.includes("residuals")) {
+    document.querySelector("th.residual").hidden = false;
+    setInterval(() => residuals().catch(() => {}), 5000);
+    setTimeout(() => residuals().catch(() => {}), 1000);
+  }
+  if (about.offers.includes("scene")) {
     document.getElementById("scene-card").hidden = false;
     await drawScene(name);
     setInterval(() => drawScene(name), 5000);

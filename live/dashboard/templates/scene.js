@@ -4,7 +4,7 @@
 const SCALE = [[0, "#2b3a8c"], [0.25, "#2f8fbf"], [0.5, "#7fc97f"], [0.75, "#f2b134"], [1, "#c0262d"]];
 const scene = { shape: null, busy: false };
 
-function sceneLayout() {
+function sceneLayout(part) {
   const hidden = { visible: false, showbackground: false };
   return {
     autosize: true,
@@ -14,7 +14,7 @@ function sceneLayout() {
     uirevision: "kept",
     scene: {
       xaxis: hidden, yaxis: hidden, zaxis: hidden, aspectmode: "data", dragmode: "turntable",
-      camera: { eye: scene.shape.eye },
+      camera: { eye: part.eye },
     },
   };
 }
@@ -42,7 +42,7 @@ async function drawScene(machine) {
       ["c-pressure", scene.shape.joints, fields.pressure_MPa],
     ]) {
       const node = document.getElementById(id);
-      if (first) await Plotly.newPlot(node, [mesh(part, values)], sceneLayout(), CONFIG);
+      if (first) await Plotly.newPlot(node, [mesh(part, values)], sceneLayout(part), CONFIG);
       else await Plotly.restyle(node, { intensity: [values] }, [0]);
     }
   } catch { /* before the first sample there is nothing to draw; it is asked again */ }

@@ -1,0 +1,220 @@
+"""One machine of the service: what silence does, what a kill does not, and what the store keeps."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from live import floor as floors
+from live.archive import Archive
+from live.arrivals import Arrival
+from live.floor import Floor, Place
+from live.log_lines import EventLog, line_of
+from live.machine import at_rest, restored, silent, taken
+from live.metrics import fresh_metrics
+from live.publication import Quality, as_json, as_row, from_row
+from live.samples import Rule
+from live.served import Served, served
+from live.settings import ModelSection, WatchdogSection
+from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
+from models.assembly import assemble
+from models.assembly_file import write_assembly
+
+OFFSETS = """
+rate_um_s = 1000.0
+oldest_s = 5.0
+freeze_s = 10.0
+decay_s = 20.0
+unusable = []
+[axes.X]
+follows = "x"
+"""
+START = 1_772_431_200.0
+
+
+@pytest.fixture(scope="module")
+def model(hand_made_model, tmp_path_factory) -> Served:
+    base = tmp_path_factory.mktemp("machine")
+    write_assembly(assemble(hand_made_model, 1.0, 7200.0), base / "model.json")
+    (base / "offsets.toml").write_text(OFFSETS)
+    section = ModelSection(file="model.json", offsets="offsets.toml")
+    return served(section, base, base / "kept")
+
+
+def readings(k):
+    rise = 1.0 - math.exp(-k / 60.0)
+    return (20.0 + 6.0 * rise, 20.0 + 0.5 * rise, 20.0 + rise, 20.0 + 3.0 * rise, 20.0)
+
+
+def after(model, count):
+    machine = at_rest("mill", model, START)
+    for k in range(count):
+        machine, refusal = taken(model, machine, START + k, readings(k), START + k)
+        assert not refusal
+    return machine
+
+
+def test_a_machine_of_which_nothing_is_known_says_so(model):
+    said = at_rest("mill", model, START).said
+    told = as_json(said)
+    assert (told["quality"], told["time"], told["displacement_um"]) == (
+        "bad",
+        None,
+        {"x": None, "y": None},
+    )
+    assert (
+        silent(model, at_rest("mill", model, START), 1e9, START, 1.0, 2.0)[1].quality is Quality.BAD
+    )
+
+
+def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_and_decay(model):
+    machine = after(model, 60)
+    before = machine.said.offsets[0]
+    assert abs(before) > 1e-6
+    found = {}
+    for age in range(1, 200):
+        machine, found[age] = silent(model, machine, float(age), START + 60 + age, 10.0, 60.0)
+    assert found[9].quality is machine.said.quality
+    assert (found[10].quality, found[60].quality) == (Quality.UNCERTAIN, Quality.BAD)
+    assert found[10].status.endswith("silent")
+    np.testing.assert_array_equal(found[199].displacement, machine.said.displacement)
+    offsets = np.array([found[age].offsets[0] for age in range(1, 200)])
+    np.testing.assert_array_equal(offsets[:15], before)
+    assert np.all(np.diff(np.abs(offsets)) <= 0.0)
+    assert abs(offsets[-1]) < 0.01 * abs(before)
+
+
+def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model):
+    machine = after(model, 30)
+    broken = (math.nan, *readings(30)[1:])
+    other, refusal = taken(model, machine, START + 30, broken, START + 30)
+    assert "finite" in refusal
+    assert other.said.number == 31
+    np.testing.assert_array_equal(other.state, machine.state)
+    assert other.said.quality is Quality.UNCERTAIN
+    again, refusal = taken(model, other, START + 31, readings(31), START + 31)
+    assert not refusal
+    assert again.said.quality is machine.said.quality
+
+
+@pytest.mark.parametrize("value", [9.9e37, -1e6, math.inf, math.nan])
+def test_what_is_no_temperature_is_a_missing_reading(model, value):
+    assert math.isnan(model.intake.usable((value, *readings(1)[1:]))[0])
+
+
+def floor_of(model, store, now=START):
+    era = era_of(store, "mill", model.digest, model.layout, now)
+    place = Place(model, era, at_rest("mill", model, now), None, now)
+    return Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, WatchdogSection())
+
+
+def feed(floor, store, first, last, step=1):
+    for k in range(first, last, step):
+        arrival = Arrival("mill", START + k, readings(k), START + k, position=k)
+        outcome = floors.absorb(floor, [arrival], START + k, START + k)
+        commit(store, Batch(outcome.taken, (), floor.log.fetched(), outcome.holes))
+
+
+@pytest.mark.parametrize("checkpoint", [None, 0, 17, 40])
+def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
+    model, tmp_path, checkpoint
+):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+    floor = floor_of(model, store)
+    place = floor.places["mill"]
+    for end in (17, 40):
+        feed(floor, store, 0 if end == 17 else 17, end)
+        if checkpoint in (0, end):
+            commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    kept = kept_of(store, [place.era])[place.era]
+    last = Archive(path).checkpointed("mill", place.era)
+    machine, position = restored("mill", model, kept, last, START)
+    assert position == 39
+    np.testing.assert_array_equal(machine.state, place.machine.state)
+    assert machine.waiting == place.machine.waiting
+    np.testing.assert_equal(machine.output._asdict(), place.machine.output._asdict())
+    np.testing.assert_array_equal(as_row(machine.said), as_row(place.machine.said))
+    history = Archive(path).history("mill", 0.0, 1e11, 1000)
+    np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
+
+
+def test_the_history_marks_what_is_missing_thins_and_forgets(model, tmp_path):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+    floor = floor_of(model, store)
+    place = floor.places["mill"]
+    feed(floor, store, 0, 100)
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    place.fresh = True
+    feed(floor, store, 150, 250)
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    feed(floor, store, 250, 260)
+    archive = Archive(path)
+    whole = archive.history("mill", 0.0, 1e11, 1000)
+    assert [(one.since - START, one.until - START, one.why) for one in whole.holes] == [
+        (99.0, 150.0, "the service was down")
+    ]
+    thinned = archive.history("mill", 0.0, 1e11, 50)
+    assert thinned.every > 1
+    assert len(thinned.numbers) <= 51
+    assert set(thinned.numbers) <= set(whole.numbers)
+    part = archive.history("mill", START + 160, START + 170, 1000)
+    np.testing.assert_array_equal(part.columns.times - START, np.arange(160.0, 171.0))
+    assert archive.latest("mill").number == 210
+    end = store.execute("SELECT max(id) FROM journal").fetchone()[0]
+    forget(store, end - 10, [place.era], 30.0, START + 260.0)
+    left = archive.history("mill", 0.0, 1e11, 1000)
+    np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
+    shorten_log(store)
+    assert path.with_name(path.name + "-wal").stat().st_size == 0
+
+
+def test_another_model_begins_anew(model, tmp_path):
+    store = open_store(tmp_path / "history.sqlite")
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 10)
+    era = floor.places["mill"].era
+    assert era_of(store, "mill", model.digest, model.layout, START) == era
+    other = era_of(store, "mill", "another", model.layout, START)
+    assert other != era
+    assert kept_of(store, [other])[other].state is None
+
+
+def test_a_row_of_the_history_is_the_publication(model):
+    said = after(model, 20).said
+    back = from_row("mill", said.number, model.layout, as_row(said), said.status)
+    assert as_json(back) == as_json(said)
+
+
+def test_nothing_is_acknowledged_before_its_sample_is_kept(model, tmp_path):
+    store = open_store(tmp_path / "history.sqlite")
+    floor = floor_of(model, store)
+    place = floor.places["mill"]
+    place.served = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
+    said = []
+    first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
+    rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))
+    outcome = floors.absorb(floor, [first], START, START)
+    assert not outcome.kept
+    outcome = floors.absorb(floor, [rest], START, START)
+    assert len(outcome.kept) == len(outcome.taken) + 1 == 2
+    again = floors.absorb(floor, [first], START, START)
+    assert (len(again.kept), len(again.taken)) == (1, 0)
+
+
+def test_an_event_is_one_line_however_it_is_called():
+    line = line_of("malformed", 'a "name"\nevent=forged', "mill")
+    assert "\n" not in line
+    assert line.startswith("event=malformed machine=mill text=")
+    assert line.count("event=") == 2
+    assert '\\"name\\"' in line
+
+
+def test_a_flood_of_events_is_a_few_lines():
+    log = EventLog()
+    told = sum(log.say(START + 0.001 * k, "malformed", "x", "mill") for k in range(10_000))
+    assert told == 5
+    assert log.say(START + 100.0, "malformed", "x", "mill")
+    assert "9995 more" in log.pending[-1].text

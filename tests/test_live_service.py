@@ -1,0 +1,436 @@
+"""The service with real parts: lines of CSV, a Mosquitto broker, OPC UA servers; all encrypted."""
+
+import asyncio
+import contextlib
+import json
+import random
+import subprocess
+import time
+from datetime import UTC, datetime, timedelta
+
+import aiomqtt
+import numpy as np
+import pytest
+from asyncua import Client, Server, ua
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from live_parts import Broker, free_port, message, needs_broker, serving, until
+
+from artefacts.errors import InputError
+from benchmarks import live_kills
+from estimator.interface import follow
+from estimator.starting import started
+from live.archive import Archive
+from live.certificates import own_identity
+from live.publication import Quality
+from live.service import run
+from live.settings import read_service
+from live.users import add_user
+from models.assembly import assemble
+from models.assembly_file import write_assembly
+
+NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
+START = 1_772_431_200.0
+INTERVAL = 1.0
+
+
+@pytest.fixture(scope="module")
+def model(hand_made_model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "model.json"
+    write_assembly(assemble(hand_made_model, INTERVAL, 7200.0), path)
+    return path
+
+
+def day(count=120):
+    """Temperatures that rise as a machine's do."""
+    times = np.arange(count) * INTERVAL
+    rise = 1.0 - np.exp(-times / 60.0)
+    columns = (20.0 + 6.0 * rise, 20.0 + 0.5 * rise, 20.0 + rise, 20.0 + 3.0 * rise)
+    # The room changes, too: a server's history has what has changed.
+    return np.column_stack([START + times, *columns, 20.0 + 0.1 * rise])
+
+
+@pytest.fixture(scope="module")
+def expected(model):
+    """What an estimator says of that day, sample by sample."""
+    estimator, state = started(model, INTERVAL)
+    samples = [(row[0], row[1] - row[2], row[3] - row[5], row[4] - row[5]) for row in day()]
+    return np.array([one.displacement for _, one in follow(estimator, samples, state)])
+
+
+def file_of(model, source, **more):
+    return {
+        "folder": "state",
+        "models": {"m": {"file": str(model), "interval_s": INTERVAL}},
+        "machines": {"mill": {"model": "m", "source": "line"}},
+        "sources": {"line": source},
+        **more,
+    }
+
+
+def csv_of(rows):
+    lines = [
+        ",".join(("time_s", *NAMES)),
+        *(",".join(f"{one!r}" for one in row) for row in rows.tolist()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def said_in(base):
+    return Archive(base / "state" / "history.sqlite").history("mill", 0.0, 1e11, 10**6)
+
+
+def assert_says(history, expected):
+    np.testing.assert_array_equal(history.numbers, np.arange(1, len(history.numbers) + 1))
+    np.testing.assert_allclose(history.columns.displacement, expected, rtol=1e-12, atol=1e-18)
+
+
+def test_lines_are_estimated_as_the_estimator_says_and_once_over_three_lives(
+    model, expected, tmp_path
+):
+    rows = csv_of(day()).splitlines(keepends=True)
+    for end in (30, 31, 200):
+        (tmp_path / "log.csv").write_text("".join(rows[:end]))
+        source = {"kind": "csv", "path": "log.csv", "follow": False}
+
+        async def live(source=source):
+            async with serving(file_of(model, source), tmp_path) as running:
+                await until(running.stop.is_set)
+
+        asyncio.run(live())
+    history = said_in(tmp_path)
+    assert_says(history, expected)
+    assert not history.holes
+
+
+def test_a_fifo_is_read_as_lines_are_written(model, expected, tmp_path):
+    import os
+
+    os.mkfifo(tmp_path / "pipe")
+
+    async def live():
+        source = {"kind": "csv", "path": "pipe"}
+        async with serving(file_of(model, source), tmp_path) as running:
+            text = csv_of(day(20)).replace("\n", "\nno,row\n", 3)
+            await asyncio.to_thread((tmp_path / "pipe").write_text, text)
+            await until(lambda: running.hub.newest["mill"].number == 20)
+
+    asyncio.run(live())
+    assert_says(said_in(tmp_path), expected[:20])
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory):
+    """A certificate for the broker that is its own authority."""
+    return own_identity(tmp_path_factory.mktemp("authority"), ())
+
+
+def secret(folder, name, content):
+    path = folder / name
+    path.write_text(content)
+    path.chmod(0o600)
+    return {"file": name}
+
+
+@needs_broker
+def test_messages_over_tls_come_once_although_broker_and_service_go_away(
+    model, expected, authority, tmp_path
+):
+    """The broker keeps what nobody acknowledged, and tells the last words of the service."""
+    rows = day(40)
+    passwords = tmp_path / "broker"
+    passwords.mkdir()
+    subprocess.run(
+        ["mosquitto_passwd", "-b", "-c", passwords / "users", "service", "long-and-secret"],
+        check=True,
+        capture_output=True,
+    )
+    lines = (
+        f"cafile {authority.certificate}",
+        f"certfile {authority.certificate}",
+        f"keyfile {authority.key}",
+        f"password_file {passwords / 'users'}",
+        "allow_anonymous false",
+        "user root",
+    )
+    with Broker(passwords, *lines) as broker:
+        address = {
+            "port": broker.port,
+            "host": "localhost",
+            "ca_file": str(authority.certificate),
+            "user": "service",
+            "password": secret(tmp_path, "password", "long-and-secret\n"),
+        }
+        data = file_of(model, {"kind": "mqtt", "topic": "plant/{machine}", **address}, mqtt=address)
+        tls = aiomqtt.TLSParameters(ca_certs=str(authority.certificate))
+
+        async def tell(some):
+            async with aiomqtt.Client(
+                "localhost",
+                broker.port,
+                username="service",
+                password="long-and-secret",
+                tls_params=tls,
+            ) as plant:
+                for row in some:
+                    told = dict(zip(NAMES, row[1:].tolist(), strict=True))
+                    await plant.publish("plant/mill", message(row[0], told), qos=1)
+
+        async def first():
+            async with serving(data, tmp_path) as running:
+                await until(lambda: _events(tmp_path, "connected") >= 2)
+                await tell(rows[:10])
+                await until(lambda: running.hub.newest["mill"].number == 10)
+
+        async def second():
+            async with (
+                serving(data, tmp_path) as running,
+                aiomqtt.Client(
+                    "localhost",
+                    broker.port,
+                    username="service",
+                    password="long-and-secret",
+                    tls_params=tls,
+                ) as panel,
+            ):
+                await until(lambda: running.hub.newest["mill"].number == 30)
+                await tell(rows[25:])
+                await until(lambda: running.hub.newest["mill"].number == 40)
+                await panel.subscribe("thermojoint/#")
+                found = {}
+                async for one in panel.messages:
+                    found[str(one.topic)] = json.loads(one.payload)
+                    if found.get("thermojoint/mill/displacement", {}).get("number") == 40:
+                        break
+                return found
+
+        asyncio.run(first())
+        # While it is away; the last five are told twice.
+        asyncio.run(tell(rows[10:30]))
+        found = asyncio.run(second())
+    history = said_in(tmp_path)
+    assert_says(history, expected[:40])
+    assert not history.holes
+    last = found["thermojoint/mill/displacement"]
+    assert last["displacement_um"]["x"] == pytest.approx(1e6 * expected[39, 0], abs=1e-3)
+    assert found["thermojoint/service"] == {"state": "running"}
+
+
+def _events(base, kind):
+    archive = Archive(base / "state" / "history.sqlite")
+    return sum(one.kind == kind for one in archive.events(None, 0.0, 1e11, 1000))
+
+
+class Plc:
+    """A user manager of a machine's control: one user."""
+
+    def get_user(self, iserver, username=None, password=None, certificate=None):
+        known = (username, password) == ("service", "plc-secret")
+        return User(UserRole.User) if known else None
+
+
+@contextlib.asynccontextmanager
+async def machine_of(identity, port):
+    """A server that plays a machine: encrypted, with a user, and with a history."""
+    server = Server(user_manager=Plc())
+    await server.init()
+    server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/plc")
+    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    server.set_identity_tokens([ua.UserNameIdentityToken])
+    await server.load_certificate(identity.certificate)
+    await server.load_private_key(identity.key)
+    index = await server.register_namespace("urn:plc")
+    nodes = [
+        await server.nodes.objects.add_variable(ua.NodeId(f"mill.{name}", index), name, 0.0)
+        for name in NAMES
+    ]
+    for node in nodes:
+        await server.write_attribute_value(node.nodeid, _value(0.0, 1.0))
+    async with server:
+        for node in nodes:
+            await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
+
+        async def play(rows, pause):
+            for row in rows:
+                for node, value in zip(nodes, row[1:].tolist(), strict=True):
+                    await server.write_attribute_value(node.nodeid, _value(value, row[0]))
+                await asyncio.sleep(pause)
+
+        yield play
+
+
+def _value(value, at):
+    return ua.DataValue(
+        ua.Variant(value, ua.VariantType.Double), SourceTimestamp=datetime.fromtimestamp(at, UTC)
+    )
+
+
+async def client_of(base, port, name, password):
+    own = own_identity(base / "client", ())
+    client = Client(f"opc.tcp://127.0.0.1:{port}/thermojoint")
+    client.application_uri = "urn:thermojoint:live"
+    await client.set_security(
+        SecurityPolicyBasic256Sha256,
+        own.certificate,
+        own.key,
+        server_certificate=str(base / "state" / "certificate.pem"),
+    )
+    if name is not None:
+        client.set_user(name)
+        client.set_password(password)
+    return client
+
+
+@pytest.fixture(scope="module")
+def opcua_day(model, tmp_path_factory):
+    """A machine at a hundred times real time, read and served by OPC UA; what clients found."""
+    base = tmp_path_factory.mktemp("opcua")
+    plc, port, own = own_identity(base / "plc", ()), free_port(), free_port()
+    add_user(base / "users", "panel", "reads", "panel-secret")
+    add_user(base / "users", "setter", "writes", "setter-secret")
+    source = {
+        "kind": "opcua",
+        "url": f"opc.tcp://127.0.0.1:{port}/plc",
+        "node": "ns=2;s={machine}.{reading}",
+        "server_certificate": "plc/certificate.pem",
+        "user": "service",
+        "password": secret(base, "plc-password", "plc-secret"),
+        "publishing_ms": 50.0,
+    }
+    data = file_of(
+        model,
+        source,
+        opcua={"port": own, "users": "users"},
+        watchdog={"uncertain_s": 1.0, "bad_s": 2.5},
+    )
+    found = {}
+
+    async def live():
+        async with machine_of(plc, port) as play:
+            async with serving(data, base) as running:
+                newest = running.hub.newest
+                found["before"] = newest["mill"]
+                await until(lambda: _events(base, "connected"))
+                begun = time.monotonic()
+                async with await client_of(base, own, "panel", "panel-secret") as panel:
+                    node = panel.get_node("ns=2;s=mill.Displacement.x")
+                    await play(day(60), 0.008)
+                    found["wall_s"] = time.monotonic() - begun
+                    await until(lambda: newest["mill"].time == START + 59.0)
+                    found["fresh"] = await node.read_data_value(raise_on_bad_status=False)
+                    found["unit"] = await (await node.get_child("0:EngineeringUnits")).read_value()
+                    with pytest.raises(ua.UaError):
+                        await panel.get_node("ns=2;s=mill.Displacement.x").write_value(1.0)
+                    await until(lambda: "silent" in newest["mill"].status)
+                    found["stale"] = await node.read_data_value(raise_on_bad_status=False)
+                    await until(lambda: newest["mill"].quality is Quality.BAD)
+                    found["silent"] = await node.read_data_value(raise_on_bad_status=False)
+                found["refused"] = [
+                    await _let_in(base, own, *who)
+                    for who in (
+                        ("admin", ""),
+                        ("panel", "wrong"),
+                        ("nobody", "panel-secret"),
+                        (None, None),
+                    )
+                ]
+                found["plain"] = await _let_in_plain(own)
+            # Nobody listens meanwhile; the machine's own history has it.
+            await play(day()[60:100], 0.02)
+            data.pop("opcua")
+            async with serving(data, base) as running:
+                newest = running.hub.newest
+                await until(lambda: newest["mill"].time == START + 99.0)
+                await play(day()[100:], 0.002)
+                await until(lambda: newest["mill"].time == START + 119.0)
+
+    asyncio.run(live())
+    return base, found
+
+
+async def _let_in(base, port, name, password):
+    client = await client_of(base, port, name, password)
+    try:
+        async with client:
+            return True
+    except ua.UaError:
+        return False
+
+
+async def _let_in_plain(port):
+    try:
+        async with Client(f"opc.tcp://127.0.0.1:{port}/thermojoint"):
+            return True
+    except ua.UaError:
+        return False
+
+
+def test_a_machine_that_tells_opcua_is_estimated_sample_by_sample(opcua_day, expected):
+    base, _ = opcua_day
+    history = said_in(base)
+    # The first value is what the machine said before it ran.
+    times = history.columns.times[-120:]
+    np.testing.assert_array_equal(times, START + np.arange(120.0))
+    assert history.columns.displacement.shape[0] in (120, 121)
+
+
+def test_what_came_while_the_service_was_away_is_read_from_the_machines_history(opcua_day):
+    base, _ = opcua_day
+    assert not [one for one in said_in(base).holes if one.since >= START]
+
+
+def test_values_carry_the_time_of_their_sample_and_opcuas_own_status(opcua_day):
+    _, found = opcua_day
+    assert found["before"].quality is Quality.BAD
+    assert found["fresh"].SourceTimestamp.timestamp() == START + 59.0
+    assert not found["fresh"].StatusCode.is_bad()
+    assert found["stale"].StatusCode.name == "UncertainLastUsableValue"
+    assert found["stale"].Value.Value == found["fresh"].Value.Value
+    assert found["silent"].StatusCode.name == "BadNoCommunication"
+    assert found["silent"].Value.Value is None
+    assert (found["unit"].DisplayName.Text, found["unit"].UnitId) == ("µm", 0x3448)
+
+
+def test_nobody_gets_in_without_a_password_that_is_known(opcua_day):
+    _, found = opcua_day
+    assert found["refused"] == [False] * 4
+    assert found["plain"] is False
+
+
+def test_no_secret_stands_in_the_store(opcua_day):
+    base, _ = opcua_day
+    for path in (base / "state").rglob("*"):
+        if path.is_file():
+            content = path.read_bytes()
+            assert b"panel-secret" not in content
+            assert b"plc-secret" not in content
+
+
+def test_an_opcua_server_without_users_is_refused(model, tmp_path):
+    source = {"kind": "csv", "path": "log.csv"}
+    data = file_of(model, source, opcua={"port": free_port()})
+
+    async def live():
+        async with serving(data, tmp_path):
+            pass
+
+    with pytest.raises(InputError, match="nobody could log in"):
+        asyncio.run(live())
+
+
+def test_a_service_killed_at_random_moments_says_what_one_says_that_never_was(model, tmp_path):
+    rows = day(1200) - np.array([START, 0.0, 0.0, 0.0, 0.0, 0.0])
+    lines = csv_of(rows).splitlines(keepends=True)
+    (tmp_path / "day.csv").write_text("".join(lines))
+    live_kills.prepare(tmp_path, model, "x", INTERVAL, 0.2)
+    assert live_kills.kill_through(tmp_path, lines, 3, random.Random(3), 0.0, 0.6) == 3
+    killed = live_kills.finish(tmp_path, "killed", 1200, 60.0)
+
+    async def undisturbed():
+        service = read_service(tmp_path / "whole.toml")
+        await run(service, asyncio.Event())
+
+    asyncio.run(undisturbed())
+    whole = Archive(tmp_path / "whole" / "history.sqlite").history("mill", 0.0, 1e11, 10**6)
+    assert len(whole.numbers) == 1200
+    assert live_kills.differences(whole, killed) == []

@@ -1,0 +1,153 @@
+"""The file of a service: what is wrong ends in one line; what is open to others is refused."""
+
+import stat
+
+import pytest
+from typer.testing import CliRunner
+
+from artefacts.errors import InputError
+from live.certificates import own_identity
+from live.secret import read_secret
+from live.settings import Secret, read_service, service_from_data
+from live.users import MOST_TRIALS, Gate, UserLine, add_user, hashed, is_password, read_users
+from thermojoint.cli.app import app
+
+GOOD = {
+    "folder": "state",
+    "models": {"m": {"file": "m.json"}},
+    "machines": {"mill": {"model": "m", "source": "s", "count": 3}},
+    "sources": {"s": {"kind": "csv", "path": "{machine}.csv"}},
+}
+
+
+def changed(**parts):
+    return GOOD | parts
+
+
+def test_a_section_with_a_count_is_so_many_machines(tmp_path):
+    service = service_from_data(GOOD, "file", tmp_path)
+    assert list(service.machines) == ["mill-1", "mill-2", "mill-3"]
+
+
+@pytest.mark.parametrize(
+    ("parts", "told"),
+    [
+        ({"models": {"m": {"file": "m.json", "intervall_s": 1.0}}}, "did you mean 'interval_s'"),
+        ({"machines": {"mill": {"model": "n", "source": "s"}}}, "no model named 'n'"),
+        ({"machines": {"a/b": {"model": "m", "source": "s"}}}, "a name is up to 64"),
+        ({"sources": {"s": {"kind": "csv", "path": "one.csv"}}}, "{machine}"),
+        (
+            {
+                "sources": {
+                    "s": {
+                        "kind": "mqtt",
+                        "topic": "{machine}",
+                        "security": "none",
+                        "host": "10.0.0.7",
+                    }
+                }
+            },
+            "which others reach",
+        ),
+        (
+            {
+                "sources": {
+                    "s": {
+                        "kind": "opcua",
+                        "url": "opc.tcp://plc:4840",
+                        "node": "ns=2;s={machine}{reading}",
+                        "security": "none",
+                    }
+                }
+            },
+            "which others reach",
+        ),
+        ({"opcua": {"security": "none", "address": "0.0.0.0"}}, "which others reach"),
+        ({"mqtt": {"security": "none", "host": "broker"}}, "which others reach"),
+        ({"mqtt": {"password": "secret"}}, "mqtt.password"),
+        ({"mqtt": {"password": {"file": "a", "variable": "B"}}}, "one place"),
+        ({"watchdog": {"uncertain_s": 10.0, "bad_s": 5.0}}, "bad_s"),
+        ({"machines": {"mill": {"model": "m", "source": "s", "count": 10_001}}}, "10000"),
+    ],
+)
+def test_a_mistake_is_one_line(parts, told, tmp_path):
+    with pytest.raises(InputError) as found:
+        service_from_data(changed(**parts), "file", tmp_path)
+    assert told in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_without_protection_the_loopback_is_allowed(tmp_path):
+    for host in ("127.0.0.1", "::1", "localhost"):
+        service_from_data(changed(mqtt={"security": "none", "host": host}), "file", tmp_path)
+
+
+def test_a_secret_that_others_can_read_is_refused_and_never_shown(tmp_path, monkeypatch):
+    path = tmp_path / "password"
+    path.write_text("very-secret\n")
+    path.chmod(0o644)
+    with pytest.raises(InputError, match="chmod 600") as found:
+        read_secret(Secret(file="password"), tmp_path, "mqtt.password")
+    assert "very-secret" not in str(found.value)
+    path.chmod(0o600)
+    assert read_secret(Secret(file="password"), tmp_path, "x") == "very-secret"
+    monkeypatch.setenv("MQTT_PASSWORD", "other")
+    assert read_secret(Secret(variable="MQTT_PASSWORD"), tmp_path, "x") == "other"
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert read_secret(Secret(credential="password"), tmp_path, "x") == "very-secret"
+
+
+def test_passwords_are_hashed_and_told_apart():
+    kept = hashed("correct horse")
+    assert "correct" not in kept
+    assert is_password("correct horse", kept)
+    assert not is_password("correct hors", kept)
+    with pytest.raises(InputError, match="8 to 256"):
+        hashed("short")
+
+
+def test_the_file_of_users_is_its_owners_alone(tmp_path):
+    add_user(tmp_path / "users", "panel", "reads", "panel-secret")
+    add_user(tmp_path / "users", "setter", "writes", "setter-secret")
+    assert stat.S_IMODE((tmp_path / "users").stat().st_mode) == 0o600
+    found = read_users(tmp_path / "users")
+    assert {name: line.role for name, line in found.items()} == {
+        "panel": "reads",
+        "setter": "writes",
+    }
+    (tmp_path / "users").chmod(0o640)
+    with pytest.raises(InputError, match="chmod 600"):
+        read_users(tmp_path / "users")
+
+
+def test_guessing_passwords_ends_soon_and_does_not_lock_out_who_is_known():
+    gate = Gate({"panel": UserLine("reads", hashed("panel-secret"))})
+    assert gate.role_of("panel", "panel-secret", 0.0) == "reads"
+    for k in range(MOST_TRIALS):
+        assert gate.role_of("panel", f"wrong-{k}-secret", 1.0) is None
+    assert gate.role_of("panel", "panel-secret", 1.0) == "reads"
+    fresh = Gate(gate.users, _trials=[1.0] * MOST_TRIALS)
+    assert fresh.role_of("panel", "panel-secret", 2.0) is None
+    assert fresh.role_of("panel", "panel-secret", 100.0) == "reads"
+
+
+def test_the_services_own_key_is_its_alone_and_stays(tmp_path):
+    one = own_identity(tmp_path, ("mill.example",))
+    assert stat.S_IMODE(one.key.stat().st_mode) == 0o600
+    before = one.certificate.read_bytes()
+    assert own_identity(tmp_path, ()).certificate.read_bytes() == before
+    one.key.chmod(0o644)
+    with pytest.raises(InputError, match="chmod 600"):
+        own_identity(tmp_path, ())
+
+
+def test_a_user_is_added_by_the_command(tmp_path):
+    (tmp_path / "service.toml").write_text(
+        'folder = "state"\n[models.m]\nfile = "m"\n[machines.mill]\nmodel = "m"\nsource = "s"\n'
+        '[sources.s]\nkind = "csv"\npath = "-"\n[opcua]\nusers = "users"\n'
+    )
+    command = ["serve", tmp_path / "service.toml", "--add-user", "panel"]
+    done = CliRunner().invoke(app, [str(one) for one in command], input="panel-secret\n")
+    assert done.exit_code == 0, done.output
+    assert set(read_users(tmp_path / "users")) == {"panel"}
+    assert read_service(tmp_path / "service.toml").given.opcua.users == "users"
