@@ -33,6 +33,8 @@ PATIENCE_S = 15.0
 AT_ONCE = 8
 #: How long the server waits here for a request to become whole, s.
 REQUEST_S = 0.25
+#: What the process may grow by: malloc's fragments and OpenSSL's, as Python itself keeps nothing, MB.
+GROWTH_MB = 15.0
 #: Requests before the first look at the server's memory: caches fill, pools grow to their size.
 WARM = 1000
 
@@ -407,7 +409,9 @@ def judge(process: subprocess.Popen[str], port: int, folder: Path, count: int, s
     print(f"memory         {held:.0f} MB after {WARM} requests, {grown:+.1f} MB since")
     print(f"same answers   {'yes' if same else 'NO'}")
     alive = process.poll() is None
-    good = same and alive and not report.server_errors and not report.unanswered and grown < 5.0
+    good = (
+        same and alive and not report.server_errors and not report.unanswered and grown < GROWTH_MB
+    )
     return 0 if good else 1
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Coroutine
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from artefacts.arrays import Array
@@ -48,7 +49,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         name: About(
             layout=place.served.layout,
             kind=place.served.estimator.kind,
-            model=place.served.file,
+            model=Path(place.served.file).name,
             since=running.archive.model(name).begun,
             valid=ranges_of(place.served.estimator),
         )

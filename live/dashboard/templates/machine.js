@@ -52,7 +52,8 @@ function plan(about) {
     document.getElementById("charts").append(card);
     const curves = (past) => chart.keys.map((key) => (
       { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
-    return { node, curves };
+    const used = (one) => chart.keys.some((key) => (one[chart.group][key] ?? null) !== null);
+    return { node, card, curves, used };
   });
 }
 
@@ -96,6 +97,10 @@ async function load() {
   page.past = past;
   past.holes.forEach((hole) => interrupt(past, hole));
   if (page.newest) append(page.newest);
+  // A probe that is never read needs no empty chart.
+  for (const chart of page.charts) {
+    if (chart.card) chart.card.hidden = chart.curves(past).every((one) => one.values.every((value) => value === null));
+  }
   await drawAll();
 }
 
@@ -175,7 +180,7 @@ function readings() {
     if (!row) {
       row = el("tr");
       row.id = `reading-${key}`;
-      const head = el("th", "", bare(key));
+      const head = el("th", "", unitOf(key) === "um" ? `${bare(key)} (probe)` : bare(key));
       head.scope = "row";
       const residual = el("td", "n residual", "–");
       residual.hidden = !page.about.offers.includes("residuals");
@@ -236,6 +241,7 @@ function news(publications) {
   for (const one of publications) {
     page.newest = one;
     if (page.past) append(one);
+    for (const chart of page.charts) if (chart.card && chart.card.hidden && chart.used(one)) chart.card.hidden = false;
   }
   status();
   axes();
