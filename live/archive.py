@@ -46,7 +46,7 @@ class History:
     layout : Layout
         Names of the columns.
     columns : Columns
-        The samples, thinned: every one whose number is a multiple of `every`, and the newest.
+        The samples, thinned: every one whose number is a multiple of `every`.
     numbers : ndarray of int, shape (n,)
         Of the samples.
     status : tuple of str
@@ -110,7 +110,7 @@ class Archive:
             parts += [
                 (np.array([number]), np.frombuffer(row, dtype="<f8")[None, :], [status])
                 for number, row, status in recent
-                if number % every == 0 or number == recent[-1][0]
+                if number % every == 0
             ]
             holes = tuple(
                 Hole(*one)
