@@ -154,16 +154,19 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
-def at_rest(machine: CondensedMachine, inputs: np.ndarray) -> Step:
+def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step:
     """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
 
     Parameters
     ----------
     machine : CondensedMachine
         What will march.
-    inputs : ndarray, shape (k + l,)
-        At time zero; only the factors of mechanical loads count.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; only the factors of mechanical loads count. Default: no load.
     """
+    if inputs is None:
+        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
     state, elastic = initial_state(machine, inputs), machine.elastic
     displacement = np.zeros(elastic.probe_thermal.shape[0])
     remainder = np.zeros(3 * machine.contacts)
