@@ -15,6 +15,9 @@ from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.stress import COMPONENTS, principal, von_mises
 from meshes.pairing import PairedJoint
 
+#: Names of the stresses of a point, and of its principal stresses.
+COMPONENT_NAMES = tuple("".join(DIRECTIONS[i] for i in pair) for pair in COMPONENTS)
+ORDER_NAMES = ("first", "second", "third")
 #: Forces below this in all count as none, N: their balance is relative to it.
 NO_FORCE = 1e-3
 
@@ -75,8 +78,8 @@ def mechanical_values(
         }
         coords |= {
             "stress_probe": points,
-            "component": ["".join(DIRECTIONS[i] for i in pair) for pair in COMPONENTS],
-            "order": ["first", "second", "third"],
+            "component": list(COMPONENT_NAMES),
+            "order": list(ORDER_NAMES),
         }
     return values, coords
 

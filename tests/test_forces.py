@@ -4,10 +4,14 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
+from batch_cases import case_text, grid
 from hypothesis import given
 from hypothesis import strategies as st
 
 from artefacts.errors import InputError
+from fesim.batch.dataset import open_dataset, store_response
+from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
@@ -151,3 +155,31 @@ def test_invariants_of_a_stress(stress):
     assert von_mises(stress) == pytest.approx(mises, abs=size, rel=1e-6)
     pressed = stress + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * 1e7
     assert von_mises(pressed) == pytest.approx(von_mises(stress), abs=size + 100.0, rel=1e-6)
+
+
+def test_a_batch_keeps_the_forces_of_the_cases_that_ask_for_them(tmp_path):
+    """Cases with and without: what one does not say is not a number in its row."""
+    text = case_text(0.1) + "[loads.gravity]\nacceleration_m_s2 = [0.0, -9.81, 0.0]\n"
+    (tmp_path / "machine.toml").write_text(text)
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "machine.toml"\n{grid("output.forces", True, False)}')
+    study = read_study(path)
+    dataset = open_dataset(tmp_path / "dataset.zarr", study)
+    asked = next(one for one in study.cases if one.case.output.forces)
+    response = simulate(asked.case).response
+    store_response(dataset, asked.id, response)
+    with xr.open_dataset(tmp_path / "dataset.zarr", engine="zarr") as kept:
+        own, other = kept.sel(case=asked.id), kept.drop_sel(case=asked.id)
+        for name in ("reaction", "joint_force", "joint_moment", "force_balance", "load_factor"):
+            np.testing.assert_array_equal(own[name], response[name])
+            assert np.isnan(other[name]).all()
+        assert "stress" not in kept
+
+
+def test_a_batch_without_forces_has_no_place_for_them(tmp_path):
+    (tmp_path / "machine.toml").write_text(case_text(0.1))
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "machine.toml"\n{grid("heat_input.level", 1.0, 2.0)}')
+    arrays = open_dataset(tmp_path / "dataset.zarr", read_study(path)).arrays
+    assert "pressure" in arrays
+    assert not {"reaction", "shear", "support", "load_factor", "joint"} & set(arrays)
