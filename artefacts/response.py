@@ -35,9 +35,9 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "displacement": (("time", "axis"), "m", "relative displacement (attribute displacement_of)"),
     "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
     "pressure": (("time", "contact"), "Pa", "mean normal contact pressure"),
-    "conductance": (("time", "contact"), "W m-2 K-1", "contact conductance (Eq. 11)"),
+    "conductance": (("time", "contact"), "W m-2 K-1", "conductance of contact and gap"),
     "heat_flow": (("time", "contact"), "W", "heat flow across the joint, side a to side b"),
-    "opening": (("time", "contact"), "m", "normal opening from the preloaded state"),
+    "opening": (("time", "contact"), "m", "normal opening from the state at the start"),
     "slip": (("time", "contact", "tangent"), "m", "irreversible tangential slip"),
     "contact_position": (("contact", "space"), "m", "centroid of the contact elements"),
     "contact_area": (("contact",), "m2", "area of the contact elements"),
@@ -56,7 +56,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     ),
     "gap_residual": (("time",), "m", "largest residual of the gap equations"),
     "iterations": (("time",), "1", "Newton iterations"),
-    "cuts": (("time",), "1", "viscous steps where a joint snapped"),
+    "cuts": (("time",), "1", "viscous steps where a joint snapped, and pieces of cut steps"),
     "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
 }
 REQUIRED = ("heat_input", "temperature", "displacement")
