@@ -3,6 +3,8 @@
 Run: ``python benchmarks/robustness.py [--count 2000] [--markdown docs/robustness.md]``. A structure
 is condensed once for `LAWS` marches: neither heat nor joint law enters the condensation. Every
 march follows from the seed and its number alone, so ``--first N --count 1`` marches number N again.
+With ``--loaded`` machine and flange stand on springs, carry gravity and a force that comes and
+goes, and half of their joints start open by 1 um to 0.5 mm, with friction of 0 to 2.
 Exit code 1 if one fails.
 """
 
@@ -14,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,7 +27,7 @@ from rich.table import Table
 
 from artefacts.errors import ThermojointError
 from artefacts.files import write_text
-from fesim.batch.summary import OPEN_BELOW, is_open
+from fesim.batch.summary import OPEN_BELOW, is_open, preloads
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
@@ -39,6 +42,15 @@ LAWS = 40
 FLANGES = 5
 STEPS = 200
 STEP_SECONDS = (1.0, 2.0, 5.0, 10.0)
+#: Initial openings, um, and friction of the marches under load; the stiffness, N/um, of springs
+#: under a body that an open joint does not hold; forces, N.
+OPENINGS, FRICTIONS = (1.0, 500.0), (0.0, 0.2, 0.6, 1.0, 2.0)
+SPRINGS, FORCES = (20.0, 200.0), (100.0, 20000.0)
+#: Surface under which the springs stand, surface of the force, joint that may start open: of the
+#: flange, and of the machine.
+CARRIED = {True: ("bore", "bore", "faces"), False: ("knee.b", "bearings", "knee")}
+#: Times, s, and factors of the force: it comes at once, swells, and changes its sign.
+HISTORIES = ("0,0\n50,0\n50.1,1\n300,1\n300.1,0", "0,0\n400,1\n800,0", "0,1\n200,-1\n400,1")
 #: How a march ends in which nothing holds a body any more: a result, and no failure.
 LOOSE = "has come loose"
 #: Upper ends of the bands of friction that the table tells apart.
@@ -143,15 +155,56 @@ def draw_march(rng: np.random.Generator, data: Data, flange: bool) -> float:
     return highest
 
 
-def marches(first: int, count: int) -> Iterator[Drawn]:
-    """Yield the marches from number `first` on."""
+def load_structure(rng: np.random.Generator, data: Data, flange: bool) -> None:
+    """Put springs, gravity and a force at random under and on a structure."""
+    under, on, _ = CARRIED[flange]
+    stiffness = [spread(rng, *SPRINGS) for _ in range(3)]
+    data["supports"].setdefault("springs", {})[under] = {"stiffness_N_um": stiffness}
+    direction = rng.standard_normal(3)
+    force = spread(rng, *FORCES) * direction / np.linalg.norm(direction)
+    data["loads"] = {
+        "gravity": {"acceleration_m_s2": [0.0, -9.81, 0.0]},
+        "force": {"surface": on, "force_N": force.tolist()},
+    }
+
+
+def load_march(rng: np.random.Generator, data: Data, flange: bool, folder: Path) -> float:
+    """Put a history, openings and friction at random into a case; return the highest friction."""
+    number = int(rng.integers(len(HISTORIES)))
+    data["loads"]["force"]["file"] = str(folder / f"{number}.csv")
+    for name, joint in data["joints"].items():
+        joint["friction_coefficient"] = float(rng.choice(FRICTIONS[1 if flange else 0 :]))
+        joint.pop("initial_opening_um", None)
+        joint.pop("reference_pressure_MPa", None)
+        if name == CARRIED[flange][2] and rng.uniform() < 0.5:
+            joint |= {
+                "preload_MPa": 0.0,
+                "initial_opening_um": spread(rng, *OPENINGS),
+                "reference_pressure_MPa": spread(rng, 0.1, 10.0),
+            }
+    return max(joint["friction_coefficient"] for joint in data["joints"].values())
+
+
+def write_histories(folder: Path) -> None:
+    """Write the histories of the force."""
+    for number, rows in enumerate(HISTORIES):
+        (folder / f"{number}.csv").write_text(f"time_s,factor\n{rows}\n", "utf-8")
+
+
+def marches(first: int, count: int, loads: Path | None = None) -> Iterator[Drawn]:
+    """Yield the marches from number `first` on; under load with a folder of its histories."""
     group, data, flange = -1, {}, False
     for number in range(first, first + count):
         if number // LAWS != group:
             group = number // LAWS
             flange = group % FLANGES == FLANGES - 1
             data = drawn_structure(np.random.default_rng([SEED, 0, group]), flange)
+            if loads is not None:
+                load_structure(np.random.default_rng([SEED, 2, group]), data, flange)
         friction = draw_march(np.random.default_rng([SEED, 1, number]), data, flange)
+        if loads is not None:
+            own = np.random.default_rng([SEED, 3, number])
+            friction = load_march(own, data, flange, loads)
         name = "bolted flange" if flange else "milling machine"
         yield Drawn(number, name, friction, case_from_data(data, f"march {number}", FLANGE))
 
@@ -165,16 +218,18 @@ def figures(response: xr.Dataset) -> Figures:
         cuts=int(response["cuts"].sum()),
         residual=float(response["gap_residual"].max()),
         balance=float(np.abs(response["heat_balance"]).max()),
-        most_open=float(is_open(response["pressure"].to_numpy()).mean(axis=1).max()),
+        most_open=float(
+            is_open(response["pressure"].to_numpy(), preloads(response)).mean(axis=1).max()
+        ),
     )
 
 
-def sweep(first: int, count: int) -> list[tuple[Drawn, Figures | str]]:
+def sweep(first: int, count: int, loads: Path | None = None) -> list[tuple[Drawn, Figures | str]]:
     """March; return the figures of each, or why it failed."""
     found: list[tuple[Drawn, Figures | str]] = []
     setup: Setup | None = None
     console = Console(stderr=True, markup=False)
-    for one in track(marches(first, count), "marches", total=count, console=console):
+    for one in track(marches(first, count, loads), "marches", total=count, console=console):
         if setup is None or one.number % LAWS == 0:
             setup = set_up(one.case)
         try:
@@ -294,8 +349,13 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--markdown", type=Path)
+    parser.add_argument("--loaded", action="store_true")
     asked = parser.parse_args()
-    found = sweep(asked.first, asked.count)
+    if asked.loaded and asked.markdown:
+        parser.error("the page is that of the marches without --loaded")
+    with TemporaryDirectory() as folder:
+        write_histories(Path(folder))
+        found = sweep(asked.first, asked.count, Path(folder) if asked.loaded else None)
     lines = rows(found)
     table = Table(*HEADER)
     for line in lines:

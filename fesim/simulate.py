@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.case.schema import Case, case_from_data, step_count
+from fesim.forces import mechanical_values, outputs_of
 from fesim.march.stepping import (
     Advance,
     CondensedMachine,
@@ -104,6 +105,7 @@ def simulate(
         )
     steps = [] if start is not None else [at_rest(ready.machine, inputs(0.0))]
     probes = [ready.probe_rows @ step.state.temperature for step in steps]
+    outputs = [outputs_of(ready, step) for step in steps]
     count = step_count(case.march) - first.index
     if len(steps) + count < 2:
         raise InputError(
@@ -118,12 +120,14 @@ def simulate(
             state = step.state
             # The temperature field is the one large thing in a step: keep the probes only.
             probes.append(ready.probe_rows @ state.temperature)
+            outputs.append(outputs_of(ready, step))
             steps.append(replace(step, state=replace(state, temperature=np.empty(0))))
             if on_step is not None:
                 on_step(step)
             if progress is not None:
                 progress(done, count)
-    return Simulation(_response(case, ready, steps, np.array(probes)), state)
+    response = _response(case, ready, steps, np.array(probes), np.array(outputs))
+    return Simulation(response, state)
 
 
 def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
@@ -150,16 +154,19 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
-def at_rest(machine: CondensedMachine, inputs: np.ndarray) -> Step:
+def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step:
     """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
 
     Parameters
     ----------
     machine : CondensedMachine
         What will march.
-    inputs : ndarray, shape (k + l,)
-        At time zero; only the factors of mechanical loads count.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; only the factors of mechanical loads count. Default: no load.
     """
+    if inputs is None:
+        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
     state, elastic = initial_state(machine, inputs), machine.elastic
     displacement = np.zeros(elastic.probe_thermal.shape[0])
     remainder = np.zeros(3 * machine.contacts)
@@ -186,7 +193,9 @@ def at_rest(machine: CondensedMachine, inputs: np.ndarray) -> Step:
     )
 
 
-def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -> xr.Dataset:
+def _response(
+    case: Case, setup: Setup, steps: list[Step], probes: np.ndarray, outputs: np.ndarray
+) -> xr.Dataset:
     machine = setup.machine
     names = [joint.name for joint in setup.joints for _ in joint.area]
     times = machine.thermal.step * np.array([step.state.index for step in steps])
@@ -226,6 +235,8 @@ def _response(case: Case, setup: Setup, steps: list[Step], probes: np.ndarray) -
     }
     if case.loads:
         coords["load"] = list(case.loads)
+    forces, places = mechanical_values(case, setup, steps, outputs)
+    values, coords = values | forces, coords | places
     attrs: dict[str, str | float | int] = {
         "title": case.title,
         "reference_power_W": _reference_power(case),

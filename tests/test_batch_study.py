@@ -177,6 +177,7 @@ NOT_CONDENSED = {
     "joints.knee.normal_law": "back-burdekin",
     "joints.knee.back_burdekin": {"coefficient_um": 0.5, "exponent": 0.5},
     "joints.knee.conductance": {"law": "cmy-exact"},
+    "joints.knee.gap": {"gas_conductivity_W_mK": 0.026},
     "joints.knee.friction_coefficient": 0.1,
     "joints.knee.tangential_stiffness_ratio": 0.5,
     "output.snapshots_s": [10.0],
@@ -199,6 +200,10 @@ CONDENSED = {
     "convection_W_m2K.exterior": 7.0,
     "sources.bearings.surface": "interior",
     "held_temperatures": {"exterior": {"rise_K": 1.0}},
+    "loads": {"gravity": {"acceleration_m_s2": [0.0, -9.81, 0.0]}},
+    "walls": {"floor": {"faces": "column_base"}},
+    "output.forces": True,
+    "output.stress_probes": ["T1"],
     "march.step_s": 1.0,
     "march.solver": "superlu",
     "march.thermal": "reduced",
@@ -206,6 +211,8 @@ CONDENSED = {
     "probes.T1.position_mm": [625.0, 450.0, 80.0],
     "candidates": [{"body": "table", "low_mm": [0, 0, 0], "high_mm": [1, 1, 1], "spacing_mm": 1.0}],
 }
+#: What a joint has in the place of its preload.
+OF_OPEN_JOINTS = {"joints.knee.initial_opening_um", "joints.knee.reference_pressure_MPa"}
 #: As NOT_CONDENSED, for a case that has them.
 OF_OTHER_LOADS = {"held_temperatures.exterior.rise_K": 2.0, "ambient": None}
 
@@ -254,7 +261,20 @@ def test_every_value_of_a_case_is_known_to_one_of_the_two_lists(data):
     sections = {path.split(".")[0] for path in known_paths(made(data, {}))}
     joint = {p for p in known_paths(made(data, {})) if p.startswith("joints.knee.")}
     assert sections - {p.split(".")[0] for p in above} == {"ambient"}
-    assert {p for p in joint if p.count(".") == 2} <= above | {"joints.knee.side_b"}
+    assert {p for p in joint if p.count(".") == 2} <= above | {
+        "joints.knee.side_b"
+    } | OF_OPEN_JOINTS
+
+
+def test_an_opening_is_part_of_the_law(data):
+    """No joint has it beside a preload: as OF_OPEN_JOINTS, both at once."""
+    closed = data["joints"]["knee"] | {"preload_MPa": 0.0, "reference_pressure_MPa": 4.0}
+    wide, wider = (
+        made(data, {"joints.knee": closed | {"initial_opening_um": opening}})
+        for opening in (0.0, 50.0)
+    )
+    assert condensation_key(wide) == condensation_key(wider) == condensation_key(made(data, {}))
+    assert case_id(wide) != case_id(wider)
 
 
 def test_the_strength_of_a_held_temperature_is_a_load_and_its_place_is_not(data):

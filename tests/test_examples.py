@@ -105,3 +105,20 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
     assert set(made.surfaces) == set(kept.surfaces)
     assert made.joints == kept.joints
     assert made.mesh.nelements == pytest.approx(kept.mesh.nelements, rel=0.2)
+
+
+def test_the_loaded_machine_stands_on_its_foot_and_its_screw():
+    """In every step supports bear weight and cutting force; half of the machine is meshed."""
+    response = simulate(read_case(EXAMPLES / "loaded_machine" / "machine.toml")).response
+    assert response["force_balance"].max().item() < 1e-6
+    cutting = response["load_factor"].sel(load="cutting").to_numpy()
+    borne = response["reaction"].sum("support").sel(space=["x", "y"]).to_numpy()
+    weight = borne[0, 1]
+    np.testing.assert_allclose(borne[:, 0], 1000.0 * cutting, atol=1e-3)
+    np.testing.assert_allclose(borne[:, 1] - weight, -500.0 * cutting, atol=1e-3)
+    # The tool is pushed back when it begins to cut, and comes back when it ends.
+    at = response["displacement"].sel(axis="x").to_numpy()
+    bent = np.diff(at, 2)
+    assert bent[59] < -0.1e-6
+    assert bent[119] == pytest.approx(-bent[59], rel=0.2)
+    assert response["von_mises"].max().item() > 1e5

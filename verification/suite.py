@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from verification import (
+    bearing,
     bistable,
     dissimilar_rods,
     friction,
@@ -141,6 +142,14 @@ GROUPS: tuple[Group, ...] = (
         "$\\rho g L^2/2E$; on a joint without preload, against a rigid wall, its feet press by "
         "its weight; a force on two preloaded bars in series, risen with a history, changes their "
         "joint's pressure by $F/A$, and the law of rough surfaces says by how much it gives way.",
+    ),
+    Group(
+        "Forces and stresses",
+        bearing.checks,
+        "From case files: what a column of two bodies bears at its foot and in its joint under its "
+        "weight, a force from above and one from the side; the stress of a column under pressure; "
+        "the stresses of Lamé in a thick ring under pressure from within, at mid radius, and the "
+        "force in its cut. 20 × 32 elements with straight edges over a quarter of the ring.",
     ),
     Group(
         "Two dissimilar rods",

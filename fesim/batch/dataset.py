@@ -22,6 +22,8 @@ from artefacts.errors import InputError
 from artefacts.response import VARIABLES
 from fesim.batch.study import Study, plain
 from fesim.case.schema import first_step_at
+from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
+from fesim.setup.outputs import support_names
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,6 +34,9 @@ STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
 #: Time steps in a chunk at most: where steps of different lengths stand on one axis, most of it is
 #: empty, and an empty chunk takes no room.
 CHUNK = 4096
+
+#: Variables that come with others of a dimension that they do not have.
+_WITH = {"force_balance": ("support",), "shear": ("joint",)}
 
 Labels = NDArray[Any]
 
@@ -71,6 +76,16 @@ def open_dataset(path: Path, study: Study) -> Dataset:
 def dimension_labels(study: Study) -> dict[str, Labels]:
     """Return the labels of every dimension but ``case``: the union of those of its cases."""
     shapes = study.shapes.values()
+    cases = [one.case for one in study.cases]
+    forces = [case for case in cases if case.output.forces]
+    asked = {
+        "load": _union(case.loads for case in cases),
+        "support": _union(support_names(case) for case in forces),
+        "joint": _union(case.joints for case in forces),
+        "stress_probe": _union(case.output.stress_probes for case in cases),
+    }
+    if asked["stress_probe"].size:
+        asked |= {"component": np.array(COMPONENT_NAMES), "order": np.array(ORDER_NAMES)}
     return {
         "time": np.unique(np.concatenate([_times(length, step) for length, step in _runs(study)])),
         "source": _union(one.case.sources for one in study.cases),
@@ -79,13 +94,22 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
         "space": np.array(["x", "y", "z"]),
         "tangent": np.array(["along", "across"]),
         "contact": np.arange(1, max(shape.contacts for shape in shapes) + 1),
+    } | {name: some for name, some in asked.items() if some.size}
+
+
+def _variables(labels: dict[str, Labels]) -> dict[str, tuple[tuple[str, ...], str, str]]:
+    """Return what the responses of a study hold: what no case asks for has no labels."""
+    return {
+        name: said
+        for name, said in VARIABLES.items()
+        if {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
     }
 
 
 def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
     """Write one response into its row; writing it again changes nothing."""
     at = dataset.row[case]
-    for name, (dims, _, _) in VARIABLES.items():
+    for name, (dims, _, _) in _variables(dataset.labels).items():
         if name not in response:
             continue
         values = response[name].to_numpy()
@@ -138,7 +162,7 @@ def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
 
 
 def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
-    parts: list[Any] = [list(study.paths), list(VARIABLES)]
+    parts: list[Any] = [list(study.paths), list(_variables(labels))]
     parts += [[one.id, *(plain(value) for value in one.values.values())] for one in study.cases]
     parts += [[name, some.tolist()] for name, some in labels.items()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
@@ -159,7 +183,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
         numbers = all(isinstance(value, int | float) for value in values)
         column = np.array(values, dtype=float if numbers else str)
         _coordinate(group, varied[-1], ("case",), column, {"long_name": path_name})
-    for name, (dims, unit, long_name) in VARIABLES.items():
+    for name, (dims, unit, long_name) in _variables(labels).items():
         shape = (count, *(len(labels[dim]) for dim in dims))
         chunks = (1, *(CHUNK if dim == "time" else max(len(labels[dim]), 1) for dim in dims))
         text = name == "contact_joint"

@@ -36,6 +36,7 @@ FIGURES = {
     "temperature_max_K": "highest temperature of a probe above the initial ambient",
     "gap_residual_m": "largest residual of the gap equations",
     "heat_balance": "largest error of the heat balance, relative",
+    "force_balance": "largest error of the balance of supports and loads, relative",
     "steps": "time steps",
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
@@ -113,6 +114,8 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures["temperature_max_K"] = float(response["temperature"].max())
     figures["gap_residual_m"] = float(response["gap_residual"].max())
     figures["heat_balance"] = float(np.abs(response["heat_balance"]).max())
+    if "force_balance" in response:
+        figures["force_balance"] = float(response["force_balance"].max())
     figures["steps"] = response.sizes["time"] - 1
     figures["iterations"] = int(response["iterations"].sum())
     figures["cuts"] = int(response["cuts"].sum())

@@ -109,7 +109,7 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
         As for `case_id`.
     """
     data = _condensed(case)
-    del data["loads"]
+    del data["loads"], data["output"]
     data["march"] = {"solver": case.march.solver or default_solver()}
     return _hash(with_digests(data, digest))
 
@@ -128,6 +128,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
     data["held_temperatures"] = list(data["held_temperatures"])
     data["loads"] = load_patterns(case)
+    data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())
     return data
 

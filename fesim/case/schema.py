@@ -371,9 +371,14 @@ class CandidatesSection(_Section):
 
 
 class OutputSection(_Section):
-    """``[output]``."""
+    """``[output]``.
+
+    ``forces`` asks for what supports and joints bear; ``stress_probes`` are names of ``[probes]``.
+    """
 
     snapshots_s: list[NotNegative] = []
+    forces: bool = False
+    stress_probes: list[str] = []
 
 
 class Case(_Section):

@@ -32,7 +32,7 @@ Settle = Callable[[Array, Array, Array], Equilibrium]
 
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
-MAX_SWEEPS = 100
+MAX_SWEEPS = 400
 #: Least and largest weight of a sweep.
 WEIGHTS = 0.05, 10.0
 #: From this sweep on, an agreement within what the gap equations leave open is one.

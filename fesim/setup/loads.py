@@ -48,7 +48,9 @@ def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
     for name, load in case.loads.items():
         where = f"loads.{name}"
         if load.acceleration_m_s2 is not None:
-            bodies = tuple(structure.bodies) if load.bodies is None else tuple(load.bodies)
+            # A wall stands for something of no size: it has no weight.
+            every = tuple(body for body in structure.bodies if body not in case.walls)
+            bodies = every if load.bodies is None else tuple(load.bodies)
             for body in bodies:
                 structure.body(body, f"{where}.bodies")
             found.append(BodyForce(bodies, load.acceleration_m_s2))

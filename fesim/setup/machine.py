@@ -34,6 +34,7 @@ from fesim.setup.loads import (
     spring_stiffnesses,
     thermal_inputs,
 )
+from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
@@ -47,6 +48,7 @@ from fesim.solid.elasticity import DIRECTIONS, elastic_operators
 from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import by_cell, heat_operators
 from fesim.solid.materials import Material
+from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Holds, check_held
 from fesim.solid.spaces import Spaces, cells_at, make_spaces, probe_rows
 from meshes.exchange import read_structure
@@ -111,6 +113,8 @@ class Setup:
         What holds the bodies.
     forces : ndarray, shape (n, l)
         Nodal forces of the mechanical loads at factor one, N.
+    outputs : MechanicalOutputs or None
+        Forces and stresses, if the case asks for them.
     """
 
     structure: Structure
@@ -123,6 +127,7 @@ class Setup:
     modes: ThermalModes | None
     holds: Holds
     forces: NDArray[np.float64]
+    outputs: MechanicalOutputs | None
 
     @property
     def field(self) -> DisplacementField:
@@ -210,6 +215,15 @@ def set_up(case: Case) -> Setup:
             None if key is None else f"{key} under {load_patterns(case)}",
             lambda: condense_loads(field(), forces, relative),
         )
+    outputs = None
+    if asks_for_outputs(case):
+        outputs = remembered(
+            MechanicalOutputs,
+            None if key is None else f"{key} under {load_patterns(case)} gives {case.output!r}",
+            lambda: mechanical_outputs(
+                case, structure, spaces, materials, field(), springs, forces
+            ),
+        )
     modes = None
     if case.march.thermal == "reduced":
         modes = remembered(
@@ -219,6 +233,8 @@ def set_up(case: Case) -> Setup:
         )
         thermal = project_heat(heat, operators, step, modes)
         elastic = project_elasticity(condensed, modes)
+        if outputs is not None:
+            outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
     else:
         thermal, elastic = condense_heat(heat, operators, step, solver), condensed
     return Setup(
@@ -232,6 +248,7 @@ def set_up(case: Case) -> Setup:
         modes=modes,
         holds=parts.holds,
         forces=forces,
+        outputs=outputs,
     )
 
 
@@ -279,6 +296,9 @@ def check_names(case: Case, structure: Structure) -> None:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
     mechanical_loads(case, structure)
+    for name in case.output.stress_probes:
+        if name not in structure.probes:
+            raise unknown_name("probe", name, structure.probes, "output.stress_probes")
     for name in measured_points(case):
         if name not in structure.probes:
             raise unknown_name("probe", name, structure.probes, "displacement")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from skfem import CellBasis
 
 from artefacts.arrays import Array
@@ -11,6 +12,9 @@ from fesim.solid.heat import by_cell
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
+
+#: The stresses of a point in the order of their rows, as pairs of directions.
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
 def stress_at(
@@ -22,7 +26,34 @@ def stress_at(
     points: Array,
     cells: NDArray[np.int64],
 ) -> Array:
-    """Stress at points, with no smoothing: on a cell's boundary it is that of the named cell.
+    """Stress at points; arguments as for `stress_rows`, and what its rows are multiplied by.
+
+    Parameters
+    ----------
+    structure, spaces, materials, points, cells
+        As for `stress_rows`.
+    displacement : ndarray, shape (3 n,)
+        Unknown 3 i + c is direction c at node i, m (`fesim.solid.condensation.DisplacementField`).
+    temperature : ndarray, shape (n_heat,)
+        Above the temperature without thermal strain, K.
+
+    Returns
+    -------
+    ndarray, shape (k, 3, 3)
+        Pa, tension positive.
+    """
+    moved, heated = stress_rows(structure, spaces, materials, points, cells)
+    return stress_tensors((moved @ displacement + heated @ temperature).reshape(-1, 6))
+
+
+def stress_rows(
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    points: Array,
+    cells: NDArray[np.int64],
+) -> tuple[csr_array, csr_array]:
+    """Rows that give stresses, with no smoothing: on a cell's boundary that of the named cell.
 
     sigma = lambda tr(e) I + 2 mu e - (3 lambda + 2 mu) alpha T I, with the strain e = sym grad u.
 
@@ -34,10 +65,6 @@ def stress_at(
         Its spaces.
     materials : dict
         Body name to its material.
-    displacement : ndarray, shape (3 n,)
-        Unknown 3 i + c is direction c at node i, m (`fesim.solid.condensation.DisplacementField`).
-    temperature : ndarray, shape (n_heat,)
-        Above the temperature without thermal strain, K.
     points : ndarray, shape (3, k)
         Points, m.
     cells : ndarray of int, shape (k,)
@@ -45,19 +72,11 @@ def stress_at(
 
     Returns
     -------
-    ndarray, shape (k, 3, 3)
-        Pa, tension positive.
+    tuple of scipy.sparse.csr_array, shapes (6 k, 3 n) and (6 k, n_heat)
+        Pa/m on displacements and Pa/K on temperatures; `COMPONENTS` point by point.
     """
     local = local_coordinates(structure.mesh, points, cells)[:, :, None]
     elastic, heat = spaces.elastic, spaces.heat
-    nodal = displacement.reshape(-1, 3)[elastic.element_dofs[:, cells]]
-    gradient = np.einsum("fki,fjk->kij", nodal, _shape_gradients(elastic, local, cells))
-    strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-    rise = np.einsum(
-        "fk,fk->k",
-        temperature[heat.element_dofs[:, cells]],
-        shape_values(heat.elem, heat, local, cells),
-    )
     lam, mu, alpha = (
         by_cell(structure, values)[cells]
         for values in (
@@ -66,9 +85,50 @@ def stress_at(
             {name: m.expansion for name, m in materials.items()},
         )
     )
-    trace = np.trace(strain, axis1=1, axis2=2)
-    even = lam * trace - (3.0 * lam + 2.0 * mu) * alpha * rise
-    return 2.0 * mu[:, None, None] * strain + even[:, None, None] * np.eye(3)
+    slopes = _shape_gradients(elastic, local, cells)
+    count, points_count = slopes.shape[0], len(cells)
+    moved = np.zeros((points_count, 6, count, 3))
+    heated = np.zeros((points_count, 6, heat.element_dofs.shape[0]))
+    shapes = shape_values(heat.elem, heat, local, cells)
+    for row, (i, j) in enumerate(COMPONENTS):
+        moved[:, row, :, i] += (mu * slopes[:, j]).T
+        moved[:, row, :, j] += (mu * slopes[:, i]).T
+        if i == j:
+            moved[:, row] += (lam * slopes).transpose(2, 0, 1)
+            heated[:, row] = -((3.0 * lam + 2.0 * mu) * alpha * shapes).T
+    unknowns = 3 * elastic.element_dofs[:, cells].T[:, :, None] + np.arange(3)
+    return (
+        _rows(moved.reshape(points_count, 6, -1), unknowns, spaces.displacement_size),
+        _rows(heated, heat.element_dofs[:, cells].T, int(heat.N)),
+    )
+
+
+def _rows(values: Array, unknowns: NDArray[np.int64], size: int) -> csr_array:
+    """Rows (6 k, size) of values (k, 6, u) at unknowns (k, u)."""
+    at = np.broadcast_to(unknowns.reshape(len(values), 1, -1), values.shape)
+    row = np.broadcast_to(np.arange(6 * len(values)).reshape(-1, 6, 1), values.shape)
+    shape = (6 * len(values), size)
+    return csr_array((values.ravel(), (row.ravel(), at.ravel())), shape=shape)
+
+
+def stress_tensors(components: Array) -> Array:
+    """Return tensors (..., 3, 3) of `COMPONENTS` (..., 6)."""
+    number = {pair: row for row, pair in enumerate(COMPONENTS)}
+    order = [[number.get((i, j), number.get((j, i), 0)) for j in range(3)] for i in range(3)]
+    return np.asarray(components[..., order])
+
+
+def von_mises(components: Array) -> Array:
+    """Return the equivalent stress (...,) of `COMPONENTS` (..., 6): sqrt(3/2 s:s), s deviatoric."""
+    normal, shear = components[..., :3], components[..., 3:]
+    apart = normal - np.roll(normal, 1, axis=-1)
+    found = np.sqrt(0.5 * (apart**2).sum(axis=-1) + 3.0 * (shear**2).sum(axis=-1))
+    return np.asarray(found)
+
+
+def principal(components: Array) -> Array:
+    """Return the principal stresses (..., 3) of `COMPONENTS` (..., 6), the largest first."""
+    return np.asarray(np.linalg.eigvalsh(stress_tensors(components))[..., ::-1])
 
 
 def _shape_gradients(basis: CellBasis, local: Array, cells: NDArray[np.int64]) -> Array:

@@ -132,6 +132,11 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         f"[probes.{as_key('P')}]",
         "position_mm = [0.0, 0.0, 0.0]",
         "",
+        "# What supports and joints bear, and stresses at probes, in the response:",
+        "# [output]",
+        "# forces = true",
+        f"# stress_probes = [{as_text('P')}]",
+        "",
     ]
     return "\n".join(lines)
 

@@ -1,0 +1,71 @@
+"""What a case asks for beside temperatures and one displacement: forces and stresses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from artefacts.arrays import Array
+from fesim.case.schema import Case
+from fesim.setup.holds import fixed_surfaces
+from fesim.setup.loads import spring_stiffnesses
+from fesim.solid.condensation import DisplacementField
+from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.materials import Material
+from fesim.solid.outputs import (
+    MechanicalOutputs,
+    condense_outputs,
+    reaction_rows,
+    with_stresses,
+)
+from fesim.solid.spaces import Spaces, probe_cells
+from fesim.solid.stress import stress_rows
+from meshes.structure import Structure
+
+
+def asks_for_outputs(case: Case) -> bool:
+    """Whether a case asks for forces or stresses."""
+    return case.output.forces or bool(case.output.stress_probes)
+
+
+def support_names(case: Case) -> list[str]:
+    """Return what the supports of a case are called in a response, in the order of its rows."""
+    held = [*fixed_surfaces(case), *case.supports.symmetry]
+    springs = [f"{name} springs" if name in held else name for name in case.supports.springs]
+    return [*held, *springs]
+
+
+def mechanical_outputs(
+    case: Case,
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    field: DisplacementField,
+    reference: Array,
+    forces: Array,
+) -> MechanicalOutputs:
+    """Condense what a case asks for: three rows a support, then six a stress probe.
+
+    Parameters
+    ----------
+    case, structure, spaces, materials
+        What is set up.
+    field : DisplacementField
+        The factorised structure.
+    reference : ndarray, shape (3 m,)
+        Stiffness of the reference springs, Pa/m.
+    forces : ndarray, shape (n, l)
+        Nodal forces of the loads, N.
+    """
+    every = range(len(DIRECTIONS))
+    held = [
+        *((name, tuple(every)) for name in fixed_surfaces(case)),
+        *((name, (DIRECTIONS.index(axis),)) for name, axis in case.supports.symmetry.items()),
+    ]
+    springs = list(spring_stiffnesses(case, structure).items())
+    rows = reaction_rows(structure, spaces, field, reference, forces, held, springs)
+    if case.output.stress_probes:
+        probes = {name: structure.probes[name] for name in case.output.stress_probes}
+        points = np.array([probe.position for probe in probes.values()]).T
+        cells = probe_cells(structure, probes)
+        rows = with_stresses(rows, *stress_rows(structure, spaces, materials, points, cells))
+    return condense_outputs(field, rows, forces)

@@ -1,0 +1,186 @@
+"""Forces of supports and stresses at points, condensed as linear functions of a step.
+
+An output is o = c_u u + c_T T + c_z r + c_f phi with displacement u, temperature T, the joints'
+remainder r = z + k g and load factors phi. With the adjoint y = Kr^-1 c_u of each output, solved
+once, it needs no displacement field: o = (c_T + y F) T + (c_z + y G^T A) r + (c_f + y f) phi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, vstack
+
+from artefacts.arrays import Array
+from fesim.solid.condensation import DisplacementField
+from fesim.solid.heat import film_form, surface_basis
+from fesim.solid.linear_solver import checked_solve
+from fesim.solid.spaces import Spaces
+from meshes.structure import Structure
+
+
+@dataclass(frozen=True)
+class OutputRows:
+    """c_u, c_T, c_z and c_f of o outputs, side by side.
+
+    Attributes
+    ----------
+    displacement : scipy.sparse.csr_array, shape (o, n)
+    temperature : scipy.sparse.csr_array, shape (o, n_heat)
+    remainder : ndarray, shape (o, 3 m)
+    loads : ndarray, shape (o, l)
+    """
+
+    displacement: csr_array
+    temperature: csr_array
+    remainder: Array
+    loads: Array
+
+
+@dataclass(frozen=True)
+class MechanicalOutputs:
+    """Outputs as functions of a step.
+
+    Attributes
+    ----------
+    temperature : ndarray, shape (o, n)
+        Per K, or per amplitude of a reduced model.
+    remainder : ndarray, shape (o, 3 m)
+        Per Pa.
+    loads : ndarray, shape (o, l)
+        Per unit of each load's factor.
+    """
+
+    temperature: Array
+    remainder: Array
+    loads: Array
+
+    def of(self, temperature: Array, remainder: Array, factors: Array) -> Array:
+        """Outputs (o,) of a step."""
+        found = self.temperature @ temperature + self.remainder @ remainder
+        return np.asarray(found + self.loads @ factors)
+
+
+def condense_outputs(
+    field: DisplacementField, rows: OutputRows, forces: Array
+) -> MechanicalOutputs:
+    """Solve the adjoints.
+
+    Parameters
+    ----------
+    field : DisplacementField
+        The factorised structure.
+    rows : OutputRows
+        What is asked for.
+    forces : ndarray, shape (n, l)
+        Nodal forces of the loads, N.
+    """
+    operators, free = field.operators, field.operators.free
+    asked = rows.displacement[:, free].toarray().T
+    adjoint = checked_solve(field.factor, np.ascontiguousarray(asked), "mechanical outputs").T
+    by_force = (field.gap[:, free] @ adjoint.T).T * field.area
+    return MechanicalOutputs(
+        temperature=(operators.thermal_load[free].T @ adjoint.T).T + rows.temperature.toarray(),
+        remainder=by_force + rows.remainder,
+        loads=adjoint @ forces[free] + rows.loads,
+    )
+
+
+def stacked(rows: Sequence[OutputRows]) -> OutputRows:
+    """Put the rows of several outputs one below the other."""
+    return OutputRows(
+        csr_array(vstack([one.displacement for one in rows])),
+        csr_array(vstack([one.temperature for one in rows])),
+        np.vstack([one.remainder for one in rows]),
+        np.vstack([one.loads for one in rows]),
+    )
+
+
+def reaction_rows(
+    structure: Structure,
+    spaces: Spaces,
+    field: DisplacementField,
+    reference: Array,
+    forces: Array,
+    held: Sequence[tuple[str, Sequence[int]]],
+    springs: Sequence[tuple[str, tuple[float, float, float]]],
+) -> OutputRows:
+    """Rows of the forces of supports on the structure, N: x, y and z of each.
+
+    What a held unknown lacks for equilibrium, K u - F T - f phi - G^T A z, is the support's.
+
+    Parameters
+    ----------
+    structure, spaces
+        Mesh and spaces.
+    field : DisplacementField
+        The factorised structure.
+    reference : ndarray, shape (3 m,)
+        Stiffness of the reference springs, Pa/m.
+    forces : ndarray, shape (n, l)
+        Nodal forces of the loads, N.
+    held : sequence of (str, sequence of int)
+        Surfaces and the directions they are held in; what two of them hold is the first one's.
+    springs : sequence of (str, tuple of float)
+        Surfaces and the stiffness of the springs under them along x, y and z, N/m.
+    """
+    size = spaces.displacement_size
+    chosen = np.zeros((3 * len(held), size))
+    taken = np.zeros(size, dtype=bool)
+    for k, (name, directions) in enumerate(held):
+        dofs: NDArray[np.int64] = spaces.elastic.get_dofs(structure.surface(name, "supports")).all()
+        for i in directions:
+            own = 3 * dofs + i
+            chosen[3 * k + i, own[~taken[own]]] = 1.0
+            taken[own] = True
+    sums = csr_array(chosen)
+    lacking = sums @ field.gap.T @ diags_array(field.area)
+    operators = field.operators
+    # z is the remainder less the reference springs' share.
+    fixed = OutputRows(
+        csr_array(sums @ operators.stiffness + lacking @ diags_array(reference) @ field.gap),
+        csr_array(-(sums @ operators.thermal_load)),
+        -lacking.toarray(),
+        -(sums @ forces),
+    )
+    return stacked([fixed, _spring_rows(structure, spaces, fixed, springs)])
+
+
+def _spring_rows(
+    structure: Structure,
+    spaces: Spaces,
+    like: OutputRows,
+    springs: Sequence[tuple[str, tuple[float, float, float]]],
+) -> OutputRows:
+    rows = np.zeros((3 * len(springs), spaces.displacement_size))
+    for k, (name, stiffness) in enumerate(springs):
+        bed = csr_array(film_form.assemble(surface_basis(structure, spaces.elastic, name)))
+        share = np.asarray(bed.sum(axis=0)).ravel() / bed.sum()
+        for i in range(3):
+            rows[3 * k + i, i::3] = -stiffness[i] * share
+    return _on_displacements(csr_array(rows), like)
+
+
+def _on_displacements(rows: csr_array, like: OutputRows) -> OutputRows:
+    """Rows that displacements alone decide, as wide as others."""
+    count = rows.shape[0]
+    return OutputRows(
+        rows,
+        csr_array((count, like.temperature.shape[1])),
+        np.zeros((count, like.remainder.shape[1])),
+        np.zeros((count, like.loads.shape[1])),
+    )
+
+
+def with_stresses(reactions: OutputRows, moved: csr_array, heated: csr_array) -> OutputRows:
+    """Add rows of stresses (`fesim.solid.stress.stress_rows`) below those of reactions."""
+    stresses = _on_displacements(moved, reactions)
+    return stacked(
+        [
+            reactions,
+            OutputRows(moved, heated, stresses.remainder, stresses.loads),
+        ]
+    )
