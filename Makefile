@@ -12,8 +12,9 @@ install: $(INSTALLED)
 reproduce: $(INSTALLED)
 	$(BIN)/thermojoint reproduce --out $(OUT)
 
+# Without a worker that was lost the rest may wait for ever: end then.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 2 --dist loadscope
+	$(BIN)/python -m pytest -n 2 --dist loadscope --max-worker-restart 0
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where

@@ -8,8 +8,11 @@ import math
 import socket
 import ssl
 import stat
+import subprocess
+import sys
 import time
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import httpx
 import live_parts
@@ -22,7 +25,6 @@ from hypothesis import strategies as st
 from live_parts import free_port
 
 from artefacts.errors import InputError
-from benchmarks import http_fuzz
 from estimator.interface import Channel
 from live.http import gate, server
 from live.http.access import SHORTEST_TOKEN, access_by
@@ -499,14 +501,10 @@ def test_a_service_opens_this_door_by_its_file(tmp_path, hand_made_model):
 # Anything
 
 
-def test_malformed_requests_find_nothing(floor):
-    floor.forget_failures()
-    host, port = floor.url.removeprefix("http://").split(":")
-    report = http_fuzz.attack(host, int(port), TOKEN, count=300, seed=12)
-    assert report.server_errors == 0
-    assert report.unanswered == 0
-    assert report.sent == 300
-    assert floor.hub.newest["mill-1"].machine == "mill-1"
-    answer = httpx.get(f"{floor.url}/api/machines/mill-1/latest", headers=BEARER)
-    assert answer.json() == as_json(floor.hub.newest["mill-1"])
-    floor.forget_failures()
+def test_malformed_requests_find_nothing():
+    """In processes of their own: neither side can take the test's down."""
+    command = [sys.executable, "-m", "benchmarks.http_fuzz", "--count", "300", "--seed", "12"]
+    found = subprocess.run(
+        command, cwd=Path(__file__).parents[1], capture_output=True, text=True, timeout=180
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
