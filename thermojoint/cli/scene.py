@@ -18,7 +18,7 @@ def scene(
     """Write the surface of a machine, for the 3-D picture in the service's dashboard.
 
     A joint-aware model has no mesh; this keeps the mesh's outer faces and what the model says of
-    their temperature. The service file names it: scene = "machine_scene.h5" in \\[models.NAME].
+    their temperature. The service file names it beside the model: scene = "machine_scene.h5".
 
     Example: [bold]thermojoint scene machine.toml joint_aware.h5 --out machine_scene.h5[/bold]
     """
