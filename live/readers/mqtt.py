@@ -23,6 +23,7 @@ import aiomqtt
 
 from live.arrivals import Arrival, Note
 from live.mqtt_session import FIRST_S, Address, acknowledge, address_of, connected, lost, next_delay
+from live.readers.session import beside
 from live.settings import MqttSource, Service
 from live.times import seconds_of
 
@@ -77,21 +78,12 @@ class MqttReader:
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield what comes, for ever; a connection that is lost is made again."""
-        session = asyncio.create_task(self._stay_connected())
-        session.add_done_callback(lambda _: self._came.set())
-        try:
+        async with beside(self._stay_connected(), self._came) as heard:
             while True:
-                await self._came.wait()
-                self._came.clear()
-                if session.done():
-                    # It ends by an error alone.
-                    session.result()
+                await heard()
                 while self._found:
                     count = min(len(self._found), _AT_ONCE)
                     yield [self._found.popleft() for _ in range(count)]
-        finally:
-            session.cancel()
-            await asyncio.gather(session, return_exceptions=True)
 
     async def _stay_connected(self) -> None:
         delay, where = FIRST_S, f"{self.address.host}:{self.address.port}"

@@ -24,6 +24,7 @@ from artefacts.errors import InputError
 from live.arrivals import Arrival, Note
 from live.certificates import APPLICATION, certificate_der, own_identity
 from live.mqtt_session import FIRST_S, next_delay
+from live.readers.session import beside
 from live.secret import read_secret
 from live.served import Served
 from live.settings import OpcuaSource, Service
@@ -100,22 +101,13 @@ class OpcuaReader:
         self._newest = {
             machine: float(at) for machine, at in positions.items() if isinstance(at, int | float)
         }
-        session = asyncio.create_task(self._stay_connected())
-        session.add_done_callback(lambda _: self._came.set())
-        try:
+        async with beside(self._stay_connected(), self._came) as heard:
             while True:
-                await self._came.wait()
-                self._came.clear()
-                if session.done():
-                    # It ends by an error alone.
-                    session.result()
+                await heard()
                 found = in_order(self._found)
                 self._found.clear()
                 for k in range(0, len(found), _AT_ONCE):
                     yield found[k : k + _AT_ONCE]
-        finally:
-            session.cancel()
-            await asyncio.gather(session, return_exceptions=True)
 
     async def _stay_connected(self) -> None:
         delay = FIRST_S

@@ -1,0 +1,37 @@
+"""A connection that is kept beside what reads from it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager
+from typing import Any
+
+
+@asynccontextmanager
+async def beside(
+    staying: Coroutine[Any, Any, None], came: asyncio.Event
+) -> AsyncIterator[Callable[[], Awaitable[None]]]:
+    """Run a session that ends by an error alone; give what waits until something came.
+
+    Parameters
+    ----------
+    staying : coroutine
+        Stays connected; cancelled at the end.
+    came : Event
+        Set where something was found.
+    """
+    session = asyncio.create_task(staying)
+    session.add_done_callback(lambda _: came.set())
+
+    async def heard() -> None:
+        await came.wait()
+        came.clear()
+        if session.done():
+            session.result()
+
+    try:
+        yield heard
+    finally:
+        session.cancel()
+        await asyncio.gather(session, return_exceptions=True)
