@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from artefacts.errors import InputError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -83,3 +88,37 @@ def without_header(content: Any, kind: JsonKind, where: str) -> dict[str, Any]: 
             f"{kind.version}; {kind.remedy}"
         )
     return {key: value for key, value in content.items() if key not in kind.header}
+
+
+def validated(
+    kind: TypeAdapter[T],
+    content: Any,  # noqa: ANN401
+    where: str,
+    remedy: str,
+    members: Collection[str] = (),
+) -> T:
+    """Return content without its header as what it describes.
+
+    Parameters
+    ----------
+    kind : TypeAdapter
+        Of what it describes.
+    content : object
+        As JSON has it.
+    where, remedy : str
+        For the error message.
+    members : collection of str
+        Classes of unions: which of them was tried is no place in the file.
+
+    Raises
+    ------
+    InputError
+        Something is missing, unknown or no value of its kind: says what and where.
+    """
+    try:
+        # As JSON, not as Python objects: there lists are tuples and keys numbers.
+        return kind.validate_json(json.dumps(content))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(part for part in map(str, first["loc"]) if part not in members)
+        raise InputError(f"{where}: {place}: {first['msg']}; {remedy}") from error

@@ -14,6 +14,7 @@ import json
 import os
 import random
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from artefacts.errors import InputError
 from live.archive import Archive, History
 
 ROOT = Path(__file__).parents[1]
@@ -175,7 +177,8 @@ def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> Hist
 def _count(archive: Archive) -> int:
     try:
         last = archive.latest(MACHINE)
-    except Exception:
+    except (InputError, sqlite3.OperationalError):
+        # The service has only just made its store.
         return 0
     return last.number if last else 0
 

@@ -112,6 +112,7 @@ async def listen(
 ) -> dict[str, object]:
     """Hear the service for a time; return what was found."""
     delays: list[float] = []
+    heard_at: list[float] = []
     memory: list[tuple[float, float]] = []
     begun = time.time()
 
@@ -124,6 +125,7 @@ async def listen(
             sent_at = times.get(content["machine"], ())
             if sent_at:
                 delays.append(now - min(sent_at, key=lambda one: abs(one - instant)))
+                heard_at.append(now - begun)
 
     times: dict[str, deque[float]] = {}
 
@@ -147,7 +149,7 @@ async def listen(
             await asyncio.sleep(5.0)
         after, passed = service.cpu_times(), time.time() - at
     used = after.user + after.system - before.user - before.system
-    found = np.sort(delays)
+    found, minute = np.sort(delays), np.array(heard_at) // 60.0
     rss = np.array(memory)
     half = rss[len(rss) // 2 :]
     return {
@@ -155,6 +157,10 @@ async def listen(
         "p50_ms": round(1e3 * float(np.quantile(found, 0.5)), 2),
         "p99_ms": round(1e3 * float(np.quantile(found, 0.99)), 2),
         "largest_ms": round(1e3 * float(found[-1]), 1),
+        "p99_ms_by_minute": [
+            round(1e3 * float(np.quantile(np.array(delays)[minute == k], 0.99)), 1)
+            for k in np.unique(minute)
+        ],
         "cpu_share": round(used / passed, 3),
         "rss_mb": [round(one, 1) for _, one in memory],
         "rss_growth_mb_per_h": round(float(np.polyfit(half[:, 0], half[:, 1], 1)[0]) * 3600.0, 1),

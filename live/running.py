@@ -23,7 +23,7 @@ from live.machine import restored, shown
 from live.metrics import Metrics, fresh_metrics
 from live.served import Served, single
 from live.settings import Service
-from live.store import Batch, commit, era_of, kept_of, open_store, shorten_log
+from live.store import Batch, commit, cut_log, era_of, kept_of, open_store
 
 #: Blocks of arrivals that may wait; then readers wait, too.
 _MOST_BLOCKS = 2_000
@@ -60,6 +60,8 @@ class Running:
     round, round_from, share
         Of the checkpoints: machines that still wait for theirs, the journal's end when this round
         began, and the part of a machine whose turn it is.
+    behind : int
+        Last entry of the journal that every machine has a checkpoint behind.
     """
 
     service: Service
@@ -75,6 +77,7 @@ class Running:
     round: list[Place] = field(default_factory=list)
     round_from: int = 0
     share: float = 0.0
+    behind: int = 0
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run something on the store, after all that was given before."""
@@ -113,7 +116,7 @@ async def opened(
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         await running.kept(commit, Batch(events=log.fetched()))
-        await running.kept(shorten_log)
+        await running.kept(cut_log)
     finally:
         keeper.shutdown(wait=True)
         store.close()

@@ -16,14 +16,18 @@ from live.readers.reading import Reader, readers_of
 from live.running import Running, opened
 from live.served import served_models, single
 from live.settings import Service
-from live.store import Batch, commit, forget, shorten_log
+from live.store import Batch, commit, cut_log, forget, move_log
 
 #: Arrivals that are run through at once: what comes meanwhile waits so long.
 _AT_ONCE = 32
+#: After a commit what comes is gathered for the next one, s: commits of one sample cost the most.
+_GATHER_S = 0.01
 #: Between two looks at silences and checkpoints, s.
 _WATCH_S = 1.0
-#: Between two cuts of the store's write-ahead log, s.
-_SHORTEN_S = 30.0
+#: Between two moves of the store's write-ahead log into its file, s.
+_SHORTEN_S = 10.0
+#: A longer one is cut, bytes.
+_LONGEST_LOG = 64_000_000
 
 
 async def run(
@@ -133,7 +137,7 @@ async def _process(running: Running) -> None:
             queue.task_done()
         if not all(blocks):
             return
-        await asyncio.sleep(0)
+        await asyncio.sleep(_GATHER_S if queue.empty() else 0.0)
 
 
 async def _watch(running: Running) -> None:
@@ -150,25 +154,28 @@ async def _watch(running: Running) -> None:
         if clock - shortened >= _SHORTEN_S:
             shortened = clock
             path = running.archive.path
-            await running.kept(shorten_log)
             log = path.with_name(path.name + "-wal")
-            running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
+            # Commits wait for a cut, not for a move; after it little is left to cut.
+            await asyncio.to_thread(move_log, path)
+            size = log.stat().st_size if log.exists() else 0
+            if size > _LONGEST_LOG:
+                await running.kept(cut_log)
+            running.metrics.log_size.set(size)
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:
     """Keep the states of some machines, so that all have their turn in a time (s)."""
     if not running.round:
-        if running.round_from:
-            eras = [place.era for place in running.floor.places.values()]
-            oldest = 86400.0 * running.service.given.store.keep_days
-            await running.kept(forget, running.round_from, eras, oldest, time.time())
-        running.round_from = running.journal_end
+        running.behind, running.round_from = running.round_from, running.journal_end
         running.round = list(running.floor.places.values())
     running.share += len(running.floor.places) * _WATCH_S / every
     count = int(running.share)
     running.share -= count
     due, running.round = running.round[:count], running.round[count:]
     await _checkpoint(running, due)
+    oldest = 86400.0 * running.service.given.store.keep_days
+    eras = [place.era for place in due]
+    await running.kept(forget, running.behind, eras, oldest, time.time())
 
 
 async def _checkpoint(running: Running, places: Sequence[Place]) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -24,6 +25,12 @@ from estimator.interface import Channel
 from live.publication import Layout
 
 SCHEMA_VERSION = 1
+#: How often the log is moved in a row: what came meanwhile is less every time.
+_PASSES = 2
+#: How long one waits for another who writes, s.
+_PATIENCE_S = 10.0
+#: Entries of the journal that are dropped at once.
+MOST_FORGOTTEN = 5_000
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS eras (
@@ -170,7 +177,9 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         It is no store, or of another version.
     """
     try:
-        found = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+        found = sqlite3.connect(
+            path, isolation_level=None, check_same_thread=False, timeout=_PATIENCE_S
+        )
         found.execute("PRAGMA journal_mode = WAL")
         found.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
         # The service says when: a checkpoint of the WAL in the middle of a commit would delay it.
@@ -297,13 +306,14 @@ def spread(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
 def forget(
     store: sqlite3.Connection, journal_until: int, eras: Iterable[int], oldest: float, now: float
 ) -> None:
-    """Drop what is not needed any more.
+    """Drop what is not needed any more, a little at a time: commits wait meanwhile.
 
     Parameters
     ----------
     store : Connection
     journal_until : int
-        Entries of the journal that every machine has a checkpoint behind.
+        Entries of the journal that every machine has a checkpoint behind; the first
+        `MOST_FORGOTTEN` of them go.
     eras : iterable of int
         Those whose history is looked at now.
     oldest : float
@@ -311,18 +321,37 @@ def forget(
     now : float
         s since 1970.
     """
-    store.execute("DELETE FROM journal WHERE id <= ?", (journal_until,))
+    store.execute("BEGIN IMMEDIATE")
+    store.execute(
+        "DELETE FROM journal WHERE id <= min(?, (SELECT min(id) FROM journal) + ?)",
+        (journal_until, MOST_FORGOTTEN - 1),
+    )
+    # `first` is for the index: without it every chunk of an era would be looked at.
     store.executemany(
-        "DELETE FROM chunks WHERE era = ?1 AND last < "
-        "(SELECT max(first) FROM chunks WHERE era = ?1) - ?2",
+        "WITH bound(at) AS (SELECT max(first) - ?2 FROM chunks WHERE era = ?1) "
+        "DELETE FROM chunks WHERE era = ?1 AND first < (SELECT at FROM bound) "
+        "AND last < (SELECT at FROM bound)",
         [(era, oldest) for era in eras],
     )
     store.execute("DELETE FROM events WHERE time < ?", (now - oldest,))
+    store.execute("COMMIT")
 
 
-def shorten_log(store: sqlite3.Connection) -> None:
-    """Move the write-ahead log into the file, and cut it to nothing if no reader holds it."""
-    store.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+def move_log(path: Path) -> None:
+    """Move the write-ahead log into the file by a connection of its own, while others write on."""
+    with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as own:
+        for _ in range(_PASSES):
+            own.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+
+
+def cut_log(store: sqlite3.Connection) -> None:
+    """Move what is left of the write-ahead log; cut it to nothing if no reader holds it."""
+    # Commits wait meanwhile, so it waits for no reader: the next time will do.
+    store.execute("PRAGMA busy_timeout = 0")
+    try:
+        store.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    finally:
+        store.execute(f"PRAGMA busy_timeout = {round(1e3 * _PATIENCE_S)}")
 
 
 def layout_text(layout: Layout) -> str:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import PositiveFloat, TypeAdapter, ValidationError
+from pydantic import PositiveFloat, TypeAdapter
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from artefacts.json_file import JsonKind, read_json
+from artefacts.json_file import JsonKind, read_json, validated
 from models.filters.bank import Bank
 from models.parameters import STRICT, Span
 from models.sensors import ROLES
@@ -118,12 +118,7 @@ def read_baselines(path: Path) -> Baselines:
         The file is missing, truncated, of another kind or version, or its parts do not fit.
     """
     content = read_json(path, FILE)
-    try:
-        found = _BASELINES.validate_json(json.dumps(content))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: {place}: {first['msg']}; {FILE.remedy}") from error
+    found = validated(_BASELINES, content, str(path), FILE.remedy)
     channels = len(ROLES)
     sizes = [
         (len(weights), channels * (1 + len(one.time_constants)))

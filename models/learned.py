@@ -18,12 +18,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter, ValidationError
+from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from artefacts.json_file import JsonKind, read_json
+from artefacts.json_file import JsonKind, read_json, validated
 from models.filters.relaxations import relax_all
 from models.parameters import STRICT
 
@@ -284,12 +284,7 @@ def read_learned(path: Path | str) -> LearnedModel:
         The file is missing, truncated, of another kind or version, or its parts do not fit.
     """
     content = read_json(path, FILE)
-    try:
-        found = _MODEL.validate_json(json.dumps(content))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: {place}: {first['msg']}; learn again") from error
+    found = validated(_MODEL, content, str(path), FILE.remedy)
     count = len(found.features)
     for one in found.channels:
         shape = {len(one.weights), len(one.covariance), *map(len, one.covariance)}

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from artefacts.errors import InputError
 from artefacts.files import write_text
-from artefacts.json_file import JsonKind, parse_json, read_json
+from artefacts.json_file import JsonKind, parse_json, read_json, validated
 from models.parameters import STRICT, Model, Relaxation
 from models.sensors import JOINT_SENSORS, ROLES
 
@@ -77,7 +77,6 @@ class Provenance:
 
 _MODEL: TypeAdapter[Model] = TypeAdapter(Model)
 _PROVENANCE: TypeAdapter[Provenance] = TypeAdapter(Provenance)
-T = TypeVar("T")
 
 
 def write_model(model: Model, path: Path | str, provenance: Provenance) -> None:
@@ -154,24 +153,12 @@ def _parsed(content: dict[str, Any], where: str) -> tuple[Model, Provenance]:
         raise InputError(f"{where}: a model of kind {kind!r}, expected {KIND!r}; give one of those")
     if content.pop("units", None) != UNITS:
         raise InputError(f"{where}: units differ from {UNITS}; convert the values")
-    provenance = _validated(_PROVENANCE, content.pop("provenance", None), f"{where}: provenance")
-    model = _validated(_MODEL, content, where)
+    provenance = validated(
+        _PROVENANCE, content.pop("provenance", None), f"{where}: provenance", "correct it"
+    )
+    model = validated(_MODEL, content, where, "correct it", {"RingModel", "Relaxation"})
     _check_consistent(model, where)
     return model, provenance
-
-
-def _validated(kind: TypeAdapter[T], content: Any, where: str) -> T:  # noqa: ANN401
-    try:
-        # As JSON, not as Python objects: there lists are tuples and keys numbers.
-        return kind.validate_json(json.dumps(content))
-    except ValidationError as error:
-        first = error.errors()[0]
-        # Which member of a union was tried is no place in the file.
-        place = ".".join(str(part) for part in first["loc"] if part not in _UNION)
-        raise InputError(f"{where}: {place}: {first['msg']}; correct it") from error
-
-
-_UNION = {"RingModel", "Relaxation"}
 
 
 def _check_consistent(model: Model, where: str) -> None:

@@ -17,7 +17,7 @@ from live.publication import Quality, as_json, as_row, from_row
 from live.samples import Rule
 from live.served import Served, served
 from live.settings import ModelSection, WatchdogSection
-from live.store import Batch, commit, era_of, forget, kept_of, open_store, shorten_log
+from live.store import Batch, commit, cut_log, era_of, forget, kept_of, move_log, open_store
 from models.assembly import assemble
 from models.assembly_file import write_assembly
 
@@ -167,7 +167,8 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(model, tmp_path):
     forget(store, end - 10, [place.era], 30.0, START + 260.0)
     left = archive.history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
-    shorten_log(store)
+    move_log(path)
+    cut_log(store)
     assert path.with_name(path.name + "-wal").stat().st_size == 0
 
 

@@ -27,7 +27,7 @@ from meshes.structure import Probe
 from models.sensors import roles_in
 from thermojoint.paper import inputs
 from thermojoint.paper.long_runs import random_day
-from thermojoint.paper.observers import observer_case, observers_of
+from thermojoint.paper.observers import observer_case, observers_beside
 from thermojoint.paper.reproduce import reproduce
 
 AXES = ("x", "y")
@@ -151,7 +151,9 @@ def test_a_mesh_from_a_file_has_to_serve_its_observers(case):
 
 def test_a_machine_with_held_temperatures_has_no_observers(case, tmp_path):
     held = {"bearings": HeldTemperatureSection(rise_K=0.0)}
-    assert observers_of(case.model_copy(update={"held_temperatures": held}), {}, {}, tmp_path) == []
+    unlike = case.model_copy(update={"held_temperatures": held})
+    with observers_beside(unlike, {}, {}, tmp_path) as observers:
+        assert observers() == []
     assert not list(tmp_path.iterdir())
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from artefacts.folders import write_folder
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import loaded
+from estimator.export.templating import loaded, rendered
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -21,15 +21,10 @@ _TYPES = {Precision.DOUBLE: ("double", ""), Precision.SINGLE: ("float", "f")}
 
 def c_files(program: Program) -> dict[str, str]:
     """Return NAME.h, NAME.c and NAME_selftest.c: name to text."""
-    templates, kind = environment(program.precision), program.interface.kind
+    kind = program.interface.kind
     real, f = _TYPES[program.precision]
-    sources = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
-    return {
-        f"{program.name}{ending}": templates.get_template(template).render(
-            **program.common, real=real, f=f
-        )
-        for ending, template in sources.items()
-    }
+    endings = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
+    return rendered(program, environment(program.precision), endings, real=real, f=f)
 
 
 def write_c(program: Program, folder: Path | str) -> list[Path]:

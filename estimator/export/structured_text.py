@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from artefacts.folders import write_folder
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import loaded
+from estimator.export.templating import loaded, rendered
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -24,14 +24,9 @@ _IN_A_LINE = 6
 
 def st_files(program: Program) -> dict[str, str]:
     """Return NAME.st and NAME_selftest.st: name to text."""
-    templates, kind = _environment(program.precision), program.interface.kind
-    sources = {".st": f"{kind}.st.j2", "_selftest.st": "selftest.st.j2"}
-    return {
-        f"{program.name}{ending}": templates.get_template(template).render(
-            **program.common, real=_TYPES[program.precision]
-        )
-        for ending, template in sources.items()
-    }
+    endings = {".st": f"{program.interface.kind}.st.j2", "_selftest.st": "selftest.st.j2"}
+    templates = _environment(program.precision)
+    return rendered(program, templates, endings, real=_TYPES[program.precision])
 
 
 def write_structured_text(program: Program, folder: Path | str) -> list[Path]:

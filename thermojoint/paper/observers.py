@@ -7,15 +7,20 @@ of the plant; it is calibrated from the plant's responses as every other one.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
 
 from artefacts.files import write_text
 from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.linear_joint import calibrate_linear_joint
-from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import Case, MillingMachineSection, ProbeSection, StepInput
 from fesim.setup.machine import set_up
@@ -67,15 +72,17 @@ def _section(probe: Probe) -> ProbeSection:
     return ProbeSection(position_mm=(x, y, z), body=probe.body)
 
 
-def observers_of(
+@contextmanager
+def observers_beside(
     case: Case,
     sensors: Mapping[str, Probe],
     responses: Mapping[str, xr.Dataset],
     folder: Path,
-) -> list[JointAware]:
-    """Return the observers of a machine, and leave their models and reports in a folder.
+) -> Iterator[Callable[[], list[JointAware]]]:
+    """Calibrate the observers of a machine, each in a process of its own, while the caller goes on.
 
-    There is none of a machine with held temperatures: they are no state of an observer.
+    Yields what waits for them and returns them. There is none of a machine with held temperatures:
+    they are no state of an observer.
 
     Parameters
     ----------
@@ -92,23 +99,40 @@ def observers_of(
     Raises
     ------
     InputError
-        The case has what no observer can have.
+        From the waiting: the case has what no observer can have.
     ConvergenceError
-        The machine cannot be marched, or its sensors do not determine the heat.
+        From the waiting: the machine cannot be marched, or its sensors do not determine the heat.
     """
     if case.held_temperatures:
-        return []
+        yield list
+        return
     known = observer_case(case, sensors)
-    machine = reduce_machine(known, set_up(known), tuple(sensors))
-    found = []
-    for kind, calibrate in KINDS.items():
-        calibrated = calibrate(machine, responses)
-        name = kind.replace("-", "_")
-        write_observer(calibrated.model, folder / f"{name}.h5")
-        text = json.dumps(report(calibrated.fit), indent=2, allow_nan=False)
-        write_text(folder / f"{name}.json", text + "\n")
-        found.append(JointAware(calibrated.model))
-    return found
+    # Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
+    with ProcessPoolExecutor(len(KINDS), get_context("spawn")) as crew:
+        paths = [
+            crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder)
+            for kind in KINDS
+        ]
+        yield lambda: [JointAware(read_observer(path.result())) for path in paths]
+
+
+def _calibrated(
+    kind: str,
+    known: Case,
+    sensors: tuple[str, ...],
+    responses: Mapping[str, xr.Dataset],
+    folder: Path,
+) -> Path:
+    """Calibrate one observer, write it and what the data say of it, and return its file."""
+    machine = reduce_machine(known, set_up(known), sensors)
+    # Small dense products: threads would only wait for each other.
+    with threadpool_limits(limits=1):
+        calibrated = KINDS[kind](machine, responses)
+    path = folder / f"{kind.replace('-', '_')}.h5"
+    write_observer(calibrated.model, path)
+    text = json.dumps(report(calibrated.fit), indent=2, allow_nan=False)
+    write_text(path.with_suffix(".json"), text + "\n")
+    return path
 
 
 def fitted_text(observer: JointAware) -> str:

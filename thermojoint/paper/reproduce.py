@@ -36,7 +36,7 @@ from thermojoint.paper.long_runs import (
     warm_part,
     without_nonlinear,
 )
-from thermojoint.paper.observers import fitted_text, observers_of
+from thermojoint.paper.observers import fitted_text, observers_beside
 from thermojoint.paper.report import ReportData, write_report
 from thermojoint.paper.summary import compare_schemes, convergence, pressure_share
 from thermojoint.paper.tables import printed_tables, tables_json
@@ -98,14 +98,15 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         _write_json(folder / "tables.json", tables)
         report("calibrating", 2, 3)
         sensors = {role: setup.probes[name] for role, name in roles.items()}
-        observers = observers_of(case, sensors, known, folder)
+        with observers_beside(case, sensors, known, folder) as calibrated_beside:
+            lasting = simulate_long(case, runs, folder / "responses", setup, report)
+            lasting = {
+                name: _kept(at_sensors(one, roles), folder, out) for name, one in lasting.items()
+            }
+            _write_responses(lasting, folder)
+            observers = calibrated_beside()
         report("calibrating", 3, 3)
 
-        lasting = simulate_long(case, runs, folder / "responses", setup, report)
-        lasting = {
-            name: _kept(at_sensors(one, roles), folder, out) for name, one in lasting.items()
-        }
-        _write_responses(lasting, folder)
         report("validating", 0, 1)
         validated = _judged(calibrated.model, responses, lasting, runs, baselines, observers)
         _write_json(folder / "validation.json", validated.figures())

@@ -140,13 +140,7 @@ def temperatures_figure(
     heat : str
         The heat input in words (`heat_text`).
     """
-    figure, axes = _figure(len(curves))
-    figure.suptitle(heat, fontsize=10)
-    for axis, (sensor, series) in zip(axes, curves.items(), strict=True):
-        _draw(axis, times, series, 1.0)
-        axis.set_ylabel(f"deviation at {sensor} (K)")
-    _finish(axes)
-    return figure
+    return _panels(times, curves, heat, 1.0, "deviation at {} (K)")
 
 
 def displacements_figure(
@@ -163,11 +157,22 @@ def displacements_figure(
     heat : str
         The heat input in words (`heat_text`).
     """
+    return _panels(times, curves, heat, 1e6, "nonlinear displacement {} (µm)")
+
+
+def _panels(
+    times: Array,
+    curves: Mapping[str, Mapping[str, Array]],
+    heat: str,
+    unit: float,
+    label: str,
+) -> Figure:
+    """A panel for each name, its curves in another unit, its axis labelled with the name."""
     figure, axes = _figure(len(curves))
     figure.suptitle(heat, fontsize=10)
-    for axis, (direction, series) in zip(axes, curves.items(), strict=True):
-        _draw(axis, times, series, 1e6)
-        axis.set_ylabel(f"nonlinear displacement {direction} (µm)")
+    for axis, (name, series) in zip(axes, curves.items(), strict=True):
+        _draw(axis, times, series, unit)
+        axis.set_ylabel(label.format(name))
     _finish(axes)
     return figure
 
