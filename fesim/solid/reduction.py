@@ -20,7 +20,12 @@ from scipy.sparse import csr_array
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
-from fesim.solid.linear_solver import Factor, checked_solve, shifted_factors, upper_triangle
+from fesim.solid.linear_solver import (
+    Factor,
+    checked_solve,
+    shifted_factors,
+    upper_triangle,
+)
 
 #: Numbers of shifts that are tried one after the other.
 SHIFTS = (20, 28, 40)
