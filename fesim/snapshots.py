@@ -98,7 +98,7 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
         corner_mesh(structure.mesh),
         point_data={
             "temperature_K": temperature[spaces.heat.nodal_dofs[0]],
-            "displacement_m": displacement.reshape(-1, 3)[spaces.elastic.nodal_dofs[0]],
+            "displacement_m": displacement.reshape(-1, 3)[spaces.displacement.nodal_dofs[0]],
         },
         cell_data={"body": [body]},
         encode_cell_data=False,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fesim import cache
-from fesim.case.identity import elasticity_key
+from fesim.case.identity import elasticity_key, thermal_key
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -61,8 +61,8 @@ def test_a_set_up_from_the_cache_is_a_copy_and_marches_the_same(folder, reduced,
         raise AssertionError("there is nothing to factorise")
 
     with monkeypatch.context() as within:
-        for module in ("fesim.solid.condensation", "fesim.solid.reduction"):
-            within.setattr(f"{module}.factorise", factorise)
+        for place in ("substructures.factorise_upper", "reduction.shifted_factors"):
+            within.setattr(f"fesim.solid.{place}", factorise)
         stored = set_up(case)
         one, other = (simulate(case, setup=setup).response for setup in (fresh, stored))
     for name, value in vars(fresh.modes).items():
@@ -110,10 +110,13 @@ def with_step(data, step):
 CHANGES = {
     "a modulus": ("materials", "cast_iron", "youngs_modulus_GPa"),
     "an expansion": ("materials", "cast_iron", "expansion_1_K"),
-    "a conductivity": ("materials", "cast_iron", "conductivity_W_mK"),
-    "a film": ("convection_W_m2K", "exterior"),
     "an element size": ("structure", "element_size_mm"),
     "a number of contact elements": ("joints", "knee", "along"),
+}
+OF_THE_HEAT = {
+    "a conductivity": ("materials", "cast_iron", "conductivity_W_mK"),
+    "a heat capacity": ("materials", "cast_iron", "heat_capacity_J_kgK"),
+    "a film": ("convection_W_m2K", "exterior"),
 }
 NO_CHANGES = {
     "a preload": ("joints", "knee", "preload_MPa"),
@@ -140,7 +143,51 @@ def test_what_enters_the_condensation_makes_another_entry(coarse_data, place):
 
 @pytest.mark.parametrize("place", NO_CHANGES.values(), ids=NO_CHANGES)
 def test_what_does_not_enter_it_makes_none(coarse_data, place):
-    assert elasticity_key(changed(coarse_data, place)) == elasticity_key(case_of(coarse_data))
+    for key in (elasticity_key, thermal_key):
+        assert key(changed(coarse_data, place)) == key(case_of(coarse_data))
+
+
+@pytest.mark.parametrize("place", OF_THE_HEAT.values(), ids=OF_THE_HEAT)
+def test_what_enters_the_heat_only_leaves_the_elastic_part(coarse_data, place):
+    one, other = changed(coarse_data, place), case_of(coarse_data)
+    assert elasticity_key(one) == elasticity_key(other)
+    assert thermal_key(one) != thermal_key(other)
+
+
+def elsewhere(data):
+    """The same machine heated, cooled and read in other places."""
+    made = copy.deepcopy(data)
+    (source,) = made["sources"].values()
+    source["surface"] = "rear"
+    made["convection_W_m2K"] = {"interior": 9.0}
+    made["probes"]["T3"] = {"position_mm": [10.0, 10.0, 10.0]}
+    return made
+
+
+def test_another_source_film_and_probe_find_the_elastic_part(folder, reduced, monkeypatch):
+    set_up(case_of(reduced))
+    entries = set(folder.glob("*.npz"))
+
+    def factorise(*given):
+        raise AssertionError("the elastic part is there")
+
+    with monkeypatch.context() as within:
+        within.setattr("fesim.solid.substructures.factorise_upper", factorise)
+        found = set_up(case_of(elsewhere(reduced)))
+    assert len(set(folder.glob("*.npz")) - entries) == 1
+    monkeypatch.setenv(cache.VARIABLE, "off")
+    anew = set_up(case_of(elsewhere(reduced)))
+    for name in ("compliance", "probe_compliance"):
+        one, other = (getattr(made.machine.elastic, name) for made in (found, anew))
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12 * np.abs(other).max())
+    one, other = (simulate(case_of(reduced), setup=made).response for made in (found, anew))
+    np.testing.assert_allclose(one["displacement"], other["displacement"], rtol=0.0, atol=1e-12)
+
+
+def test_a_displacement_point_that_moves_is_another_elastic_part(coarse_data):
+    one = copy.deepcopy(coarse_data)
+    one["probes"]["A"] = {"position_mm": [600.0, 1000.0, 250.0], "body": "column"}
+    assert elasticity_key(case_of(one)) != elasticity_key(case_of(coarse_data))
 
 
 def test_another_program_or_library_finds_nothing(folder, monkeypatch):

@@ -1,14 +1,19 @@
 """The condensed march against one that solves for every unknown and refactorises every time."""
 
+import gc
+import weakref
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
-from bars import assemble, conduct, driven, surface_law, two_bars
+from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars
 
+from artefacts.errors import InputError
+from benchmarks.performance.plain_set_up import plain_condensation
 from fesim.case.history import sampled_history, triangle_history
 from fesim.march.stepping import iterated, march, staggered
+from fesim.solid import linear_solver, substructures
 from verification.plain_march import plain_march
 
 STEP, COUNT = 2.0, 25
@@ -116,3 +121,75 @@ def test_the_step_length_changes_the_heat_equation_only():
         two.thermal.capacity_rate.toarray(), 2.0 * four.thermal.capacity_rate.toarray(), rtol=1e-14
     )
     np.testing.assert_allclose(two.thermal.balance.stored, four.thermal.balance.stored, rtol=1e-14)
+
+
+SUPPORTS = {
+    "both held": {"fixed": ["left_end", "right_end"]},
+    "one held by the joint": {"fixed": ["left_end"]},
+    "one held by the joint but for sliding": {
+        "symmetry": {"left_end": "x", "bottom": "y", "back": "z"}
+    },
+}
+
+
+@pytest.mark.parametrize("tetrahedra", [False, True])
+@pytest.mark.parametrize("supports", SUPPORTS.values(), ids=SUPPORTS)
+def test_pieces_tied_by_springs_are_the_whole_structure(supports, tetrahedra):
+    structure = two_bars(left=(2, 3, 1), right=(2, 2, 1), tetrahedra=tetrahedra)
+    made = assemble(structure, materials=(IRON, STEEL), **supports)
+    ours, joints = made.machine.elastic, made.parts.operators
+    plain = plain_condensation(made.elastic, joints, ours.reference, made.probes)
+    for name in ("compliance", "thermal_gap", "probe_compliance", "probe_thermal"):
+        one, other = getattr(ours, name), getattr(plain, name)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
+    assert len(made.field.structure.substructures) == 2
+
+
+def test_a_body_that_its_supports_hold_has_no_anchors():
+    anchored = {
+        name: [one.anchored.size for one in heated(supports).field.structure.substructures]
+        for name, supports in SUPPORTS.items()
+    }
+    assert anchored["both held"] == [0, 0]
+    assert anchored["one held by the joint"] == [0, 9]
+    assert anchored["one held by the joint but for sliding"][0] == 0
+
+
+def heated(supports):
+    return assemble(two_bars(left=(2, 3, 1), right=(2, 2, 1)), **supports)
+
+
+def test_bodies_that_nothing_holds_are_refused():
+    with pytest.raises(InputError, match=r"stiffness.*free to move"):
+        heated({"fixed": []})
+
+
+def test_columns_are_solved_a_few_at_a_time(monkeypatch):
+    whole = heated(SUPPORTS["one held by the joint"]).machine.elastic
+    monkeypatch.setattr(substructures, "AT_ONCE", 2000)
+    parts = heated(SUPPORTS["one held by the joint"]).machine.elastic
+    for name in ("compliance", "thermal_gap", "probe_thermal"):
+        one, other = getattr(parts, name), getattr(whole, name)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-11 * np.abs(other).max())
+
+
+def test_a_factor_is_gone_before_the_next_one_is_made(monkeypatch):
+    made = heated(SUPPORTS["both held"])
+    alive, most = weakref.WeakSet(), []
+
+    def factorise(*given):
+        gc.collect()
+        factor = linear_solver.factorise_upper(*given)
+        alive.add(factor.solve)
+        most.append(len(alive))
+        return factor
+
+    monkeypatch.setattr(substructures, "factorise_upper", factorise)
+    gap, springs = made.field.gap, made.machine.elastic.area * made.machine.elastic.reference
+    each = substructures.substructures(made.elastic.pieces(), gap, springs)
+    heat = made.parts.spaces.heat.N
+    found = substructures.condense_ties(each, gap, springs, made.probes, heat)
+    assert most == [1, 1]
+    np.testing.assert_allclose(
+        found.compliance, made.machine.elastic.compliance, rtol=0.0, atol=1e-20
+    )

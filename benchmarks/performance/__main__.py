@@ -27,6 +27,7 @@ from benchmarks.performance import (
     observing,
     reduced,
     scaling,
+    set_up,
     start,
     streaming,
 )
@@ -40,6 +41,10 @@ Group = Callable[[], Iterator[Row | Skipped]]
 GROUPS: dict[str, Group] = {
     "contacts": scaling.contact_rows,
     "scaling": scaling.mesh_rows,
+    "setup-changed-source": set_up.changed_rows,
+    "contacts-2000": set_up.contact_rows,
+    "setup-589k": set_up.large_rows,
+    "setup-largest": set_up.largest_rows,
     "closed-form": closed_form.rows,
     "refactor": march.rows,
     "calculix": calculix.rows,

@@ -57,6 +57,13 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "start-version": (Target("ratio", 0.33, at_least=True),),
     "start-help": (Target("ratio", 0.33, at_least=True),),
     "start-simulate": (Target("ratio", 0.1, at_least=True),),
+    "setup-changed-source": (Target("ours", 1.0),),
+    "contacts-2000": (Target("ours", 600.0),),
+    "contacts-2000-memory": (Target("ours", 20.0),),
+    "contacts-2000-step": (Target("ours", 50.0),),
+    "setup-589k": (Target("ours", 60.0),),
+    "setup-589k-memory": (Target("ours", 8.0),),
+    "setup-largest": (Target("ours", 1800.0),),
     "memory-reference": _NO_WORSE,
     "memory-500k": _NO_WORSE,
 }

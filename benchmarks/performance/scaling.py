@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
@@ -155,24 +155,28 @@ def measured(options: list[str]) -> Size | str:
     """Measure one size in processes of its own; return why not if it does not come to its end."""
     found: list[Size] = []
     while len(found) < (1 if found and found[0].setup > LONG else REPEATS):
-        done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.performance.one_size", *options],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            last = done.stderr.strip().splitlines()[-1:] or ["killed, perhaps for want of memory"]
-            return f"the process ended with {done.returncode}: {last[0]}"
-        found.append(Size(**json.loads(done.stdout)))
-    first = found[0]
-    return Size(
-        first.unknowns,
-        first.temperatures,
-        first.contacts,
-        first.modes,
-        median(one.setup for one in found),
-        median(one.memory for one in found),
-        median(one.step for one in found),
-        len(found),
+        one = measured_once(options)
+        if isinstance(one, str):
+            return one
+        found.append(one)
+    return replace(
+        found[0],
+        setup=median(one.setup for one in found),
+        memory=median(one.memory for one in found),
+        step=median(one.step for one in found),
+        repeats=len(found),
     )
+
+
+def measured_once(options: list[str]) -> Size | str:
+    """Measure one size in a process of its own; return why not if it does not come to its end."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.performance.one_size", *options],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or ["killed, perhaps for want of memory"]
+        return f"the process ended with {done.returncode}: {last[0]}"
+    return Size(**json.loads(done.stdout))

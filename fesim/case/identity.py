@@ -32,6 +32,9 @@ _LAW = {
 }
 _MARCH = {"duration_min", "coupling"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
+#: What enters the heat equation only, sections and keys of materials.
+_HEAT = {"convection_W_m2K", "sources", "held_temperatures", "candidates"}
+_THERMAL = {"conductivity_W_mK", "density_kg_m3", "heat_capacity_J_kgK"}
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
 
 #: Read once: it takes longer than all the rest of a digest.
@@ -100,23 +103,55 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     return _hash(with_digests(_condensed(case), digest))
 
 
-def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
-    """Return the digest of what the elastic condensation follows from, for `fesim.cache`.
+def thermal_key(case: Case, digest: Digest = file_digest) -> str:
+    """Return the digest of what the thermal modes of a march follow from, for `fesim.cache`.
 
     Parameters
     ----------
     case, digest
         As for `case_id`.
     """
-    data = _condensed(case)
-    del data["loads"], data["output"]
-    data["march"] = {"solver": case.march.solver or default_solver()}
+    return _hash(with_digests(_structure(case), digest))
+
+
+def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
+    """Return the digest of what the elastic condensation follows from, for `fesim.cache`.
+
+    Heat that enters, passes and leaves is no part of it, nor is where temperatures are read.
+
+    Parameters
+    ----------
+    case, digest
+        As for `case_id`.
+    """
+    data = _structure(case)
+    for section in _HEAT:
+        del data[section]
+    data["materials"] = {
+        name: _without(section, _THERMAL) for name, section in data["materials"].items()
+    }
+    measured = {case.displacement.point, case.displacement.relative_to}
+    data["probes"] = [(name, probe) for name, probe in data["probes"] if name in measured]
     return _hash(with_digests(data, digest))
 
 
 def load_patterns(case: Case) -> list[dict[str, Any]]:
-    """Return what the mechanical loads of a case are but for their histories, in their order."""
-    return [load.model_dump(mode="json", exclude={"file"}) for load in case.loads.values()]
+    """Return what the mechanical loads of a case are but for their histories, in their order.
+
+    Of a weight the densities are part.
+    """
+    densities = {name: section.density_kg_m3 for name, section in case.materials.items()}
+    return [
+        load.model_dump(mode="json", exclude={"file"})
+        | ({"densities": densities} if load.acceleration_m_s2 is not None else {})
+        for load in case.loads.values()
+    ]
+
+
+def asked(case: Case) -> dict[str, Any]:
+    """Return what forces and stresses a case asks for, and where."""
+    places = {name: case.probes[name] for name in case.output.stress_probes if name in case.probes}
+    return {"output": case.output.model_dump(exclude={"snapshots_s"}), "places": places}
 
 
 def _condensed(case: Case) -> dict[str, Any]:
@@ -130,6 +165,14 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["loads"] = load_patterns(case)
     data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())
+    return data
+
+
+def _structure(case: Case) -> dict[str, Any]:
+    """What enters `set_up` except loads, joint laws, outputs and the march's step."""
+    data = _condensed(case)
+    del data["loads"], data["output"]
+    data["march"] = {"solver": case.march.solver or default_solver()}
     return data
 
 

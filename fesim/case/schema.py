@@ -28,7 +28,7 @@ Point = tuple[Finite, Finite, Finite]
 MOST_STEPS = 10_000_000
 #: A time may lie after a step by this fraction of the step and still be that step.
 TIME_SLACK = 1e-6
-MOST_CONTACTS = 1_000
+MOST_CONTACTS = 4_000
 
 
 class _Section(BaseModel):

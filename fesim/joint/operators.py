@@ -52,7 +52,9 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
     mean = vstack([0.5 * (side_a + side_b) for side_a, side_b in sides], format="csr")
     by_direction: list[csr_array] = []
     moves = [
-        side_b - side_a for joint in joints for side_a, side_b in [_sides(joint, spaces.elastic)]
+        side_b - side_a
+        for joint in joints
+        for side_a, side_b in [_sides(joint, spaces.displacement)]
     ]
     for k in range(3):
         rows = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from scipy.sparse import csr_array, vstack
 from artefacts.errors import InputError, unknown_name
 from artefacts.toml import as_key
 from fesim.cache import remembered
-from fesim.case.identity import elasticity_key, load_patterns
+from fesim.case.identity import (
+    asked,
+    elasticity_key,
+    file_digest,
+    load_patterns,
+    thermal_key,
+)
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
@@ -26,31 +32,30 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.stepping import CondensedMachine, State, Step, load_factors
+from fesim.setup.elastic import elastic_structure, pieces_to_condense
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import (
     heat_sources,
     mechanical_loads,
-    spring_stiffnesses,
     thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.solid.condensation import (
     DisplacementField,
-    ElasticCondensation,
     LoadInfluence,
-    condense_field,
     condense_heat,
     condense_loads,
-    displacement_field,
+    elastic_condensation,
 )
-from fesim.solid.elasticity import DIRECTIONS, elastic_operators
+from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import by_cell, heat_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Holds, check_held
 from fesim.solid.spaces import Spaces, cells_at, make_spaces, probe_rows
+from fesim.solid.substructures import TieCondensation
 from meshes.exchange import read_structure
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
@@ -169,10 +174,12 @@ def set_up(case: Case) -> Setup:
     InputError
         A name does not exist in the structure, parts do not fit, or nothing holds a body.
     """
-    before = elasticity_key(case)
+    before = thermal_key(case)
     parts = make_parts(case)
     # A mesh file that somebody writes just now is not to be taken for the one before.
-    key = before if elasticity_key(case) == before else None
+    digest = cache(file_digest)
+    heat_key = before if thermal_key(case, digest) == before else None
+    key = None if heat_key is None else elasticity_key(case, digest)
     structure, joints = parts.structure, parts.joints
     materials = body_materials(case, structure)
     spaces = make_spaces(structure.mesh)
@@ -192,21 +199,13 @@ def set_up(case: Case) -> Setup:
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
 
-    @cache
-    def field() -> DisplacementField:
-        elastic = elastic_operators(
-            structure,
-            spaces,
-            materials,
-            fixed_surfaces(case),
-            dict(case.supports.symmetry),
-            spring_stiffnesses(case, structure),
-        )
-        return displacement_field(elastic, operators, springs, solver)
-
-    condensed = remembered(
-        ElasticCondensation, key, lambda: condense_field(field(), springs, relative)
+    solid = elastic_structure(case, structure, spaces, materials, operators, springs)
+    tied = remembered(
+        TieCondensation, key, lambda: solid.condense(pieces_to_condense(case, solid), relative)
     )
+    condensed = elastic_condensation(tied, operators, springs)
+    field = cache(partial(solid.field, tied))
+
     forces = nodal_forces(structure, spaces, materials, mechanical_loads(case, structure))
     loads = None
     if case.loads:
@@ -219,7 +218,7 @@ def set_up(case: Case) -> Setup:
     if asks_for_outputs(case):
         outputs = remembered(
             MechanicalOutputs,
-            None if key is None else f"{key} under {load_patterns(case)} gives {case.output!r}",
+            None if key is None else f"{key} under {load_patterns(case)} gives {asked(case)}",
             lambda: mechanical_outputs(
                 case, structure, spaces, materials, field(), springs, forces
             ),
@@ -228,7 +227,7 @@ def set_up(case: Case) -> Setup:
     if case.march.thermal == "reduced":
         modes = remembered(
             ThermalModes,
-            None if key is None else f"{key} from {shortest(step)!r} s",
+            None if heat_key is None else f"{heat_key} from {shortest(step)!r} s",
             lambda: thermal_modes(heat, operators, condensed, rows, step, solver),
         )
         thermal = project_heat(heat, operators, step, modes)
@@ -476,7 +475,9 @@ def measured_points(case: Case) -> list[str]:
 
 def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
     names = measured_points(case)
-    rows = probe_rows(spaces.elastic, structure, {name: structure.probes[name] for name in names})
+    rows = probe_rows(
+        spaces.displacement, structure, {name: structure.probes[name] for name in names}
+    )
     relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
     at = relative.tocoo()
     shape = (1, spaces.displacement_size)

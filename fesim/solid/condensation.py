@@ -3,7 +3,8 @@
 Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W carry the joint's heat flows.
 Elastic: C = G Kr^-1 G^T carries the tractions to the gaps, S_T = G Kr^-1 F the temperatures, and
 the same rows serve every displacement probe. Kr has reference springs at the joint, which hold a
-body that only the joint carries; `fesim.joint.gap` takes them out of the law again.
+body that only the joint carries; `fesim.joint.gap` takes them out of the law again. It is never
+made: `fesim.solid.substructures` factorises body by body.
 """
 
 from __future__ import annotations
@@ -18,6 +19,13 @@ from fesim.joint.operators import JointOperators
 from fesim.solid.elasticity import ElasticOperators
 from fesim.solid.heat import HeatOperators
 from fesim.solid.linear_solver import Factor, checked_solve, factorise
+from fesim.solid.substructures import (
+    FactorisedStructure,
+    TieCondensation,
+    condense_ties,
+    factorised_structure,
+    tie_rows,
+)
 
 #: The unknowns of the full model: nodal temperatures.
 FULL = "full"
@@ -143,18 +151,21 @@ class DisplacementField:
 
     Attributes
     ----------
-    factor : Factor
-        Kr on the free unknowns.
-    operators : ElasticOperators
-        F and the free unknowns.
+    structure : FactorisedStructure
+        Its pieces, without springs across the joints.
+    ties : scipy.sparse.csr_array, shape (q, n)
+        E: G, and the unknowns that anchors hold.
+    condensed : TieCondensation
+        On these ties.
     gap : scipy.sparse.csr_array, shape (3 m, n)
         G.
     area : ndarray, shape (3 m,)
         Area of each gap component, m2.
     """
 
-    factor: Factor
-    operators: ElasticOperators
+    structure: FactorisedStructure
+    ties: csr_array
+    condensed: TieCondensation
     gap: csr_array
     area: Array
 
@@ -163,13 +174,36 @@ class DisplacementField:
 
         `forces` (n,), N, are those of mechanical loads.
         """
-        load = self.operators.thermal_load @ temperature + self.gap.T @ (self.area * remainder)
-        if forces is not None:
-            load = load + forces
-        free = self.operators.free
-        displacement = np.zeros(self.operators.stiffness.shape[0])
-        displacement[free] = self.factor.solve(load[free])
-        return displacement
+        load = self.structure.thermal_load @ temperature + self.gap.T @ (self.area * remainder)
+        return self.respond(load if forces is None else load + forces, "displacement field")
+
+    def respond(self, forces: Array, what: str) -> Array:
+        """Displacements Kr^-1 f, shape (n,) or (n, k), of nodal forces of that shape, N.
+
+        Parameters
+        ----------
+        forces : ndarray
+            Those on held unknowns move nothing.
+        what : str
+            Name for the error message.
+
+        Raises
+        ------
+        ConvergenceError
+            A solve left a residual.
+        """
+        springs = self.condensed.springs
+        apart = self._apart(forces, what)
+        untied = self.ties @ apart
+        moved = untied - self.condensed.compliance @ (springs * untied.T).T
+        return apart - self._apart(self.ties.T @ (springs * moved.T).T, what)
+
+    def _apart(self, forces: Array, what: str) -> Array:
+        """Displacements by forces without the springs of the ties, piece by piece."""
+        found = np.zeros(forces.shape)
+        for one in self.structure.substructures:
+            found[one.unknowns] = checked_solve(one.factor, forces[one.unknowns], what)
+        return found
 
 
 def condense_heat(
@@ -252,48 +286,43 @@ def condense_elasticity(
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
     """
-    field = displacement_field(elastic, joints, reference, solver)
-    return condense_field(field, reference, probes), field
-
-
-def displacement_field(
-    elastic: ElasticOperators, joints: JointOperators, reference: Array, solver: str | None = None
-) -> DisplacementField:
-    """Factorise the elastic structure with its reference springs; as for `condense_elasticity`."""
-    free = elastic.free
-    gap = csr_array(joints.gap[:, free])
     area = np.tile(joints.area, 3)
-    springs = gap.T @ diags_array(area * reference) @ gap
-    factor = factorise(elastic.stiffness[free][:, free] + springs, "stiffness", solver)
-    return DisplacementField(factor, elastic, joints.gap, area)
-
-
-def condense_field(
-    field: DisplacementField, reference: Array, probes: csr_array
-) -> ElasticCondensation:
-    """Condense the factorised structure on the joints; as for `condense_elasticity`."""
-    elastic = field.operators
-    gap, rows = csr_array(field.gap[:, elastic.free]), probes[:, elastic.free]
-    outputs = np.vstack([gap.toarray(), rows.toarray()])
-    influence = checked_solve(field.factor, outputs.T, "elastic condensation")
-    load = elastic.thermal_load[elastic.free]
-    thermal = (load.T @ influence).T
-    count = gap.shape[0]
-    joint_influence = influence[:, :count]
-    compliance = gap @ joint_influence
-    return ElasticCondensation(
-        # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.
-        compliance=0.5 * (compliance + compliance.T),
-        thermal_gap=np.ascontiguousarray(thermal[:count]),
-        probe_compliance=rows @ joint_influence,
-        probe_thermal=np.ascontiguousarray(thermal[count:]),
-        reference=reference,
-        area=field.area,
+    shape = elastic.thermal_load.shape
+    structure = factorised_structure(elastic.pieces(), joints.gap, area * reference, shape, solver)
+    condensed = condense_ties(
+        structure.substructures, joints.gap, area * reference, csr_array(probes), shape[1]
+    )
+    return (
+        elastic_condensation(condensed, joints, reference),
+        displacement_field(structure, condensed, joints),
     )
 
 
+def elastic_condensation(
+    condensed: TieCondensation, joints: JointOperators, reference: Array
+) -> ElasticCondensation:
+    """Return what the march needs of a condensation on ties; as for `condense_elasticity`."""
+    count = joints.gap.shape[0]
+    return ElasticCondensation(
+        compliance=np.ascontiguousarray(condensed.compliance[:count, :count]),
+        thermal_gap=condensed.thermal[:count],
+        probe_compliance=np.ascontiguousarray(condensed.probe_compliance[:, :count]),
+        probe_thermal=condensed.probe_thermal,
+        reference=reference,
+        area=np.tile(joints.area, 3),
+    )
+
+
+def displacement_field(
+    structure: FactorisedStructure, condensed: TieCondensation, joints: JointOperators
+) -> DisplacementField:
+    """Return the displacements of a factorised and condensed structure."""
+    ties = tie_rows(joints.gap, structure.substructures)
+    return DisplacementField(structure, ties, condensed, joints.gap, np.tile(joints.area, 3))
+
+
 def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -> LoadInfluence:
-    """Condense mechanical loads on the joints by the same factor.
+    """Condense mechanical loads on the joints by the same factors.
 
     Parameters
     ----------
@@ -304,6 +333,5 @@ def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -
     probes : scipy.sparse array, shape (k, n)
         Rows that give each probed displacement.
     """
-    free = field.operators.free
-    moved = checked_solve(field.factor, np.ascontiguousarray(forces[free]), "mechanical loads")
-    return LoadInfluence(field.gap[:, free] @ moved, probes[:, free] @ moved)
+    moved = field.respond(forces, "mechanical loads")
+    return LoadInfluence(field.gap @ moved, probes @ moved)

@@ -1,17 +1,23 @@
-"""Elastic operators: stiffness, thermal load and supports."""
+"""Elastic operators: stiffness, thermal load and supports, one piece of the structure at a time.
+
+Bodies that a joint separates share no node, so the stiffness is block diagonal: its blocks are the
+connected pieces of the mesh.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from skfem import BilinearForm, DiscreteField
-from skfem.assembly.form.form import FormExtraParams
+from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
-from fesim.solid.heat import cell_field, film_form, surface_basis
+from artefacts.arrays import Array
+from fesim.solid.element_matrices import cell_gradients, places_of, reference_shapes
+from fesim.solid.heat import by_cell, film_form, surface_basis
+from fesim.solid.linear_solver import symmetric, upper_triangle
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
@@ -20,8 +26,33 @@ DIRECTIONS = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
+class ElasticPiece:
+    """Thermoelastic equilibrium K u = F T of a part that shares no node with the others.
+
+    Attributes
+    ----------
+    unknowns : ndarray of int, shape (p,)
+        Its unknowns in the numbering of the whole, in ascending order.
+    points : ndarray, shape (p / 3, 3)
+        Places of its nodes, m; unknown 3 i + c is direction c at node i.
+    stiffness : scipy.sparse.csr_array, shape (p, p)
+        Upper triangle of K, N/m, supports not yet removed.
+    thermal_load : scipy.sparse.csr_array, shape (p, n_heat)
+        F, N/K.
+    free : ndarray of bool, shape (p,)
+        Which unknowns no support holds.
+    """
+
+    unknowns: NDArray[np.int64]
+    points: Array
+    stiffness: csr_array
+    thermal_load: csr_array
+    free: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class ElasticOperators:
-    """Thermoelastic equilibrium K u = F T, supports not yet removed.
+    """Thermoelastic equilibrium K u = F T of the whole, supports not yet removed.
 
     Attributes
     ----------
@@ -31,23 +62,32 @@ class ElasticOperators:
         F, N/K: forces of a temperature field that is held from expanding.
     free : ndarray of int
         Unknowns that no support holds.
+    points : ndarray, shape (n / 3, 3)
+        Places of the nodes, m.
     """
 
     stiffness: csr_array
     thermal_load: csr_array
     free: NDArray[np.int64]
+    points: Array
 
-
-@BilinearForm
-def gradient_product(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> NDArray[np.float64]:
-    """(value d_i v, d_j u): the products that isotropic elasticity is made of."""
-    return w["value"] * v.grad[w["i"]] * u.grad[w["j"]]
-
-
-@BilinearForm
-def expansion_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> NDArray[np.float64]:
-    """(value u, d_i v): the thermal stress of a temperature u against the strain of v."""
-    return w["value"] * u * v.grad[w["i"]]
+    def pieces(self) -> Iterator[ElasticPiece]:
+        """Yield the parts that no entry of the stiffness connects."""
+        nodes = len(self.points)
+        at = self.stiffness.tocoo()
+        links = coo_array((np.ones(at.nnz), (at.row // 3, at.col // 3)), (nodes, nodes))
+        count, label = connected_components(links, directed=False)
+        free = np.isin(np.arange(3 * nodes), self.free)
+        for number in range(count):
+            own = np.flatnonzero(label == number)
+            unknowns = _of_nodes(own)
+            yield ElasticPiece(
+                unknowns,
+                self.points[own],
+                upper_triangle(self.stiffness[unknowns][:, unknowns]),
+                csr_array(self.thermal_load[unknowns]),
+                free[unknowns],
+            )
 
 
 def elastic_operators(
@@ -58,7 +98,32 @@ def elastic_operators(
     symmetry: dict[str, str],
     springs: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> ElasticOperators:
-    """Assemble the elastic operators.
+    """Assemble the elastic operators of the whole structure; as for `elastic_pieces`."""
+    size = spaces.displacement_size
+    stiffness, load = csr_array((size, size)), csr_array((size, int(spaces.heat.N)))
+    for piece in elastic_pieces(structure, spaces, materials, fixed, symmetry, springs):
+        at = symmetric(piece.stiffness).tocoo()
+        index = (piece.unknowns[at.row], piece.unknowns[at.col])
+        stiffness = stiffness + csr_array((at.data, index), shape=stiffness.shape)
+        load = load + in_rows(piece.thermal_load, piece.unknowns, size)
+    held = held_unknowns(structure, spaces, fixed, symmetry)
+    return ElasticOperators(
+        csr_array(stiffness),
+        csr_array(load),
+        np.setdiff1d(np.arange(size), held),
+        np.ascontiguousarray(spaces.displacement.doflocs.T),
+    )
+
+
+def elastic_pieces(
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    fixed: list[str],
+    symmetry: dict[str, str],
+    springs: Mapping[str, tuple[float, float, float]] | None = None,
+) -> Iterator[ElasticPiece]:
+    """Assemble one piece after the other: no more than one of them is held here.
 
     Parameters
     ----------
@@ -76,66 +141,113 @@ def elastic_operators(
         Surface name to the stiffness in x, y and z of the springs it stands on, N/m in all, spread
         evenly over the surface.
     """
-    basis = spaces.elastic
-    lame = {name: m.lame for name, m in materials.items()}
-    first = cell_field(structure, {name: lam for name, (lam, _) in lame.items()}, basis)
-    shear = cell_field(structure, {name: mu for name, (_, mu) in lame.items()}, basis)
-    bulk = cell_field(
-        structure,
-        {n: (3.0 * lame[n][0] + 2.0 * lame[n][1]) * m.expansion for n, m in materials.items()},
-        basis,
-    )
-    # sigma = lambda tr(e) I + 2 mu e, written with scalar products of derivatives: the vector
-    # form would repeat each of them for every pair of components.
-    lam = [
-        [gradient_product.assemble(basis, value=first, i=i, j=j) for j in range(3)]
-        for i in range(3)
-    ]
-    mu = [
-        [gradient_product.assemble(basis, value=shear, i=i, j=j) for j in range(3)]
-        for i in range(3)
-    ]
-    laplacian = mu[0][0] + mu[1][1] + mu[2][2]
-    blocks = {(i, j): lam[i][j] + mu[j][i] for i in range(3) for j in range(3)}
+    free = np.ones(spaces.displacement_size, dtype=bool)
+    free[held_unknowns(structure, spaces, fixed, symmetry)] = False
+    beds = _beds(structure, spaces, springs or {})
+    lame = {name: m.lame[0] for name, m in materials.items()}
+    shear = {name: m.lame[1] for name, m in materials.items()}
+    bulk = {n: (3.0 * lame[n] + 2.0 * shear[n]) * m.expansion for n, m in materials.items()}
+    by_body = [by_cell(structure, values) for values in (lame, shear, bulk)]
+
+    def piece(cells: NDArray[np.int64]) -> ElasticPiece:
+        nodes = np.unique(spaces.displacement.element_dofs[:, cells])
+        unknowns = _of_nodes(nodes)
+        stiffness, load = _assembled(spaces, cells, nodes, [values[cells] for values in by_body])
+        if springs:
+            stiffness = csr_array(stiffness + upper_triangle(beds[unknowns][:, unknowns]))
+        points = np.ascontiguousarray(spaces.displacement.doflocs[:, nodes].T)
+        return ElasticPiece(unknowns, points, stiffness, load, free[unknowns])
+
+    return map(piece, _connected_cells(spaces.displacement.element_dofs))
+
+
+def in_rows(block: csr_array, rows: NDArray[np.int64], count: int) -> csr_array:
+    """Put the rows of a block (r, k) at `rows`, in ascending order, of a matrix (count, k)."""
+    filled = np.zeros(count, dtype=np.int64)
+    filled[rows] = np.diff(block.indptr)
+    indptr = np.concatenate([[0], np.cumsum(filled)])
+    return csr_array((block.data, block.indices, indptr), shape=(count, block.shape[1]))
+
+
+def _assembled(
+    spaces: Spaces, cells: NDArray[np.int64], nodes: NDArray[np.int64], moduli: list[Array]
+) -> tuple[csr_array, csr_array]:
+    """Upper triangle of K and F of some cells on the unknowns of their nodes."""
+    basis, heat = spaces.displacement, spaces.heat
+    lame, shear, bulk = moduli
+    own = np.searchsorted(nodes, basis.element_dofs[:, cells])
+    # With its functions in the order of their nodes, every cell has the same upper triangle.
+    order = np.argsort(own, axis=0)
+    own = np.take_along_axis(own, order, axis=0)
+    pairs = np.triu_indices(len(own))
+    temperatures = heat.element_dofs[:, cells]
+    shapes, _ = reference_shapes(heat.elem, spaces.quadrature[0], len(temperatures))
+    forces = np.empty((3, 3, len(pairs[0]), len(cells)))
+    loads = np.empty((3, len(own), len(temperatures), len(cells)))
+    for part, at in cell_gradients(basis.mesh, basis.elem, spaces.quadrature, cells, order):
+        forces[..., part] = at.stiffness(lame[part], shear[part], pairs)
+        loads[..., part] = at.expansion(bulk[part], shapes)
+    places = places_of(own[pairs[0]], own[pairs[1]], (len(nodes), len(nodes)))
+    blocks = np.empty((len(places.first), 3, 3))
     for i in range(3):
-        blocks[i, i] = blocks[i, i] + laplacian
-    for name, stiffness in (springs or {}).items():
-        bed = csr_array(film_form.assemble(surface_basis(structure, basis, name)))
-        for i in range(3):
-            blocks[i, i] = blocks[i, i] + stiffness[i] / bed.sum() * bed
-    size = spaces.displacement_size
-    stiffness = _interleave(blocks, (size, size), columns=3)
-    loads = {
-        (i, 0): expansion_form.assemble(spaces.heat_on_elastic, basis, value=bulk, i=i)
-        for i in range(3)
-    }
-    load = _interleave(loads, (size, int(spaces.heat_on_elastic.N)), columns=1)
-    held = _held(structure, spaces, fixed, symmetry)
-    return ElasticOperators(stiffness, load, np.setdiff1d(np.arange(size), held))
+        for j in range(3):
+            blocks[:, i, j] = places.sums(forces[i, j])
+    del forces
+    size = 3 * len(nodes)
+    stiffness = bsr_array((blocks, places.indices, places.indptr), shape=(size, size)).tocsr()
+    del blocks
+    shape = (len(nodes), int(heat.N))
+    places = places_of(
+        np.broadcast_to(own[:, None], loads.shape[1:]),
+        np.broadcast_to(temperatures, loads.shape[1:]),
+        shape,
+    )
+    entries = np.stack([places.sums(load) for load in loads], axis=1)[:, :, None]
+    load = bsr_array((entries, places.indices, places.indptr), shape=(size, shape[1])).tocsr()
+    return upper_triangle(stiffness), csr_array(load)
 
 
-def _interleave(
-    blocks: dict[tuple[int, int], csr_array], shape: tuple[int, int], columns: int
+def _connected_cells(dofs: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Yield the cells of each part of the mesh that shares no node with the others."""
+    cells, nodes = dofs.shape[1], int(dofs.max()) + 1
+    cell = np.tile(np.arange(cells), len(dofs))
+    size = cells + nodes
+    touches = coo_array((np.ones(cell.size), (cell, cells + dofs.ravel())), (size, size))
+    label = connected_components(touches, directed=False)[1][:cells]
+    for number in dict.fromkeys(label.tolist()):
+        yield np.flatnonzero(label == number)
+
+
+def _of_nodes(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Unknowns of nodes, direction by direction at each."""
+    return (3 * nodes.astype(np.int64)[:, None] + np.arange(3)).ravel()
+
+
+def _beds(
+    structure: Structure, spaces: Spaces, springs: Mapping[str, tuple[float, float, float]]
 ) -> csr_array:
-    """Put block (i, j) at rows 3 r + i and columns `columns` c + j."""
-    rows, cols, values = [], [], []
-    for (i, j), block in blocks.items():
-        entries = coo_array(block)
-        rows.append(3 * entries.row.astype(np.int64) + i)
-        cols.append(columns * entries.col.astype(np.int64) + j)
-        values.append(entries.data)
-    index = (np.concatenate(rows), np.concatenate(cols))
-    return csr_array(coo_array((np.concatenate(values), index), shape=shape))
+    """Stiffness (n, n) of the springs under surfaces, N/m."""
+    size = spaces.displacement_size
+    found = csr_array((size, size))
+    for name, stiffness in springs.items():
+        surface = surface_basis(structure, spaces.displacement, name)
+        bed = coo_array(film_form.assemble(surface))
+        for i in range(3):
+            index = (3 * bed.row.astype(np.int64) + i, 3 * bed.col.astype(np.int64) + i)
+            values = stiffness[i] / bed.sum() * bed.data
+            found = found + csr_array((values, index), shape=found.shape)
+    return csr_array(found)
 
 
-def _held(
+def held_unknowns(
     structure: Structure, spaces: Spaces, fixed: list[str], symmetry: dict[str, str]
 ) -> NDArray[np.int64]:
+    """Unknowns that supports hold; as for `elastic_pieces`."""
     held = [np.empty(0, dtype=np.int64)]
     for name in fixed:
-        dofs = spaces.elastic.get_dofs(structure.surface(name, "supports")).all()
+        dofs = spaces.displacement.get_dofs(structure.surface(name, "supports")).all()
         held.extend(3 * dofs + i for i in range(3))
     for name, direction in symmetry.items():
-        dofs = spaces.elastic.get_dofs(structure.surface(name, "supports")).all()
+        dofs = spaces.displacement.get_dofs(structure.surface(name, "supports")).all()
         held.append(3 * dofs + DIRECTIONS.index(direction))
     return np.unique(np.concatenate(held))

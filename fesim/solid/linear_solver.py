@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from weakref import finalize
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, csr_matrix, sparray, triu
+from scipy.sparse import csc_array, csr_array, diags_array, sparray
 from scipy.sparse.linalg import splu
 
 from artefacts.arrays import Array
@@ -24,6 +24,14 @@ SOLVERS = ("pardiso", "superlu")
 
 #: Names the solver of all cases that name none.
 VARIABLE = "THERMOJOINT_SOLVER"
+
+#: PARDISO's phases: fill-in reduction, numerical factorisation, substitution.
+ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
+
+#: PARDISO's parameters, counted from 1: what follows is not the default; nested dissection. Without
+#: the first, MKL refines every solution twice, which takes four times as long and serves nobody:
+#: the residual is checked here.
+PARAMETERS = {1: 1, 2: 2}
 
 #: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
 RESIDUAL_LIMIT = 1e-6
@@ -36,7 +44,7 @@ class Factor:
     Attributes
     ----------
     matrix : scipy.sparse.csr_array
-        What was factorised.
+        Upper triangle of what was factorised.
     solve : callable
         Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
     solver : str
@@ -79,21 +87,86 @@ def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
     InputError
         The solver is unknown or not installed, or the matrix is singular.
     """
+    return factorise_upper(upper_triangle(csr_array(matrix)), what, solver)
+
+
+def factorise_upper(upper: csr_array, what: str, solver: str | None = None) -> Factor:
+    """Factorise a symmetric positive definite matrix given by its upper triangle.
+
+    Parameters
+    ----------
+    upper : scipy.sparse.csr_array, shape (n, n)
+        As `upper_triangle` gives it.
+    what, solver
+        As for `factorise`, and so is what is raised.
+    """
+    return _factoriser(upper, what, solver)(upper)
+
+
+def shifted_factors(
+    upper: csr_array, what: str, solver: str | None = None
+) -> Callable[[Array], Factor]:
+    """Return a function that factorises A + diag(d) for one diagonal d after the other.
+
+    Their common pattern is analysed once. A factor serves until the next one is asked for.
+
+    Parameters
+    ----------
+    upper : scipy.sparse.csr_array, shape (n, n)
+        Upper triangle of A; every place of the diagonal is stored.
+    what, solver
+        As for `factorise`, and so is what is raised.
+    """
+    make = _factoriser(upper, what, solver)
+
+    def factor(diagonal: Array) -> Factor:
+        data = upper.data.copy()
+        # Rows of an upper triangle begin with the diagonal.
+        data[upper.indptr[:-1]] += diagonal
+        return make(csr_array((data, upper.indices, upper.indptr), shape=upper.shape))
+
+    return factor
+
+
+def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[csr_array], Factor]:
+    """Return what factorises matrices of one pattern."""
     name = solver or default_solver()
-    rows = csr_array(matrix)
-    rows.sort_indices()
     if name == "pardiso":
-        solve = _pardiso(rows, what)
+        make = _pardiso(upper, what)
     elif name == "superlu":
-        solve = _superlu(rows, what)
+        make = _superlu(what)
     else:
         raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
-    factor = Factor(rows, solve, name)
-    # A pivot that is zero but for rounding passes the factorisation; a solve shows it.
-    probe = np.cos(np.arange(rows.shape[0]))
-    if not _relative_residual(factor, solve(probe), probe) <= RESIDUAL_LIMIT:
-        raise _singular(what)
+    probe = np.cos(np.arange(upper.shape[0]))
+
+    def factor(matrix: csr_array) -> Factor:
+        found = Factor(matrix, make(matrix), name)
+        # A pivot that is zero but for rounding passes the factorisation; a solve shows it.
+        if not _relative_residual(found, found.solve(probe), probe) <= RESIDUAL_LIMIT:
+            raise singular(what)
+        return found
+
     return factor
+
+
+def upper_triangle(matrix: csr_array) -> csr_array:
+    """Return the upper triangle of a matrix, its columns in ascending order."""
+    matrix.sort_indices()
+    counts = np.diff(matrix.indptr)
+    row = np.repeat(np.arange(matrix.shape[0], dtype=matrix.indices.dtype), counts)
+    kept = matrix.indices >= row
+    indptr = np.concatenate([[0], np.cumsum(kept)])[matrix.indptr]
+    return csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
+
+
+def symmetric_product(upper: csr_array, vectors: Array) -> Array:
+    """Multiply a symmetric matrix, of which the upper triangle is given, with vectors."""
+    return np.asarray(upper @ vectors + upper.T @ vectors - (vectors.T * upper.diagonal()).T)
+
+
+def symmetric(upper: csr_array) -> csr_array:
+    """Return the whole of a symmetric matrix of which the upper triangle is given."""
+    return csr_array(upper + upper.T - diags_array(upper.diagonal()))
 
 
 def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
@@ -112,32 +185,36 @@ def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
 
 
 def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> float:
-    residual = float(np.abs(factor.matrix @ solution - right_side).max())
+    residual = float(np.abs(symmetric_product(factor.matrix, solution) - right_side).max())
     scale = float(np.abs(right_side).max())
     return residual / scale if scale > 0.0 else residual
 
 
-def _singular(what: str) -> InputError:
+def singular(what: str) -> InputError:
+    """Return the error for a matrix that has no inverse."""
     return InputError(
         f"{what}: the matrix is singular; some body is free to move or has no material: "
         "check supports, joints and materials"
     )
 
 
-def _superlu(matrix: csr_array, what: str) -> Callable[[Array], Array]:
-    try:
-        lu = splu(
-            csc_array(matrix),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:
-        raise _singular(what) from error
-    return lambda right_side: lu.solve(np.ascontiguousarray(right_side))
+def _superlu(what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
+    def factorised(upper: csr_array) -> Callable[[Array], Array]:
+        try:
+            lu = splu(
+                csc_array(symmetric(upper)),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise singular(what) from error
+        return lambda right_side: lu.solve(np.ascontiguousarray(right_side))
+
+    return factorised
 
 
-def _pardiso(matrix: csr_array, what: str) -> Callable[[Array], Array]:
+def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
     try:
         from pypardiso import PyPardisoSolver
         from pypardiso.pardiso_wrapper import PyPardisoError
@@ -146,22 +223,32 @@ def _pardiso(matrix: csr_array, what: str) -> Callable[[Array], Array]:
             "linear solver: 'pardiso' is not installed; install the extra "
             "thermojoint[pardiso] or use 'superlu'"
         ) from error
-    upper = csr_matrix(triu(matrix, format="csr"))
-    upper.sort_indices()
+    # A row without entries would crash MKL.
+    if not np.diff(upper.indptr).all():
+        raise singular(what)
     solver = PyPardisoSolver(mtype=2)
+    for number, value in PARAMETERS.items():
+        solver.set_iparm(number, value)
     # Told where MKL is, the next solver does not search the whole installation for it (0.3 s each).
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
-    try:
-        solver.factorize(upper)
-    except (PyPardisoError, ValueError) as error:  # ValueError: a row without entries
-        raise _singular(what) from error
-    solver.set_phase(33)
 
-    def solve(right_side: Array) -> Array:
-        columns = np.asfortranarray(right_side, dtype=np.float64)
-        # The public solve() compares the whole matrix with its copy on every call.
-        return np.asarray(solver._call_pardiso(upper, columns))
+    def run(phase: int, matrix: csr_array, right_side: Array) -> Array:
+        solver.set_phase(phase)
+        try:
+            # The public calls compare the whole matrix with a copy of it, and keep the copy.
+            return np.asarray(solver._call_pardiso(matrix, right_side))
+        except PyPardisoError as error:
+            raise singular(what) from error
 
     # MKL keeps a factorisation until it is told to let go of it.
-    finalize(solve, solver.free_memory, everything=True).atexit = False
-    return solve
+    finalize(run, solver.free_memory, everything=True).atexit = False
+    run(ANALYSIS, upper, np.zeros(upper.shape[0]))
+
+    def factorised(matrix: csr_array) -> Callable[[Array], Array]:
+        run(NUMBERS, matrix, np.zeros(matrix.shape[0]))
+
+        return lambda right_side: run(
+            SOLUTION, matrix, np.asfortranarray(right_side, dtype=np.float64)
+        )
+
+    return factorised

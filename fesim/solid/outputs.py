@@ -17,7 +17,6 @@ from scipy.sparse import csr_array, diags_array, vstack
 from artefacts.arrays import Array
 from fesim.solid.condensation import DisplacementField
 from fesim.solid.heat import film_form, surface_basis
-from fesim.solid.linear_solver import checked_solve
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
 
@@ -78,14 +77,12 @@ def condense_outputs(
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
     """
-    operators, free = field.operators, field.operators.free
-    asked = rows.displacement[:, free].toarray().T
-    adjoint = checked_solve(field.factor, np.ascontiguousarray(asked), "mechanical outputs").T
-    by_force = (field.gap[:, free] @ adjoint.T).T * field.area
+    adjoint = field.respond(rows.displacement.toarray().T, "mechanical outputs")
+    load = field.structure.thermal_load
     return MechanicalOutputs(
-        temperature=(operators.thermal_load[free].T @ adjoint.T).T + rows.temperature.toarray(),
-        remainder=by_force + rows.remainder,
-        loads=adjoint @ forces[free] + rows.loads,
+        temperature=(load.T @ adjoint).T + rows.temperature.toarray(),
+        remainder=(field.gap @ adjoint).T * field.area + rows.remainder,
+        loads=adjoint.T @ forces + rows.loads,
     )
 
 
@@ -131,18 +128,20 @@ def reaction_rows(
     chosen = np.zeros((3 * len(held), size))
     taken = np.zeros(size, dtype=bool)
     for k, (name, directions) in enumerate(held):
-        dofs: NDArray[np.int64] = spaces.elastic.get_dofs(structure.surface(name, "supports")).all()
+        dofs: NDArray[np.int64] = spaces.displacement.get_dofs(
+            structure.surface(name, "supports")
+        ).all()
         for i in directions:
             own = 3 * dofs + i
             chosen[3 * k + i, own[~taken[own]]] = 1.0
             taken[own] = True
     sums = csr_array(chosen)
     lacking = sums @ field.gap.T @ diags_array(field.area)
-    operators = field.operators
+    known = field.structure
     # z is the remainder less the reference springs' share.
     fixed = OutputRows(
-        csr_array(sums @ operators.stiffness + lacking @ diags_array(reference) @ field.gap),
-        csr_array(-(sums @ operators.thermal_load)),
+        csr_array(sums @ known.held_stiffness + lacking @ diags_array(reference) @ field.gap),
+        csr_array(-(sums @ known.thermal_load)),
         -lacking.toarray(),
         -(sums @ forces),
     )
@@ -157,7 +156,7 @@ def _spring_rows(
 ) -> OutputRows:
     rows = np.zeros((3 * len(springs), spaces.displacement_size))
     for k, (name, stiffness) in enumerate(springs):
-        bed = csr_array(film_form.assemble(surface_basis(structure, spaces.elastic, name)))
+        bed = csr_array(film_form.assemble(surface_basis(structure, spaces.displacement, name)))
         share = np.asarray(bed.sum(axis=0)).ravel() / bed.sum()
         for i in range(3):
             rows[3 * k + i, i::3] = -stiffness[i] * share

@@ -12,14 +12,20 @@ temperature is in the basis, so that the reduced model keeps the heat balance to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
-from fesim.solid.linear_solver import checked_solve, factorise
+from fesim.solid.linear_solver import (
+    Factor,
+    checked_solve,
+    shifted_factors,
+    upper_triangle,
+)
 
 #: Numbers of shifts that are tried one after the other.
 SHIFTS = (20, 28, 40)
@@ -33,6 +39,11 @@ SOLVED = 1e-9
 #: The transfer is checked at about this many shifts, the march over this many steps, each this many
 #: times the shortest time: errors of real shifts alone would be too small by far.
 CHECKED, STEPS, STEP = 4, 200, 2.0
+#: Outputs of this many steps are formed together.
+TOGETHER = 50
+#: Of more drives than twice this, so many random combinations at a time stand for all, until they
+#: bring fewer new directions than half of their number.
+SAMPLE = 64
 
 
 @dataclass(frozen=True)
@@ -89,23 +100,22 @@ def reduce_heat(
         The error stays above the tolerance with the most shifts.
     """
     root = np.sqrt(capacity)
-    responses: dict[float, Array] = {}
-
-    def response(shift: float) -> Array:
-        if shift not in responses:
-            system = conduction + diags_array(shift * capacity)
-            factor = factorise(csr_array(system), "shifted heat equation", solver)
-            responses[shift] = checked_solve(factor, drives, "reduction of the heat equation")
-        return responses[shift]
-
+    upper = upper_triangle(csr_array(conduction))
+    factors = shifted_factors(upper, "shifted heat equation", solver)
     step = STEP * shortest
-    exact = _unit_march(capacity, conduction, _together(drives), outputs, step, solver)
+    exact = _unit_march(factors(capacity / step), capacity / step, _together(drives), outputs)
     cut, error = CUT, np.inf
     for count in SHIFTS:
         shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
         basis = _orthonormal(root[:, None], np.empty((len(root), 0)), 0.0)
         for shift in shifts:
-            basis = np.hstack([basis, _orthonormal(root[:, None] * response(shift), basis, cut)])
+            factor = factors(shift * capacity)
+            for sample in _samples(drives.shape[1]):
+                block = root[:, None] * _response(factor, drives @ sample)
+                found = _orthonormal(block, basis, cut)
+                basis = np.hstack([basis, found])
+                if 2 * found.shape[1] < sample.shape[1]:
+                    break
         vectors = basis / root[:, None]
         rates, turn = np.linalg.eigh(vectors.T @ (conduction @ vectors))
         modes = np.ascontiguousarray(vectors @ turn)
@@ -114,7 +124,12 @@ def reduce_heat(
         reduced = (reduced_outputs, rates, reduced_drives)
         between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // CHECKED)]
         error = max(
-            *(_transfer_error(outputs @ response(shift), reduced, shift) for shift in between),
+            *(
+                _transfer_error(
+                    outputs @ _response(factors(shift * capacity), drives), reduced, shift
+                )
+                for shift in between
+            ),
             _march_error(exact, reduced, step),
         )
         if error <= 1.0:
@@ -132,21 +147,36 @@ def _together(drives: Array) -> Array:
     return drives @ np.column_stack([np.ones(drives.shape[1]), signs])
 
 
-def _unit_march(
-    capacity: Array,
-    conduction: csr_array,
-    drives: Array,
-    outputs: Array,
-    step: float,
-    solver: str | None,
-) -> Array:
-    """Outputs (steps, q, p) of the full model to drives that set in at time zero."""
-    system = csr_array(conduction + diags_array(capacity / step))
-    factor = factorise(system, "heat equation", solver)
+def _response(factor: Factor, drives: Array) -> Array:
+    return checked_solve(factor, drives, "reduction of the heat equation")
+
+
+def _samples(count: int) -> Iterator[Array]:
+    """Combinations of drives, shape (count, columns): each by itself if they are few, else random.
+
+    What drives make together by a unit of size each is of that size in a combination.
+    """
+    if count <= 2 * SAMPLE:
+        yield np.eye(count)
+        return
+    rng = np.random.default_rng(0)
+    for _ in range(-(-count // SAMPLE)):
+        yield rng.standard_normal((count, SAMPLE)) / np.sqrt(SAMPLE)
+
+
+def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array) -> Array:
+    """Outputs (steps, q, p) of the full model to drives that set in at time zero.
+
+    `factor` is that of a step, `rate` (n,) its M/dt.
+    """
     state, found = np.zeros(drives.shape), []
-    for _ in range(STEPS):
-        state = factor.solve(drives + capacity[:, None] / step * state)
-        found.append(outputs @ state)
+    for _ in range(STEPS // TOGETHER):
+        states = []
+        for _ in range(TOGETHER):
+            state = factor.solve(drives + rate[:, None] * state)
+            states.append(state)
+        moved = outputs @ np.hstack(states)
+        found.extend(np.hsplit(moved, TOGETHER))
     return np.array(found)
 
 

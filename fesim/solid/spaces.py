@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from skfem import (
 )
 from skfem.element import Element
 from skfem.mapping import Mapping as CellMaps
+from skfem.quadrature import get_quadrature
 
 from artefacts.errors import InputError, shown_point
 from meshes.structure import Probe, Structure
@@ -50,20 +52,38 @@ class Spaces:
     ----------
     heat : skfem.CellBasis
         Temperature.
-    elastic : skfem.CellBasis
-        One component of displacement, on the quadrature points of its own stiffness.
-    heat_on_elastic : skfem.CellBasis
-        Temperature on the quadrature points of `elastic`, for the thermal load.
+    displacement : skfem.CellBasis
+        One component of displacement: its numbering, places and surfaces. It has one quadrature
+        point a cell and integrates nothing of second order over cells: `elastic` does.
+    order : int
+        Of the quadrature of the stiffness.
     """
 
     heat: CellBasis
-    elastic: CellBasis
-    heat_on_elastic: CellBasis
+    displacement: CellBasis
+    order: int
+
+    @cached_property
+    def elastic(self) -> CellBasis:
+        """One component of displacement on the quadrature points of its own stiffness.
+
+        Made when somebody asks: of a fine mesh it takes gigabytes.
+        """
+        displacement = self.displacement
+        return CellBasis(
+            displacement.mesh, displacement.elem, intorder=self.order, dofs=displacement.dofs
+        )
+
+    @property
+    def quadrature(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points (3, q) and weights (q,) of the stiffness on the reference cell."""
+        points, weights = get_quadrature(self.displacement.mesh.refdom, self.order)
+        return np.asarray(points), np.asarray(weights)
 
     @property
     def displacement_size(self) -> int:
         """Number of displacement unknowns, supports included."""
-        return 3 * int(self.elastic.N)
+        return 3 * int(self.displacement.N)
 
 
 def make_spaces(mesh: Mesh) -> Spaces:
@@ -82,8 +102,7 @@ def make_spaces(mesh: Mesh) -> Spaces:
         low, high = ElementTetP1(), ElementTetP2()
         heat_order, elastic_order = (4, 4) if curved else (2, 2)
     heat = CellBasis(mesh, low, intorder=heat_order)
-    elastic = CellBasis(mesh, high, intorder=elastic_order)
-    return Spaces(heat, elastic, elastic.with_element(low))
+    return Spaces(heat, CellBasis(mesh, high, intorder=1), elastic_order)
 
 
 def interpolation(

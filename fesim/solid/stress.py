@@ -76,7 +76,7 @@ def stress_rows(
         Pa/m on displacements and Pa/K on temperatures; `COMPONENTS` point by point.
     """
     local = local_coordinates(structure.mesh, points, cells)[:, :, None]
-    elastic, heat = spaces.elastic, spaces.heat
+    elastic, heat = spaces.displacement, spaces.heat
     lam, mu, alpha = (
         by_cell(structure, values)[cells]
         for values in (

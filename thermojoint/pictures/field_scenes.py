@@ -86,7 +86,9 @@ def fields_at(stage: Stage, step: Step, sources: int) -> Fields:
         time=setup.machine.thermal.step * step.state.index,
         heat=step.inputs[:sources],
         temperature=temperature[setup.spaces.heat.nodal_dofs[0][stage.nodes]],
-        displacement=displacement.reshape(-1, 3)[setup.spaces.elastic.nodal_dofs[0][stage.nodes]],
+        displacement=displacement.reshape(-1, 3)[
+            setup.spaces.displacement.nodal_dofs[0][stage.nodes]
+        ],
         pressure=step.state.pressure,
     )
 

@@ -1,0 +1,118 @@
+"""Set-up: what is kept when the heat changes, many contact elements, large structures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from benchmarks.performance.cases import condensations, fresh_condensations, reference_machine
+from benchmarks.performance.scaling import LARGE_LIMIT, Size, free_memory, measured_once
+from benchmarks.performance.timing import Row, Skipped, paired
+from fesim.case.schema import Case
+from fesim.setup.machine import set_up
+
+REPEATS = 3
+#: Element edges of the milling machine of 589 000 and of the largest number of displacements, mm.
+LARGE, LARGEST = "16.5", "10.4"
+#: Time for the largest structure, s.
+LONGEST = 1800.0
+#: Contact elements along and across each of five joints; elements along each edge of a joint.
+PILLAR = ["--pillar", "20", "20", "12"]
+
+
+def changed_rows(repeats: int = REPEATS) -> Iterator[Row]:
+    """Yield the rows of a set-up of which only source, film or temperature probes changed."""
+    case = reference_machine()
+    surfaces = ["rear", "interior", "exterior"]
+    changes: dict[str, list[Case]] = {
+        "source": [heated_at(case, surfaces[k % 3]) for k in range(repeats)],
+        "film": [with_film(case, 7.0 + k) for k in range(repeats)],
+        "probe": [read_at(case, 400.0 + k) for k in range(repeats)],
+    }
+    for name, cases in changes.items():
+        with fresh_condensations():
+            set_up(case)
+            ours, others = iter(cases), iter(cases)
+            yield Row(
+                f"setup-changed-{name}",
+                *paired(lambda it=ours: set_up(next(it)), partial(_anew, others), repeats),
+                "s",
+                f"set-up of the equal-heights machine with another {name} and the rest on the disk "
+                f"against an empty folder; median of {repeats}",
+            )
+
+
+def _anew(cases: Iterator[Case]) -> None:
+    with condensations("off"):
+        set_up(next(cases))
+
+
+def heated_at(case: Case, surface: str) -> Case:
+    """Return a case whose source is on another surface."""
+    (name,) = case.sources
+    source = case.sources[name].model_copy(update={"surface": surface})
+    return case.model_copy(update={"sources": {name: source}})
+
+
+def with_film(case: Case, film: float) -> Case:
+    """Return a case with another film, W/(m2 K)."""
+    return case.model_copy(update={"convection_W_m2K": {"exterior": film}})
+
+
+def read_at(case: Case, height: float) -> Case:
+    """Return a case with one more temperature probe, at some height (mm)."""
+    probe = {"position_mm": [625.0, height, 87.5], "body": "column"}
+    return Case.model_validate(case.model_dump() | {"probes": {"T9": probe}})
+
+
+def contact_rows() -> Iterator[Row | Skipped]:
+    """Yield the rows of 2 000 contact elements in five joints."""
+    yield from _against_plain("contacts-2000", PILLAR)
+
+
+def large_rows() -> Iterator[Row | Skipped]:
+    """Yield the rows of a structure of 589 000 displacements."""
+    yield from _against_plain("setup-589k", ["--elements", LARGE])
+
+
+def largest_rows() -> Iterator[Row | Skipped]:
+    """Yield the row of the largest structure that the memory and the time allowed hold."""
+    one = _size("setup-largest", ["--elements", LARGEST], LARGE_LIMIT)
+    if isinstance(one, Skipped):
+        yield one
+        return
+    note = (
+        f"{one.unknowns} displacements, {one.temperatures} temperatures, {one.modes} modes, "
+        f"{one.memory:.1f} GB; other: the time allowed; measured once"
+    )
+    yield Row("setup-largest", one.setup, LONGEST, LONGEST / one.setup, "s", note)
+
+
+def _against_plain(name: str, options: list[str]) -> Iterator[Row | Skipped]:
+    """Yield set-up time and memory against one factor of the whole stiffness."""
+    ours, plain = (
+        _size(name, [*options, *way], LARGE_LIMIT if way else 0.0) for way in ([], ["--plain"])
+    )
+    for one in (ours, plain):
+        if isinstance(one, Skipped):
+            yield one
+            return
+    how = (
+        f"{ours.unknowns} displacements, {ours.contacts} contact elements, {ours.modes} modes, "
+        "against one stiffness assembled form by form and factorised at once, reduced thermal "
+        "model the same; measured once"
+    )
+    yield Row(name, ours.setup, plain.setup, plain.setup / ours.setup, "s", how)
+    yield Row(f"{name}-memory", ours.memory, plain.memory, plain.memory / ours.memory, "GB", how)
+    if ours.contacts > 1000:
+        limit = 50.0
+        note = f"a step of the same, {ours.contacts} contact elements; other: what is allowed"
+        yield Row(f"{name}-step", ours.step, limit, limit / ours.step, "ms", note)
+
+
+def _size(name: str, options: list[str], needed: float) -> Size | Skipped:
+    free = free_memory()
+    if free is not None and free < needed:
+        return Skipped(name, f"{needed:.0f} GB are needed, {free:.0f} GB are free")
+    one = measured_once(options)
+    return Skipped(name, one) if isinstance(one, str) else one

@@ -1,0 +1,110 @@
+"""The elastic structure of a case: factorised once if it is needed again, else piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from artefacts.arrays import Array
+from fesim.case.schema import Case
+from fesim.joint.operators import JointOperators
+from fesim.setup.holds import fixed_surfaces
+from fesim.setup.loads import spring_stiffnesses
+from fesim.setup.outputs import asks_for_outputs
+from fesim.solid.condensation import DisplacementField, displacement_field
+from fesim.solid.elasticity import ElasticPiece, elastic_pieces
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces
+from fesim.solid.substructures import (
+    FactorisedStructure,
+    Substructure,
+    TieCondensation,
+    condense_ties,
+    factorised_structure,
+    substructures,
+)
+from meshes.structure import Structure
+
+
+@dataclass(frozen=True)
+class ElasticStructure:
+    """Pieces of a case and the springs across its joints.
+
+    Attributes
+    ----------
+    pieces : callable
+        Assembles one piece after the other.
+    joints : JointOperators
+        G and areas.
+    reference : ndarray, shape (3 m,)
+        Stiffness of the reference springs, Pa/m.
+    shape : (int, int)
+        Displacement and temperature unknowns.
+    solver : str or None
+        See `fesim.solid.linear_solver.factorise`.
+    """
+
+    pieces: Callable[[], Iterator[ElasticPiece]]
+    joints: JointOperators
+    reference: Array
+    shape: tuple[int, int]
+    solver: str | None
+
+    @property
+    def springs(self) -> Array:
+        """Reference springs (3 m,), N/m."""
+        return self.reference * np.tile(self.joints.area, 3)
+
+    @cached_property
+    def factorised(self) -> FactorisedStructure:
+        """All pieces at once."""
+        return factorised_structure(
+            self.pieces(), self.joints.gap, self.springs, self.shape, self.solver
+        )
+
+    def one_by_one(self) -> Iterator[Substructure]:
+        """Each piece factorised when it is its turn; nobody keeps it."""
+        return substructures(self.pieces(), self.joints.gap, self.springs, self.solver)
+
+    def condense(self, each: Iterable[Substructure], probes: csr_array) -> TieCondensation:
+        """Condense the pieces on joints and displacement probes (k, n)."""
+        return condense_ties(each, self.joints.gap, self.springs, probes, self.shape[1])
+
+    def field(self, condensed: TieCondensation) -> DisplacementField:
+        """Return full displacements on demand."""
+        return displacement_field(self.factorised, condensed, self.joints)
+
+
+def elastic_structure(
+    case: Case,
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    joints: JointOperators,
+    reference: Array,
+) -> ElasticStructure:
+    """Return the elastic structure of a case; nothing is assembled yet."""
+    return ElasticStructure(
+        lambda: elastic_pieces(
+            structure,
+            spaces,
+            materials,
+            fixed_surfaces(case),
+            dict(case.supports.symmetry),
+            spring_stiffnesses(case, structure),
+        ),
+        joints,
+        reference,
+        (spaces.displacement_size, int(spaces.heat.N)),
+        case.march.solver,
+    )
+
+
+def pieces_to_condense(case: Case, elastic: ElasticStructure) -> Iterable[Substructure]:
+    """Return the factorised pieces: kept if loads, outputs or snapshots need them again."""
+    again = case.loads or case.output.snapshots_s or asks_for_outputs(case)
+    return elastic.factorised.substructures if again else elastic.one_by_one()

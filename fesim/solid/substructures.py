@@ -1,0 +1,350 @@
+"""Pieces of a structure, factorised one after the other and then tied by springs (docs/march.md).
+
+Without the springs across its joints the stiffness is block diagonal by connected pieces. A piece
+that its supports hold less than its joints do is anchored: springs hold three of its nodes. With
+Kd, the stiffness with anchors and without joints, ties E = [G; N] (gaps, and what anchors hold) and
+their springs D = diag(A k, -kappa), the stiffness with springs across the joints is Kr = Kd + E^T D
+E. All that the march needs of Kr^-1 follows from E Kd^-1 [E^T, F] by one dense system of the size
+of the joints (Woodbury).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, vstack
+
+from artefacts.arrays import Array
+from fesim.solid.elasticity import ElasticPiece, in_rows
+from fesim.solid.linear_solver import (
+    RESIDUAL_LIMIT,
+    Factor,
+    checked_solve,
+    factorise_upper,
+    singular,
+    symmetric_product,
+    upper_triangle,
+)
+
+#: Numbers in the right-hand sides that are solved together: 0.2 GB.
+AT_ONCE = 25_000_000
+#: A piece is anchored if its supports hold a rigid motion by less than this share of what anchors
+#: do and they together.
+HELD = 1e-3
+
+
+@dataclass(frozen=True)
+class Substructure:
+    """One piece with its supports and anchors, factorised.
+
+    Attributes
+    ----------
+    unknowns : ndarray of int, shape (f,)
+        Its free unknowns in the numbering of the whole.
+    factor : Factor
+        Kd on them.
+    thermal_load : scipy.sparse.csr_array, shape (f, n_heat)
+        F.
+    anchored : ndarray of int, shape (a,)
+        Unknowns, in the numbering of the whole, that a spring holds.
+    anchor : float
+        Stiffness of each of these springs, N/m.
+    """
+
+    unknowns: NDArray[np.int64]
+    factor: Factor
+    thermal_load: csr_array
+    anchored: NDArray[np.int64]
+    anchor: float
+
+
+@dataclass(frozen=True)
+class TieCondensation:
+    """Ties and probes as linear functions of forces and temperatures, for Kr.
+
+    The first 3 m of the q ties are the gaps; the others are anchored unknowns.
+
+    Attributes
+    ----------
+    springs : ndarray, shape (q,)
+        D, N/m.
+    compliance : ndarray, shape (q, q)
+        E Kr^-1 E^T, m/N.
+    thermal : ndarray, shape (q, n_heat)
+        E Kr^-1 F, m/K.
+    probe_compliance : ndarray, shape (k, q)
+        Of probes P: P Kr^-1 E^T, m/N.
+    probe_thermal : ndarray, shape (k, n_heat)
+        P Kr^-1 F, m/K.
+    """
+
+    springs: Array
+    compliance: Array
+    thermal: Array
+    probe_compliance: Array
+    probe_thermal: Array
+
+
+def substructure(
+    piece: ElasticPiece, gap: csr_array, springs: Array, solver: str | None = None
+) -> Substructure:
+    """Factorise one piece, with anchors if its supports hold it less than its joints do.
+
+    Parameters
+    ----------
+    piece : ElasticPiece
+        With an unknown that is free, or more.
+    gap : scipy.sparse.csr_array, shape (3 m, n)
+        G, on the unknowns of the whole.
+    springs : ndarray, shape (3 m,)
+        Of the reference springs across the joints, A k, N/m.
+    solver : str, optional
+        See `fesim.solid.linear_solver.factorise`.
+
+    Raises
+    ------
+    InputError
+        Neither supports nor joints hold the piece.
+    """
+    free = np.flatnonzero(piece.free)
+    stiffness = piece.stiffness
+    if free.size < piece.free.size:
+        stiffness = upper_triangle(stiffness[free][:, free])
+    touched = np.diff(csr_array(gap[:, piece.unknowns[free]]).indptr) > 0
+    anchor = float(springs[touched].sum()) / 9.0
+    nodes = _far_apart(piece.points)
+    corners = (3 * nodes[:, None] + np.arange(3)).ravel()
+    anchored = np.flatnonzero(np.isin(free, corners[piece.free[corners]]))
+    if anchor > 0.0 and _needs_anchors(piece, free, stiffness, anchored, anchor):
+        held = np.zeros(free.size)
+        held[anchored] = anchor
+        stiffness = csr_array(stiffness + diags_array(held))
+    else:
+        anchored = np.empty(0, dtype=np.int64)
+    unknowns = piece.unknowns[free]
+    return Substructure(
+        unknowns,
+        factorise_upper(stiffness, "stiffness", solver),
+        csr_array(piece.thermal_load[free]),
+        unknowns[anchored],
+        anchor,
+    )
+
+
+def _far_apart(points: Array) -> NDArray[np.int64]:
+    """Three nodes that span a triangle as large as is easily found."""
+    first = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
+    second = int(np.argmax(((points - points[first]) ** 2).sum(axis=1)))
+    along = points[second] - points[first]
+    third = int(np.argmax((np.cross(points - points[first], along) ** 2).sum(axis=1)))
+    return np.array([first, second, third])
+
+
+def _needs_anchors(
+    piece: ElasticPiece,
+    free: NDArray[np.int64],
+    stiffness: csr_array,
+    anchored: NDArray[np.int64],
+    anchor: float,
+) -> bool:
+    """Whether supports hold a rigid motion of the piece by less than anchors would."""
+    centre = piece.points.mean(axis=0)
+    arms = (piece.points - centre) / np.abs(piece.points - centre).max()
+    shifts = np.tile(np.eye(3), (len(arms), 1))
+    turns = np.cross(np.eye(3)[None, :, :], arms[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+    motions = np.hstack([shifts, turns])[free]
+    supported = motions.T @ symmetric_product(stiffness, motions)
+    both = supported + anchor * motions[anchored].T @ motions[anchored]
+    try:
+        least = scipy.linalg.eigh(supported, both, eigvals_only=True)[0]
+    except np.linalg.LinAlgError:
+        return True  # A motion that neither holds: the factorisation will say so.
+    return bool(least < HELD)
+
+
+def substructures(
+    pieces: Iterable[ElasticPiece], gap: csr_array, springs: Array, solver: str | None = None
+) -> Iterator[Substructure]:
+    """Factorise one piece after the other; as for `substructure`. What is all held is left out."""
+    # No loop: its variable would keep a piece while the next one is made.
+    free = filter(lambda piece: piece.free.any(), pieces)
+    return map(partial(substructure, gap=gap, springs=springs, solver=solver), free)
+
+
+@dataclass(frozen=True)
+class FactorisedStructure:
+    """All pieces of a structure, factorised and kept.
+
+    Attributes
+    ----------
+    substructures : tuple of Substructure
+    thermal_load : scipy.sparse.csr_array, shape (n, n_heat)
+        F, also of unknowns that supports hold.
+    held_stiffness : scipy.sparse.csr_array, shape (n, n)
+        Rows of K of the unknowns that supports hold; the others are empty.
+    """
+
+    substructures: tuple[Substructure, ...]
+    thermal_load: csr_array
+    held_stiffness: csr_array
+
+
+def factorised_structure(
+    pieces: Iterable[ElasticPiece],
+    gap: csr_array,
+    springs: Array,
+    shape: tuple[int, int],
+    solver: str | None = None,
+) -> FactorisedStructure:
+    """Factorise all pieces and keep them; `shape` is that of F, the rest as for `substructure`."""
+    load, held_stiffness = csr_array(shape), csr_array((shape[0], shape[0]))
+    found: list[Substructure] = []
+    for piece in pieces:
+        load = load + in_rows(piece.thermal_load, piece.unknowns, shape[0])
+        held = np.flatnonzero(~piece.free)
+        if held.size:
+            upper = piece.stiffness
+            rows = upper[held] + upper.T[held]
+            at = (rows - diags_array(upper.diagonal(), format="csr")[held]).tocoo()
+            index = (piece.unknowns[held][at.row], piece.unknowns[at.col])
+            held_stiffness = held_stiffness + csr_array((at.data, index), held_stiffness.shape)
+        found.extend(substructures([piece], gap, springs, solver))
+    return FactorisedStructure(tuple(found), csr_array(load), csr_array(held_stiffness))
+
+
+def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
+    """Return E (q, n): gaps, then the anchored unknowns of one piece after the other."""
+    columns = np.concatenate([np.empty(0, dtype=np.int64), *(one.anchored for one in pieces)])
+    ends = np.arange(columns.size + 1)
+    anchors = csr_array((np.ones(columns.size), columns, ends), (columns.size, gap.shape[1]))
+    return csr_array(vstack([gap, anchors], format="csr"))
+
+
+@dataclass(frozen=True)
+class _Influence:
+    """R Kd^-1 [R^T, F] of one piece, for the rows R = [gaps; its anchors; probes] that touch it."""
+
+    gaps: NDArray[np.int64]
+    anchors: Array
+    probes: NDArray[np.int64]
+    heated: NDArray[np.int64]
+    compliance: Array
+    thermal: Array
+
+
+def condense_ties(
+    pieces: Iterable[Substructure],
+    gap: csr_array,
+    springs: Array,
+    probes: csr_array,
+    temperatures: int,
+) -> TieCondensation:
+    """Condense a structure on its ties and probes.
+
+    Parameters
+    ----------
+    pieces : iterable of Substructure
+        Taken one after the other, and not kept.
+    gap : scipy.sparse.csr_array, shape (3 m, n)
+        G.
+    springs : ndarray, shape (3 m,)
+        Of the reference springs across the joints, A k, N/m.
+    probes : scipy.sparse.csr_array, shape (k, n)
+        Rows that give each probed displacement.
+    temperatures : int
+        n_heat.
+
+    Raises
+    ------
+    InputError
+        Neither supports nor joints hold the structure.
+    """
+    # No loop: its variable would keep a factor while the next one is made.
+    found = list(map(partial(_influence, gap=gap, probes=probes), pieces))
+    springs = np.concatenate([springs, *(-one.anchors for one in found)])
+    ties = springs.size
+    compliance = np.zeros((ties + probes.shape[0], ties))
+    thermal = np.zeros((ties + probes.shape[0], temperatures))
+    last = gap.shape[0]
+    while found:
+        one = found.pop(0)
+        own = np.concatenate([one.gaps, last + np.arange(one.anchors.size)])
+        last += one.anchors.size
+        rows = np.concatenate([own, ties + one.probes])
+        compliance[np.ix_(rows, own)] += one.compliance[:, : own.size]
+        thermal[np.ix_(rows, one.heated)] += one.thermal
+    return _tied(springs, compliance, thermal)
+
+
+def _influence(one: Substructure, gap: csr_array, probes: csr_array) -> _Influence:
+    own_gap, own_probes = (csr_array(rows[:, one.unknowns]) for rows in (gap, probes))
+    gaps, probed = (np.flatnonzero(np.diff(rows.indptr)) for rows in (own_gap, own_probes))
+    at = np.searchsorted(one.unknowns, one.anchored)
+    ends = np.arange(at.size + 1)
+    anchors = csr_array((np.ones(at.size), at, ends), shape=(at.size, one.unknowns.size))
+    rows = csr_array(vstack([own_gap[gaps], anchors, own_probes[probed]], format="csr"))
+    heated = np.unique(one.thermal_load.indices)
+    load = one.thermal_load[:, heated]
+    compliance = np.empty((rows.shape[0], rows.shape[0]))
+    thermal = np.empty((rows.shape[0], heated.size))
+    width = max(1, AT_ONCE // one.unknowns.size)
+    for start in range(0, rows.shape[0], width):
+        part = slice(start, start + width)
+        solved = checked_solve(one.factor, rows[part].toarray().T, "elastic condensation")
+        compliance[:, part] = rows @ solved
+        thermal[part] = (load.T @ solved).T
+    return _Influence(
+        gaps,
+        np.full(at.size, one.anchor),
+        probed,
+        heated,
+        # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.
+        0.5 * (compliance + compliance.T),
+        thermal,
+    )
+
+
+def _tied(springs: Array, compliance: Array, thermal: Array) -> TieCondensation:
+    """Tie pieces by springs D: (I + E Kd^-1 E^T D)^-1 before all that belongs to ties.
+
+    Parameters
+    ----------
+    springs : ndarray, shape (q,)
+        D.
+    compliance, thermal : ndarray, shapes (q + k, q) and (q + k, n_heat)
+        Of ties and probes, without D.
+    """
+    count = springs.size
+    probes, by_force = thermal[count:], compliance[count:] * springs
+    if not count:
+        return TieCondensation(springs, np.zeros((0, 0)), thermal[:0], compliance, probes)
+    # With rows and columns in units of each spring all of it is about one.
+    root, sign = np.sqrt(np.abs(springs)), np.sign(springs)
+    right = root[:, None] * compliance[:count] * root
+    system = right * sign
+    system[np.diag_indices(count)] += 1.0
+    factor = scipy.linalg.lu_factor(system)
+    tied = _checked(factor, system, right) / root / root[:, None]
+    tied = 0.5 * (tied + tied.T)
+    heated = _checked(factor, system, root[:, None] * thermal[:count]) / root[:, None]
+    return TieCondensation(
+        springs=springs,
+        compliance=tied,
+        thermal=heated,
+        probe_compliance=compliance[count:] - by_force @ tied,
+        probe_thermal=probes - by_force @ heated,
+    )
+
+
+def _checked(factor: tuple[Array, Array], system: Array, right: Array) -> Array:
+    solved = scipy.linalg.lu_solve(factor, right)
+    left = np.abs(system @ solved - right).max(initial=0.0)
+    # Written so that NaN fails too.
+    if not left <= RESIDUAL_LIMIT * np.abs(right).max(initial=0.0):
+        raise singular("stiffness")
+    return np.asarray(solved)
