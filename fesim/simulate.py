@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.case.schema import Case, case_from_data, step_count
 from fesim.forces import mechanical_values, outputs_of
+from fesim.march.heat_step import each
 from fesim.march.stepping import (
     Advance,
-    CondensedMachine,
     State,
     Step,
     initial_state,
     iterated,
-    load_factors,
-    march,
     staggered,
 )
-from fesim.setup.loads import heat_history, input_layout, source_power, thermal_inputs
+from fesim.march.track import Track, at_rest, joined, march_along, track_of
+from fesim.one_thread import one_thread
+from fesim.setup.loads import (
+    heat_history,
+    input_layout,
+    input_table,
+    source_power,
+)
 from fesim.setup.machine import Setup, measured_points, set_up
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
@@ -96,38 +100,76 @@ def simulate(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
-    inputs = thermal_inputs(case)
-    first = start if start is not None else initial_state(ready.machine, inputs(0.0))
+    table = input_table(case)
+    (at_zero,) = table(np.zeros(1))
+    first = start if start is not None else initial_state(ready.machine, at_zero)
     if first.model != ready.machine.thermal.model:
         raise InputError(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
             'the start, or use thermal = "full" in [march] for both'
         )
-    steps = [] if start is not None else [at_rest(ready.machine, inputs(0.0))]
-    probes = [ready.probe_rows @ step.state.temperature for step in steps]
-    outputs = [outputs_of(ready, step) for step in steps]
     count = step_count(case.march) - first.index
-    if len(steps) + count < 2:
+    if count < (1 if start is None else 2):
         raise InputError(
             f"march: the saved state is at {first.index * case.march.step_s:g} s already, less "
             "than two steps before the end; make march.duration_min longer"
         )
-    state = first
-    marching = march(ready.machine, inputs, COUPLINGS[case.march.coupling], first)
-    # A step is many small dense products: threads would only wait for each other.
-    with threadpool_limits(limits=1):
-        for done, step in enumerate(islice(marching, count), start=1):
-            state = step.state
+    driven = table(case.march.step_s * (first.index + 1.0 + np.arange(count)))
+    parts = []
+    if start is None:
+        parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))
+    state, done = first, 0
+    marching = march_along(ready.machine, driven, COUPLINGS[case.march.coupling], first)
+    with one_thread():
+        for track in marching:
+            state = track.step(-1).state
             # The temperature field is the one large thing in a step: keep the probes only.
-            probes.append(ready.probe_rows @ state.temperature)
-            outputs.append(outputs_of(ready, step))
-            steps.append(replace(step, state=replace(state, temperature=np.empty(0))))
-            if on_step is not None:
-                on_step(step)
-            if progress is not None:
-                progress(done, count)
-    response = _response(case, ready, steps, np.array(probes), np.array(outputs))
-    return Simulation(response, state)
+            parts.append(_kept(ready, track))
+            for at in range(len(track)):
+                done += 1
+                if on_step is not None:
+                    on_step(track.step(at))
+                if progress is not None:
+                    progress(done, count)
+    return Simulation(_response(case, ready, _joined(parts)), state)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """What a response is made of: a track without its large fields, and what was read of them.
+
+    Attributes
+    ----------
+    track : Track
+        Its temperatures and anchors are empty.
+    probes : ndarray, shape (n, probes)
+        K.
+    outputs : ndarray, shape (n, o)
+        `outputs_of` each step.
+    """
+
+    track: Track
+    probes: np.ndarray
+    outputs: np.ndarray
+
+
+def _kept(setup: Setup, track: Track) -> _Course:
+    probes = each(setup.probe_rows, track.temperature)
+    outputs = np.empty((len(track), 0))
+    if setup.outputs is not None:
+        outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
+    small = replace(
+        track, temperature=np.empty((len(track), 0)), anchor=np.empty((len(track), 7, 0))
+    )
+    return _Course(small, probes, outputs)
+
+
+def _joined(parts: Sequence[_Course]) -> _Course:
+    return _Course(
+        joined([part.track for part in parts]),
+        np.concatenate([part.probes for part in parts]),
+        np.concatenate([part.outputs for part in parts]),
+    )
 
 
 def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
@@ -154,73 +196,32 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
-def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step:
-    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
-
-    Parameters
-    ----------
-    machine : CondensedMachine
-        What will march.
-    inputs : ndarray, shape (k + l,), optional
-        At time zero; only the factors of mechanical loads count. Default: no load.
-    """
-    if inputs is None:
-        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
-        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
-    state, elastic = initial_state(machine, inputs), machine.elastic
-    displacement = np.zeros(elastic.probe_thermal.shape[0])
-    remainder = np.zeros(3 * machine.contacts)
-    if state.gap.any():
-        value = machine.traction(state.gap, state.slip).value
-        remainder = value.ravel() + elastic.reference * state.gap.ravel()
-        displacement = elastic.probe_compliance @ (elastic.area * remainder)
-    driven = np.zeros(len(inputs))
-    if machine.loads is not None:
-        factors = load_factors(machine, inputs)
-        driven[machine.thermal.inputs.shape[1] :] = factors
-        displacement = displacement + machine.loads.probes @ factors
-    return Step(
-        state=state,
-        inputs=driven,
-        conductance=machine.conductance_in(state),
-        heat_flow=np.zeros(machine.contacts),
-        displacement=displacement,
-        remainder=remainder,
-        residual=0.0,
-        iterations=0,
-        cuts=0,
-        heat_balance=0.0,
-    )
-
-
-def _response(
-    case: Case, setup: Setup, steps: list[Step], probes: np.ndarray, outputs: np.ndarray
-) -> xr.Dataset:
-    machine = setup.machine
+def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
+    machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
-    times = machine.thermal.step * np.array([step.state.index for step in steps])
-    inputs, layout = np.array([step.inputs for step in steps]), input_layout(case)
+    times = machine.thermal.step * track.index
+    inputs, layout = track.inputs, input_layout(case)
     values = {
         "heat_input": _heat_input(case, times, inputs[:, layout.source_columns]),
         "source_power": inputs[:, layout.source_columns],
         "ambient": inputs[:, layout.ambient],
-        "temperature": probes,
-        "displacement": np.array([step.displacement for step in steps]),
+        "temperature": course.probes,
+        "displacement": track.displacement,
         "probe_position": np.array([probe.position for probe in setup.probes.values()]),
-        "pressure": np.array([step.state.pressure for step in steps]),
-        "conductance": np.array([step.conductance for step in steps]),
-        "heat_flow": np.array([step.heat_flow for step in steps]),
-        "opening": np.array([step.state.gap[0] for step in steps]),
-        "slip": np.array([step.state.slip.T for step in steps]),
+        "pressure": track.pressure,
+        "conductance": track.conductance,
+        "heat_flow": track.heat_flow,
+        "opening": track.gap[:, 0],
+        "slip": track.slip.transpose(0, 2, 1),
         "contact_position": np.concatenate(
             [np.empty((0, 3)), *(joint.centre for joint in setup.joints)]
         ),
         "contact_area": np.concatenate([np.empty(0), *(joint.area for joint in setup.joints)]),
         "contact_joint": np.array(names, dtype=str),
-        "gap_residual": np.array([step.residual for step in steps]),
-        "iterations": np.array([step.iterations for step in steps]),
-        "cuts": np.array([step.cuts for step in steps]),
-        "heat_balance": np.array([step.heat_balance for step in steps]),
+        "gap_residual": track.residual,
+        "iterations": track.iterations,
+        "cuts": track.cuts,
+        "heat_balance": track.heat_balance,
     }
     if case.loads:
         values["load_factor"] = inputs[:, layout.count :]
@@ -235,15 +236,15 @@ def _response(
     }
     if case.loads:
         coords["load"] = list(case.loads)
-    forces, places = mechanical_values(case, setup, steps, outputs)
-    values, coords = values | forces, coords | places
+    if setup.outputs is not None:
+        steps = [track.step(at) for at in range(len(track))]
+        forces, places = mechanical_values(case, setup, steps, course.outputs)
+        values, coords = values | forces, coords | places
     attrs: dict[str, str | float | int] = {
         "title": case.title,
         "reference_power_W": _reference_power(case),
         "case": case.model_dump_json(),
-        "versions": json.dumps(
-            {name: version(name) for name in ("thermojoint", "scikit-fem", "numpy", "scipy")}
-        ),
+        "versions": _versions(),
         "linear_solver": case.march.solver or default_solver(),
         "thermal_model": "full" if setup.modes is None else "reduced",
         "thermal_unknowns": int(setup.spaces.heat.N),
@@ -257,6 +258,13 @@ def _response(
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }
     return make_response(values, coords, attrs)
+
+
+@cache
+def _versions() -> str:
+    """Read once: it takes a tenth of a short march."""
+    names = ("thermojoint", "scikit-fem", "numpy", "scipy")
+    return json.dumps({name: version(name) for name in names})
 
 
 def _reference_power(case: Case) -> float:

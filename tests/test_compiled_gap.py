@@ -51,7 +51,7 @@ def test_the_law_is_that_of_the_plain_one(seed, friction, power):
     problem, _ = random_problem(seed, count, 1e-6, friction, law=law)
     made = compiled(problem, law, count)
     _, value, moved, tangent = compiled_gap._storage(gap)
-    compiled_gap._evaluate(made.laws, gap, slip, value, moved, tangent)
+    compiled_gap.evaluate_in_place(made.laws, gap, slip, value, moved, tangent)
     plain = evaluate(law, gap, slip)
     stiffest = np.abs(plain.tangent).max()
     np.testing.assert_allclose(value, plain.value, rtol=1e-12, atol=1e-6)

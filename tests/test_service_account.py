@@ -19,8 +19,8 @@ ROOT = Path(__file__).parents[1]
 KEPT = """
 import numpy as np
 from fesim.joint import compiled_gap
-assert np.isnan(compiled_gap._largest(np.array([1.0, np.nan])))
-print(getattr(compiled_gap._largest._cache, "cache_path", None))
+assert np.isnan(compiled_gap.largest(np.array([1.0, np.nan])))
+print(getattr(compiled_gap.largest._cache, "cache_path", None))
 """
 
 

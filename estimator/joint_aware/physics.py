@@ -16,16 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from artefacts.arrays import Array
-from estimator.joint_aware.compiled_march import (
+from estimator.joint_aware.reduced_machine import Joint, Modes
+from fesim.joint.law import JointLaw
+from fesim.joint.loosening import UNWATCHED
+from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
+    Moving,
     conduct_step,
-    joint_kernel,
     march_steps,
     settle_step,
 )
-from estimator.joint_aware.reduced_machine import Joint, Modes
-from fesim.joint.law import JointLaw
+from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.stepping import CondensedMachine, settle_along
 
 
@@ -225,17 +227,20 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             history[at] = amplitudes
         modes = physics.modes
         return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
+    kept = new_kept(physics.contacts)
     while k < len(inputs):
         if kernel is not None:
-            k += march_steps(
-                step, kernel, inputs[k:], amplitudes, *joint, history[k:], displacement[k:]
-            )
+            now = Moving(amplitudes, *joint)
+            record = new_record(len(inputs) - k, now, displacement.shape[1])
+            taken, _ = march_steps(step, kernel, kept, inputs[k:], now, record, UNWATCHED)
+            history[k : k + taken] = record.amplitudes[:taken]
+            displacement[k : k + taken] = record.displacement[:taken]
+            k += taken
             if k == len(inputs):
                 break
-        else:
-            amplitudes = conduct(physics, amplitudes, inputs[k], joint.pressure, length)
-            history[k] = amplitudes
         # Without machine code, or where the joint snaps.
+        amplitudes = conduct(physics, amplitudes, inputs[k], joint.pressure, length)
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes)
+        history[k] = amplitudes
         k += 1
     return history @ physics.modes.sensors.T, displacement

@@ -147,7 +147,7 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
 
 
 @compiled
-def _evaluate(
+def evaluate_in_place(
     laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
 ) -> None:
     """`fesim.joint.law.evaluate` into `value`, `moved` and `tangent` (6, m)."""
@@ -202,6 +202,55 @@ def _residual(
 
 
 @compiled
+def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int:
+    """Put the rows of dT that are not zero into `rows` (3 m,); return how many there are.
+
+    They are the pressures, then both shears of each contact element that slides.
+    """
+    count = tangent.shape[1]
+    size = count
+    for e in range(count):
+        rows[e] = e
+    for e in range(count):
+        if tangent[3, e] != -springs[count + e] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
+            rows[size], rows[size + 1] = count + e, 2 * count + e
+            size += 2
+    return size
+
+
+@compiled
+def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, float]:
+    """The entries of a row of dT: of the opening and both tangents of its contact element."""
+    count = tangent.shape[1]
+    part, e = divmod(row, count)
+    if part == 0:
+        return tangent[0, e] + springs[e], 0.0, 0.0
+    if part == 1:
+        return tangent[1, e], tangent[3, e] + springs[count + e], tangent[4, e]
+    return tangent[2, e], tangent[4, e], tangent[5, e] + springs[2 * count + e]
+
+
+@compiled
+def lacking_system(
+    springs: Array, compliance: Array, tangent: Array, rows: NDArray[np.int64], matrix: Array
+) -> None:
+    """I - dT F on the first rows of `rows`, as many as `matrix` has."""
+    count, size = tangent.shape[1], matrix.shape[0]
+    for k in range(size):
+        normal, along, across = lacking(springs, tangent, rows[k])
+        e = rows[k] % count
+        first, second = count + e, 2 * count + e
+        for j in range(size):
+            column = rows[j]
+            matrix[k, j] = -normal * compliance[e, column]
+            if rows[k] >= count:
+                matrix[k, j] -= (
+                    along * compliance[first, column] + across * compliance[second, column]
+                )
+        matrix[k, k] += 1.0
+
+
+@compiled
 def _newton_step(
     springs: Array,
     compliance: Array,
@@ -220,34 +269,13 @@ def _newton_step(
     count = tangent.shape[1]
     for i in range(3 * count):
         step[i] = -residual[i]
-    size = count
-    for e in range(count):
-        rows[e] = e
-    for e in range(count):
-        if tangent[3, e] != -springs[count + e] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
-            rows[size], rows[size + 1] = count + e, 2 * count + e
-            size += 2
+    size = lacking_rows(springs, tangent, rows)
     matrix, right_side = system[: size * size].reshape(size, size), forces[:size]
+    lacking_system(springs, compliance, tangent, rows, matrix)
     for k in range(size):
-        part, e = divmod(rows[k], count)
-        if part == 0:
-            normal, along, across = tangent[0, e] + springs[e], 0.0, 0.0
-        elif part == 1:
-            normal, across = tangent[1, e], tangent[4, e]
-            along = tangent[3, e] + springs[count + e]
-        else:
-            normal, along = tangent[2, e], tangent[4, e]
-            across = tangent[5, e] + springs[count + e]
-        first, second = count + e, 2 * count + e
-        right_side[k] = normal * step[e] + along * step[first] + across * step[second]
-        for j in range(size):
-            column = rows[j]
-            matrix[k, j] = -normal * compliance[e, column]
-            if part > 0:
-                matrix[k, j] -= (
-                    along * compliance[first, column] + across * compliance[second, column]
-                )
-        matrix[k, k] += 1.0
+        normal, along, across = lacking(springs, tangent, rows[k])
+        e = rows[k] % count
+        right_side[k] = normal * step[e] + along * step[count + e] + across * step[2 * count + e]
     found = np.linalg.solve(matrix, right_side)
     for i in range(3 * count):
         total = 0.0
@@ -257,14 +285,14 @@ def _newton_step(
 
 
 @compiled
-def _largest(values: Array) -> float:
+def largest(values: Array) -> float:
     """The largest magnitude; NaN if there is one, which must not look like convergence."""
-    largest = 0.0
+    found = 0.0
     for value in values.flat:
         if math.isnan(value):
             return math.nan
-        largest = max(largest, abs(value))
-    return largest
+        found = max(found, abs(value))
+    return found
 
 
 @compiled
@@ -288,11 +316,11 @@ def solve_in_place(
     system = np.empty(unknowns * unknowns)
     before = np.empty_like(gap)
 
-    _evaluate(laws, gap, slip, value, moved, tangent)
+    evaluate_in_place(laws, gap, slip, value, moved, tangent)
     _residual(springs, compliance, free_gap, gap, value, remainder, residual)
-    full_steps, size = MAX_FULL_STEPS, _largest(residual)
+    full_steps, size = MAX_FULL_STEPS, largest(residual)
     for iteration in range(MAX_ITERATIONS):
-        if size <= tolerance and np.spacing(_largest(gap)) <= tolerance:
+        if size <= tolerance and np.spacing(largest(gap)) <= tolerance:
             return _SOLVED, size, iteration
         _newton_step(springs, compliance, tangent, residual, step, rows, system, forces)
         before[:] = gap
@@ -301,7 +329,7 @@ def solve_in_place(
             for i in range(3):
                 for e in range(count):
                     gap[i, e] = before[i, e] + length * step[i * count + e]
-            _evaluate(laws, gap, slip, value, moved, tangent)
+            evaluate_in_place(laws, gap, slip, value, moved, tangent)
             _residual(springs, compliance, free_gap, gap, value, remainder, residual)
             if math.sqrt(residual @ residual) <= (1.0 - 1e-4 * length) * norm:
                 break
@@ -314,8 +342,8 @@ def solve_in_place(
                 for i in range(3):
                     for e in range(count):
                         gap[i, e] = before[i, e] + step[i * count + e]
-                _evaluate(laws, gap, slip, value, moved, tangent)
+                evaluate_in_place(laws, gap, slip, value, moved, tangent)
                 _residual(springs, compliance, free_gap, gap, value, remainder, residual)
                 break
-        size = _largest(residual)
+        size = largest(residual)
     return _UNCONVERGED, size, MAX_ITERATIONS

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,19 @@ SPARE = 1e-2
 
 #: Columns of the table of contact elements.
 _LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
+
+
+class Watched(NamedTuple):
+    """What machine code needs of a `Watch`; nothing is watched where there are no rows."""
+
+    table: Array
+    needed: NDArray[np.int64]
+    rows: Array
+    supports: Array
+
+
+#: Nothing is watched.
+UNWATCHED = Watched(np.empty((0, 6)), np.empty(0, dtype=np.int64), np.empty((0, 3, 0)), np.eye(0))
 
 
 @dataclass(frozen=True)
@@ -66,6 +80,16 @@ class Watch:
     supports: Array
     friction: Array
     preload: Array
+
+    @property
+    def watched(self) -> Watched:
+        """The part of it that machine code knows."""
+        return Watched(
+            self.table,
+            np.asarray(self.needed, dtype=np.int64),
+            np.ascontiguousarray(self.rows),
+            np.ascontiguousarray(self.supports),
+        )
 
     def check(self, pressure: Array, tangent: Array) -> None:
         """Raise ConvergenceError if a converged state leaves a body loose.
@@ -236,3 +260,27 @@ def _surely_held(
                 left -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = left / root
     return True
+
+
+@compiled
+def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
+    """Whether nothing is watched, or a converged state surely leaves no body loose.
+
+    Parameters
+    ----------
+    watched : Watched
+        `UNWATCHED`, or that of a `Watch`.
+    pressure : ndarray, shape (m,)
+        Pa.
+    tangent : ndarray, shape (6, m)
+        As in `fesim.joint.compiled_gap`: entries 00, 10, 20, 11, 12, 22.
+    """
+    if watched.table.shape[0] == 0:
+        return True
+    full = np.zeros((3, 3, pressure.size))
+    full[1, 1] = tangent[3]
+    full[1, 2] = tangent[4]
+    full[2, 2] = tangent[5]
+    return _as_at_rest(pressure, full, watched.table, watched.needed) or _surely_held(
+        pressure, full, watched.table, watched.rows, watched.supports
+    )

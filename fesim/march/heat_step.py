@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from artefacts.arrays import Array
 from fesim.solid.condensation import ThermalCondensation
@@ -42,22 +43,67 @@ def heat_step(
     return after, np.asarray(heat_flow, dtype=np.float64)
 
 
+def each(matrix: Array | csr_array, rows: Array) -> Array:
+    """Return `matrix` times each row of (n, r), a row for each: the same bits however many.
+
+    Parameters
+    ----------
+    matrix : ndarray or scipy.sparse.csr_array, shape (k, r) or (r,)
+        What multiplies.
+    rows : ndarray, shape (n, r)
+        What is multiplied.
+
+    Returns
+    -------
+    ndarray, shape (n, k) or (n,)
+    """
+    if isinstance(matrix, np.ndarray):
+        found = np.matmul(np.atleast_2d(matrix), rows[:, :, None])[:, :, 0]
+        return np.asarray(found[:, 0] if matrix.ndim == 1 else found)
+    return np.asarray((matrix @ rows.T).T)
+
+
 def heat_balance(
     thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
 ) -> float:
-    """(in - stored - convected) over one step, relative to the largest of the three.
+    """Return `heat_balances` of one step, from arrays without their number."""
+    rows = (one[None] for one in (before, after, inputs, heat_flow))
+    return float(heat_balances(thermal, *rows)[0])
+
+
+def heat_balances(
+    thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
+) -> Array:
+    """(in - stored - convected) over each of n steps, relative to the largest of the three.
 
     What enters at one held surface and leaves at another counts as entering, and what one part of
     the structure stores at the cost of another counts as stored: neither counts as nothing. Where
     everything has come to rest all three are rounding: then it is relative to `AT_REST` of the heat
     that the structure holds, in each step.
+
+    Parameters
+    ----------
+    thermal : ThermalCondensation
+        The condensed step.
+    before, after : ndarray, shape (n, r)
+        Temperatures at the start and at the end of each step.
+    inputs : ndarray, shape (n, k)
+        Of each step.
+    heat_flow : ndarray, shape (n, m)
+        W.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
     sums, step = thermal.balance, thermal.step
-    held = sums.after @ after - sums.before @ before - sums.drive @ inputs + sums.flow @ heat_flow
-    given = float(sums.entering @ inputs)
-    change = (after - before) / step
-    stored = float(sums.stored @ change)
-    convected = float(sums.convected @ after)
-    moved, holding = (float(np.abs(sums.stored) @ np.abs(part)) for part in (change, after / step))
-    largest = max(abs(given), float(np.abs(held).sum()), moved, abs(convected), AT_REST * holding)
-    return (given + float(held.sum()) - stored - convected) / largest if largest > 0.0 else 0.0
+    held = each(sums.after, after) - each(sums.before, before)
+    held += each(sums.flow, heat_flow) - each(sums.drive, inputs)
+    given, enters = each(sums.entering, inputs), held.sum(axis=1)
+    change, size = (after - before) / step, np.abs(sums.stored)
+    stored, convected = each(sums.stored, change), each(sums.convected, after)
+    moved, holding = each(size, np.abs(change)), each(size, np.abs(after)) / step
+    parts = [np.abs(given), np.abs(held).sum(axis=1), moved, np.abs(convected), AT_REST * holding]
+    largest = np.max(parts, axis=0)
+    left: Array = given + enters - stored - convected
+    return np.divide(left, largest, out=np.zeros_like(left), where=largest > 0.0)

@@ -21,10 +21,10 @@ from fesim.case.schema import Case
 from fesim.march.stepping import State
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "change")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "anchor")
 
 
 def fingerprint(case: Case) -> str:
@@ -92,6 +92,7 @@ def load_state(path: Path, case: Case) -> State:
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
+        "anchor": (7, count),
     }
     usable = (
         arrays.keys() == set(_ARRAYS)

@@ -26,6 +26,7 @@ from fesim.solid.rigid_motions import Holds
 
 if TYPE_CHECKING:
     from fesim.joint.loosening import Watch
+    from fesim.march.kernel import StepKernel
 
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
@@ -94,6 +95,13 @@ class CondensedMachine:
         from fesim.joint.loosening import watch_of
 
         return None if self.holds is None else watch_of(self.holds, self.laws)
+
+    @cached_property
+    def kernel(self) -> StepKernel | None:
+        """What takes its steps in machine code; None if they are to be taken plainly."""
+        from fesim.march.kernel import step_kernel
+
+        return step_kernel(self)
 
     def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
         start = 0
@@ -178,6 +186,9 @@ class State:
         By how much the last step changed the gaps, m: the next step's first guess goes on so.
     model : str
         Whose temperature it is: the `model` of the `ThermalCondensation`.
+    anchor : ndarray, shape (7, m)
+        Where the inverses were made that machine code keeps from step to step: six entries of the
+        joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
     """
 
     index: int
@@ -187,6 +198,7 @@ class State:
     pressure: Array
     change: Array
     model: str
+    anchor: Array
 
 
 class JointState(Protocol):
@@ -274,6 +286,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         pressure=machine.preload.copy(),
         change=np.zeros((3, count)),
         model=machine.thermal.model,
+        anchor=np.zeros((7, count)),
     )
     if machine.preload.all() and machine.loads is None:
         return state
@@ -310,17 +323,35 @@ def march(
     """
     state = start if start is not None else initial_state(machine, inputs(0.0))
     while True:
-        time = (state.index + 1) * machine.thermal.step
-        try:
-            step = advance(machine, state, inputs(time))
-        except ThermojointError as error:
-            raise type(error)(f"step to t = {time:g} s: {error}") from error
+        step = advanced(machine, advance, state, inputs((state.index + 1) * machine.thermal.step))
         state = step.state
         yield step
 
 
+def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: Array) -> Step:
+    """Take one step; an error says which.
+
+    Raises
+    ------
+    ConvergenceError, InputError
+        As `march` does.
+    """
+    try:
+        return advance(machine, state, inputs)
+    except ThermojointError as error:
+        time = (state.index + 1) * machine.thermal.step
+        raise type(error)(f"step to t = {time:g} s: {error}") from error
+
+
 def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
+    if machine.kernel is not None:
+        # Here, not above, as in `gap_solver`.
+        from fesim.march.track import kernel_track
+
+        track = kernel_track(machine, state, inputs[None])
+        if track is not None:
+            return track.step(0)
     return _step_with(machine, state, inputs, machine.conductance_in(state))
 
 
@@ -437,6 +468,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             pressure=pressure,
             change=found.gap - state.gap,
             model=machine.thermal.model,
+            anchor=np.zeros_like(state.anchor),
         ),
         inputs=inputs,
         conductance=conductance,

@@ -91,6 +91,12 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
 
     Behind them stand the factors of the mechanical loads.
     """
+    table = input_table(case)
+    return lambda time: table(np.array([time]))[0]
+
+
+def input_table(case: Case) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the inputs of `thermal_inputs` as a function of many times (n,), s: a row for each."""
     layout = input_layout(case)
     sources = [
         (source_power(source), heat_history(source.heat_input or case.heat_input))
@@ -103,14 +109,16 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
         for load in case.loads.values()
     ]
 
-    def inputs(time: float) -> NDArray[np.float64]:
-        at = np.array([time])
-        change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
-        found = np.empty(layout.count + len(factors))
-        found[layout.source_columns] = [power * history(at)[0] for power, history in sources]
-        found[layout.ambient] = change[0]
-        found[layout.held_columns] = [history(at)[0] for history in held]
-        found[layout.count :] = [history(at)[0] for history in factors]
+    def inputs(times: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = np.zeros((len(times), layout.count + len(factors)))
+        for column, (power, history) in zip(found.T[layout.source_columns], sources, strict=True):
+            column[:] = power * history(times)
+        if ambient:
+            found[:, layout.ambient] = ambient(times) - ambient(np.zeros(1))
+        for column, history in zip(found.T[layout.held_columns], held, strict=True):
+            column[:] = history(times)
+        for column, history in zip(found.T[layout.count :], factors, strict=True):
+            column[:] = history(times)
         return found
 
     return inputs

@@ -1,0 +1,157 @@
+"""The march itself: one, many on one condensation, and steps in which a large joint slides.
+
+The other side is the march as it is without machine code for the whole step: each step taken by
+itself, with Newton's method and a fresh factorisation (`fesim.joint.compiled_gap`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from artefacts.arrays import Array
+from benchmarks.performance.cases import reference_case, with_contacts
+from benchmarks.performance.timing import Row, paired
+from fesim.batch.summary import SLIDES_ABOVE
+from fesim.case.schema import Case, StepInput, step_count
+from fesim.joint.law import JointLaw
+from fesim.march.ensemble import march_many
+from fesim.march.stepping import CondensedMachine, initial_state, staggered
+from fesim.march.track import Track, joined, march_along
+from fesim.setup.loads import input_table
+from fesim.setup.machine import Setup, set_up, with_laws
+from fesim.simulate import simulate
+
+REPEATS = 5
+#: Marches of the ensemble; its levels of heat and its joint laws are all different.
+MARCHES = 20
+#: Along and across, and steps of these.
+GRIDS, SLIDING_STEPS = ((24, 8), (36, 12)), 60
+
+
+def rows() -> Iterator[Row]:
+    """Yield march-1050, the rows of ensembles, and the steps of large joints."""
+    case = reference_case()
+    setup = set_up(case)
+    yield march_row(case, setup)
+    yield from ensemble_rows(case, setup)
+    for along, across in GRIDS:
+        yield sliding_row(with_contacts(case, along, across))
+
+
+def plainly(setup: Setup) -> Setup:
+    """Return a set-up whose steps are taken one by one, without machine code for the whole."""
+    machine = replace(setup.machine)
+    # Where a cached property keeps its value.
+    vars(machine)["kernel"] = None
+    return replace(setup, machine=machine)
+
+
+def march_row(case: Case, setup: Setup) -> Row:
+    """Return the row of one march, response included."""
+    plain = plainly(setup)
+    ours, other = (simulate(case, setup=one).response for one in (setup, plain))
+    off = float(np.abs(ours["displacement"] - other["displacement"]).max())
+    return Row(
+        "march-1050",
+        *paired(lambda: simulate(case, setup=setup), lambda: simulate(case, setup=plain), REPEATS),
+        "s",
+        f"{step_count(case.march)} steps with {setup.machine.contacts} contact elements, set up "
+        f"before, response made; displacements differ by {off:.1e} m; median of {REPEATS}",
+    )
+
+
+def ensemble(case: Case) -> list[Case]:
+    """Return cases on one condensation: levels of heat, friction and roughness all different."""
+    rng = np.random.default_rng(1)
+    found = []
+    for level, friction, roughness in rng.uniform((0.5, 0.15, 0.6), (3.0, 0.6, 2.5), (MARCHES, 3)):
+        changed = {"friction_coefficient": float(friction), "roughness_um": float(roughness)}
+        joints = {name: joint.model_copy(update=changed) for name, joint in case.joints.items()}
+        heat = StepInput(kind="step", level=float(level))
+        found.append(case.model_copy(update={"joints": joints, "heat_input": heat}))
+    return found
+
+
+def driven(case: Case) -> Array:
+    """Inputs of a case at time zero and at the end of every step."""
+    return input_table(case)(case.march.step_s * np.arange(step_count(case.march) + 1.0))
+
+
+def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:
+    """Yield the time of a march among many, displacements only, and with full responses."""
+    cases = ensemble(case)
+    plain = plainly(setup)
+
+    def laws() -> list[Sequence[tuple[JointLaw, int]]]:
+        return [with_laws(setup, one).machine.laws for one in cases]
+
+    def many() -> Array:
+        return march_many(setup.machine, laws(), np.array([driven(one) for one in cases]))
+
+    def full() -> None:
+        for one in cases:
+            simulate(one, setup=with_laws(setup, one))
+
+    def one_by_one() -> list[Array]:
+        machines = [plainly(with_laws(plain, one)) for one in cases]
+        return [
+            simulate(one, setup=machine).response["displacement"].to_numpy()
+            for one, machine in zip(cases, machines, strict=True)
+        ]
+
+    off = max(
+        float(np.abs(mine - theirs).max())
+        for mine, theirs in zip(many(), one_by_one(), strict=True)
+    )
+    note = (
+        f"{MARCHES} marches of {step_count(case.march)} steps on one condensation, heat, friction "
+        "and roughness all different, one core, laws made from the case included, for each"
+    )
+    for name, ours in (("march-ensemble", many), ("march-ensemble-full", full)):
+        mine, theirs, ratio = paired(ours, one_by_one, 3)
+        what = "displacements only" if ours is many else "whole responses"
+        yield Row(
+            name,
+            mine / MARCHES,
+            theirs / MARCHES,
+            ratio,
+            "s",
+            f"{note}; {what}; displacements differ by {off:.1e} m; median of 3",
+        )
+
+
+def sliding_row(case: Case) -> Row:
+    """Return the row of a step of a large joint that slides."""
+    setup = set_up(case)
+    inputs = driven(case)[1 : SLIDING_STEPS + 1]
+    machine, plain = setup.machine, plainly(setup).machine
+    for one in (machine, plain):
+        course(one, inputs[:2])
+    begun = perf_counter()
+    ours = course(machine, inputs)
+    between = perf_counter()
+    other = course(plain, inputs)
+    mine, theirs = between - begun, perf_counter() - between
+    slides = np.abs(np.diff(ours.slip, axis=0)).max(axis=1) > SLIDES_ABOVE
+    off = float(np.abs(ours.displacement - other.displacement).max())
+    count = setup.machine.contacts
+    return Row(
+        f"step-{count}-contacts",
+        1e3 / SLIDING_STEPS * mine,
+        1e3 / SLIDING_STEPS * theirs,
+        theirs / mine,
+        "ms",
+        f"mean of the first {SLIDING_STEPS} steps at heat input 3, set up before, in which "
+        f"{slides.sum(axis=1).mean():.0f} of {count} contact elements slide; displacements differ "
+        f"by {off:.1e} m; measured once",
+    )
+
+
+def course(machine: CondensedMachine, inputs: Array) -> Track:
+    """March from rest."""
+    start = initial_state(machine, inputs[0])
+    return joined(list(march_along(machine, inputs, staggered, start)))

@@ -1,0 +1,67 @@
+"""Many marches on one condensation: joint laws and inputs differ, only displacements are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+from fesim.joint.law import JointLaw
+from fesim.march.stepping import Advance, CondensedMachine, staggered
+from fesim.march.track import at_rest, march_along
+from fesim.one_thread import one_thread
+
+Laws = Sequence[tuple[JointLaw, int]]
+
+
+def march_many(
+    machine: CondensedMachine,
+    laws: Sequence[Laws],
+    inputs: Array,
+    advance: Advance = staggered,
+) -> Array:
+    """March one condensation with many joint laws through many inputs, each from rest.
+
+    What machine code cannot do is marched plainly; the displacements are those of
+    `fesim.march.stepping.march` either way, to 1e-12 m.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        Whose condensation it is; its own laws do not count.
+    laws : sequence of sequence of (JointLaw, int)
+        Of each march, as in `CondensedMachine`.
+    inputs : ndarray, shape (marches, n + 1, k + l)
+        Of each march at time zero, where only the factors of loads count, and at the end of each
+        of its n steps: sources, W; ambient and held surfaces, K; factors of the loads.
+    advance : callable
+        `staggered` or `iterated`.
+
+    Returns
+    -------
+    ndarray, shape (marches, n + 1, axes)
+        Displacement at rest and at the end of each step, m.
+
+    Raises
+    ------
+    InputError
+        There are not as many laws as inputs.
+    ConvergenceError
+        A march has a step that does not converge; which march, is said.
+    """
+    if len(laws) != len(inputs):
+        raise InputError(
+            f"march_many: {len(laws)} laws for {len(inputs)} inputs; give one for each"
+        )
+    found = np.empty((*inputs.shape[:2], len(machine.elastic.probe_thermal)))
+    with one_thread():
+        for own, driven, displacement in zip(laws, inputs, found, strict=True):
+            one = replace(machine, laws=own)
+            rest = at_rest(one, driven[0])
+            displacement[0] = rest.displacement
+            for track in march_along(one, driven[1:], advance, rest.state):
+                displacement[track.index] = track.displacement
+    return found

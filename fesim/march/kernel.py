@@ -1,0 +1,216 @@
+"""A condensed machine as machine code marches it (`fesim.march.compiled_step`), where it can.
+
+It can where the thermal model is a reduced one, the joint laws are those of
+`fesim.joint.compiled_gap`, and every joint conducts by Eq. 11 or by a fixed value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from artefacts.arrays import Array
+from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.conductance import FixedConductance
+from fesim.joint.law import JointLaw, PowerLawConductance
+from fesim.joint.loosening import UNWATCHED, Watched
+from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
+from fesim.march.compiled_step import (
+    LOOSE,
+    HeatStep,
+    JointKernel,
+    Kept,
+    Moving,
+    Record,
+    march_steps,
+)
+from fesim.march.stepping import CondensedMachine, State
+
+#: Marches of one machine whose inverses are kept at a time.
+KEPT = 2
+
+
+@dataclass(frozen=True, eq=False)
+class StepKernel:
+    """What marches a machine.
+
+    Attributes
+    ----------
+    heat : HeatStep
+        Its heat step.
+    joint : JointKernel
+        Its joints.
+    watched : Watched
+        What sees a body come loose.
+    kept : list of Kept
+        Inverses of the marches of late: they follow from what a `State` says of its anchor.
+    """
+
+    heat: HeatStep
+    joint: JointKernel
+    watched: Watched
+    kept: list[Kept] = field(default_factory=list)
+
+    def run(self, state: State, inputs: Array) -> tuple[Record, int, bool]:
+        """March from a state through inputs (n, k + l).
+
+        Returns
+        -------
+        record : Record
+            Of the steps taken.
+        taken : int
+            How many they are: fewer than n where the next one has no equilibrium near.
+        loose : bool
+            A body may have come loose in the last one.
+        """
+        kept = self._kept_at(state.anchor)
+        now = Moving(
+            *(
+                np.array(one, dtype=np.float64, order="C")
+                for one in (state.temperature, state.gap, state.slip, state.pressure, state.change)
+            )
+        )
+        record = new_record(len(inputs), now, len(self.joint.free))
+        taken, why = march_steps(
+            self.heat,
+            self.joint,
+            kept,
+            np.ascontiguousarray(inputs, dtype=np.float64),
+            now,
+            record,
+            self.watched,
+        )
+        return Record(*(one[:taken] for one in record)), taken, why == LOOSE
+
+    def _kept_at(self, anchor: Array) -> Kept:
+        """Return what is kept of an anchor, made again if it is not."""
+        for k, kept in enumerate(self.kept):
+            if np.array_equal(anchor_of(kept), anchor):
+                self.kept.insert(0, self.kept.pop(k))
+                return kept
+        kept = new_kept(self.joint.preload.size)
+        if anchor[:6].any():
+            kept.anchor.tangent[:] = anchor[:6]
+            make_anchor(kept.anchor, self.joint.springs, self.joint.compliance)
+        if anchor[6].any():
+            kept.conducted[:] = anchor[6]
+            system = anchor[6][:, None] * self.heat.joint_influence
+            system.flat[:: len(system) + 1] += 1.0
+            kept.flows[:] = np.linalg.inv(system)
+        self.kept.insert(0, kept)
+        del self.kept[KEPT:]
+        return kept
+
+
+def anchor_of(kept: Kept) -> Array:
+    """Return the anchor (7, m) of what is kept, as in `State`."""
+    made = float(kept.anchor.about[MADE])
+    return np.vstack([made * kept.anchor.tangent, kept.conducted])
+
+
+def new_kept(count: int) -> Kept:
+    """Return the inverses of a march of `count` contact elements that has not begun."""
+    return Kept(new_anchor(count), np.zeros(count), np.zeros((count, count)))
+
+
+def new_record(steps: int, now: Moving, axes: int) -> Record:
+    """Return storage for so many steps."""
+    count = now.pressure.size
+    return Record(
+        amplitudes=np.empty((steps, now.amplitudes.size)),
+        gap=np.empty((steps, 3, count)),
+        slip=np.empty((steps, 2, count)),
+        pressure=np.empty((steps, count)),
+        change=np.empty((steps, 3, count)),
+        anchor=np.empty((steps, 7, count)),
+        conducted=np.empty((steps, count)),
+        heat_flow=np.empty((steps, count)),
+        displacement=np.empty((steps, axes)),
+        remainder=np.empty((steps, 3 * count)),
+        residual=np.empty(steps),
+        iterations=np.empty(steps, dtype=np.int64),
+    )
+
+
+def step_kernel(machine: CondensedMachine) -> StepKernel | None:
+    """Return what marches a machine, or None if it is to be marched plainly."""
+    thermal = machine.thermal
+    if not machine.contacts or thermal.factor.solver != "diagonal":
+        return None
+    joint = joint_kernel(machine, np.asarray(thermal.jump), np.zeros(machine.contacts))
+    if joint is None:
+        return None
+    diagonal = thermal.factor.matrix.diagonal()
+    heat = HeatStep(
+        decay=thermal.capacity_rate.diagonal() / diagonal,
+        drive=_own(thermal.inputs / diagonal[:, None]),
+        influence=_own(thermal.influence),
+        joint_influence=_own(thermal.joint_influence),
+    )
+    watched = UNWATCHED if machine.watch is None else machine.watch.watched
+    return StepKernel(heat, joint, watched)
+
+
+def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKernel | None:
+    """Return what the kernels need of a machine, or None if a law of it is none they know.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        Its gap equations; what it says of heat is not asked.
+    jump : ndarray, shape (m, r)
+        Temperature jump at every contact element, K.
+    held : ndarray, shape (m,)
+        Conductance times area that the modes hold, W/K.
+    """
+    elastic = machine.elastic
+    solver = compile_gap(machine.gap_problem, machine.laws)
+    conductance = _conductance_table(machine.laws, elastic.area)
+    if solver is None or conductance is None:
+        return None
+    problem, loads = solver.problem, machine.loads
+    unloaded = np.zeros((len(problem.springs), 0)), np.zeros((len(elastic.probe_thermal), 0))
+    loaded_gap, loaded = unloaded if loads is None else (loads.gap, loads.probes)
+    return JointKernel(
+        jump=_own(jump),
+        held=_own(held),
+        conductance=conductance,
+        laws=_own(solver.laws),
+        springs=_own(problem.springs),
+        compliance=_own(problem.compliance),
+        columns=_own(problem.compliance.T),
+        gap=_own(problem.exchange @ elastic.thermal_gap),
+        loaded_gap=_own(problem.exchange @ loaded_gap),
+        preload=_own(machine.preload),
+        reference=_own(elastic.reference),
+        moved=_own(elastic.probe_compliance * elastic.area),
+        free=_own(elastic.probe_thermal),
+        loaded=_own(loaded),
+        tolerance=machine.gap_tolerance,
+    )
+
+
+def _own(values: Array) -> Array:
+    """Machine code is made for one layout: contiguous."""
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _conductance_table(laws: Sequence[tuple[JointLaw, int]], area: Array) -> Array | None:
+    """Rows of `JointKernel.conductance`, or None if one is neither a power law nor fixed."""
+    rows, start = [np.empty((0, 3))], 0
+    for law, count in laws:
+        one, table = law.conductance, np.empty((count, 3))
+        if law.gap is not None:
+            return None
+        if isinstance(one, PowerLawConductance):
+            table[:, 0], table[:, 1:] = one.factor, (one.hardness, one.exponent)
+        elif isinstance(one, FixedConductance):
+            table[:, 0], table[:, 1:] = one.value, (1.0, 0.0)
+        else:
+            return None
+        table[:, 0] *= area[start : start + count]
+        rows.append(table)
+        start += count
+    return np.concatenate(rows)

@@ -1,0 +1,238 @@
+"""Many steps of a march at once: arrays for a run of steps, taken in machine code where it can be.
+
+What a `Step` says of one step a `Track` says of several. A march along known inputs goes from block
+to block; a step that machine code leaves is taken plainly, and machine code goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from fesim.march.heat_step import heat_balances
+from fesim.march.stepping import (
+    Advance,
+    CondensedMachine,
+    State,
+    Step,
+    advanced,
+    initial_state,
+    load_factors,
+    staggered,
+)
+
+if TYPE_CHECKING:
+    from fesim.march.compiled_step import Record
+
+#: Steps of a block: their amplitudes stay in the processor's cache.
+BLOCK = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Steps one after another; every array begins with their number n, then as in `Step`.
+
+    Attributes
+    ----------
+    index : ndarray of int, shape (n,)
+        Steps taken at the end of each.
+    inputs, conductance, heat_flow, displacement, remainder, residual, heat_balance : ndarray
+        As in `Step`.
+    iterations, cuts : ndarray of int
+        As in `Step`.
+    temperature, gap, slip, pressure, change, anchor : ndarray
+        As in `State`.
+    model : str
+        As in `State`.
+    """
+
+    index: NDArray[np.int64]
+    inputs: Array
+    conductance: Array
+    heat_flow: Array
+    displacement: Array
+    remainder: Array
+    residual: Array
+    iterations: NDArray[np.int64]
+    cuts: NDArray[np.int64]
+    heat_balance: Array
+    temperature: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+    anchor: Array
+    model: str
+
+    def __len__(self) -> int:
+        """How many steps there are."""
+        return len(self.index)
+
+    def step(self, at: int) -> Step:
+        """Return one of the steps."""
+        state = State(
+            index=int(self.index[at]),
+            temperature=self.temperature[at],
+            gap=self.gap[at],
+            slip=self.slip[at],
+            pressure=self.pressure[at],
+            change=self.change[at],
+            model=self.model,
+            anchor=self.anchor[at],
+        )
+        return Step(
+            state=state,
+            inputs=self.inputs[at],
+            conductance=self.conductance[at],
+            heat_flow=self.heat_flow[at],
+            displacement=self.displacement[at],
+            remainder=self.remainder[at],
+            residual=float(self.residual[at]),
+            iterations=int(self.iterations[at]),
+            cuts=int(self.cuts[at]),
+            heat_balance=float(self.heat_balance[at]),
+        )
+
+
+def track_of(step: Step) -> Track:
+    """Return a track of one step."""
+    own = {name: np.asarray(value)[None] for name, value in vars(step).items() if name != "state"}
+    state = {name: value for name, value in vars(step.state).items() if name != "model"}
+    return Track(
+        **own,
+        **{name: np.asarray(value)[None] for name, value in state.items()},
+        model=step.state.model,
+    )
+
+
+def joined(tracks: Sequence[Track]) -> Track:
+    """Return tracks that follow each other as one."""
+    names = [one.name for one in fields(Track) if one.name != "model"]
+    arrays = {name: np.concatenate([getattr(one, name) for one in tracks]) for name in names}
+    return Track(**arrays, model=tracks[0].model)
+
+
+def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
+    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What will march.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; only the factors of mechanical loads count. Default: no load.
+    """
+    if inputs is None:
+        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
+    state, elastic = initial_state(machine, inputs), machine.elastic
+    displacement = np.zeros(elastic.probe_thermal.shape[0])
+    remainder = np.zeros(3 * machine.contacts)
+    if state.gap.any():
+        value = machine.traction(state.gap, state.slip).value
+        remainder = value.ravel() + elastic.reference * state.gap.ravel()
+        displacement = elastic.probe_compliance @ (elastic.area * remainder)
+    driven = np.zeros(len(inputs))
+    if machine.loads is not None:
+        factors = load_factors(machine, inputs)
+        driven[machine.thermal.inputs.shape[1] :] = factors
+        displacement = displacement + machine.loads.probes @ factors
+    return Step(
+        state=state,
+        inputs=driven,
+        conductance=machine.conductance_in(state),
+        heat_flow=np.zeros(machine.contacts),
+        displacement=displacement,
+        remainder=remainder,
+        residual=0.0,
+        iterations=0,
+        cuts=0,
+        heat_balance=0.0,
+    )
+
+
+def march_along(
+    machine: CondensedMachine, inputs: Array, advance: Advance, start: State
+) -> Iterator[Track]:
+    """Yield the steps of a march along known inputs, some at a time.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    inputs : ndarray, shape (n, k + l)
+        Of each step, as `fesim.march.stepping.march` takes them one by one.
+    advance : callable
+        `staggered` or `iterated`.
+    start : State
+        Where to go on.
+
+    Raises
+    ------
+    ConvergenceError, InputError
+        As `march` does, after what came before is yielded.
+    """
+    compiled = machine.kernel is not None and advance is staggered
+    state, done = start, 0
+    while done < len(inputs):
+        track = None
+        if compiled:
+            track = kernel_track(machine, state, inputs[done : done + BLOCK])
+        if track is None:
+            track = track_of(advanced(machine, advance, state, inputs[done]))
+        done += len(track)
+        state = track.step(-1).state
+        yield track
+
+
+def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Track | None:
+    """Return the steps through inputs (n, k + l) that machine code takes; None if none."""
+    kernel = machine.kernel
+    if kernel is None:
+        return None
+    record, taken, loose = kernel.run(state, inputs)
+    if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
+        # Its error is that of the plain step; those before it are good.
+        record, taken = type(record)(*(one[:-1] for one in record)), taken - 1
+    if not taken:
+        return None
+    thermal, inputs = machine.thermal, inputs[:taken]
+    before = np.vstack([state.temperature, record.amplitudes[:-1]])
+    known = inputs[:, : thermal.inputs.shape[1]]
+    return Track(
+        index=state.index + 1 + np.arange(taken),
+        inputs=inputs,
+        conductance=record.conducted / machine.elastic.area[: machine.contacts],
+        heat_flow=record.heat_flow,
+        displacement=record.displacement,
+        remainder=record.remainder,
+        residual=record.residual,
+        iterations=record.iterations,
+        cuts=np.zeros(taken, dtype=np.int64),
+        heat_balance=heat_balances(thermal, before, record.amplitudes, known, record.heat_flow),
+        temperature=record.amplitudes,
+        gap=record.gap,
+        slip=record.slip,
+        pressure=record.pressure,
+        change=record.change,
+        anchor=record.anchor,
+        model=state.model,
+    )
+
+
+def _came_loose(machine: CondensedMachine, slip: Array, record: Record) -> bool:
+    """Whether the last step recorded leaves a body loose; `slip` (2, m) is that at its start."""
+    if machine.watch is None:
+        return False
+    tangent = machine.traction(record.gap[-1], slip).tangent
+    try:
+        machine.watch.check(record.pressure[-1], tangent)
+    except ConvergenceError:
+        return True
+    return False
