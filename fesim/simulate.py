@@ -28,6 +28,7 @@ from fesim.march.stepping import (
     march,
     staggered,
 )
+from fesim.setup.bolts import first_forces
 from fesim.setup.loads import heat_history, input_layout, source_power, thermal_inputs
 from fesim.setup.machine import Setup, measured_points, set_up
 from fesim.solid.elasticity import DIRECTIONS
@@ -97,6 +98,7 @@ def simulate(
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
     inputs = thermal_inputs(case)
+    _check_forces(case, ready)
     first = start if start is not None else initial_state(ready.machine, inputs(0.0))
     if first.model != ready.machine.thermal.model:
         raise InputError(
@@ -166,7 +168,8 @@ def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step
     """
     if inputs is None:
         loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
-        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
+        still = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
+        inputs = np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), still])
     state, elastic = initial_state(machine, inputs), machine.elastic
     displacement = np.zeros(elastic.probe_thermal.shape[0])
     remainder = np.zeros(3 * machine.contacts)
@@ -191,6 +194,18 @@ def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step
         cuts=0,
         heat_balance=0.0,
     )
+
+
+def _check_forces(case: Case, ready: Setup) -> None:
+    assembly = ready.machine.assembly
+    if assembly is None:
+        return
+    forces = first_forces(case)
+    if not np.array_equal(forces, assembly.factors[-1 - len(forces) : -1]):
+        raise InputError(
+            "bolts: the structure was set up with its bolts tightened to other forces; set it up "
+            "for this case"
+        )
 
 
 def _response(
@@ -223,7 +238,7 @@ def _response(
         "heat_balance": np.array([step.heat_balance for step in steps]),
     }
     if case.loads:
-        values["load_factor"] = inputs[:, layout.count :]
+        values["load_factor"] = inputs[:, layout.count : layout.count + len(case.loads)]
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
         "source": list(case.sources),

@@ -107,6 +107,23 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
     assert made.mesh.nelements == pytest.approx(kept.mesh.nelements, rel=0.2)
 
 
+def test_bolts_of_the_machine_press_its_knee_and_follow_it():
+    """Their sum is the joint's force; one that settles hands its load on to the joint alone."""
+    response = simulate(read_case(EXAMPLES / "bolted_machine" / "machine.toml")).response
+    pulls = response["bolt_force"]
+    np.testing.assert_allclose(pulls[0], 30e3, rtol=1e-6)
+    pressed = (response["pressure"] @ response["contact_area"]).to_numpy()
+    assert pressed[0] == pytest.approx(120e3, rel=1e-6)
+    along = -response["joint_force"].sel(joint="knee", space="x") - pulls.sum("bolt")
+    # What else presses the knee: the table is held by its screw, and grows.
+    assert np.abs(along).max().item() < 10e3
+    # Uneven from the start: more at the bolts.
+    assert np.ptp(response["pressure"][0].to_numpy()) > 1e5
+    settled = pulls.sel(bolt="upper", time=[600.0, 660.0]).to_numpy()
+    assert 0.6 < settled[1] / settled[0] < 0.9
+    assert response["force_balance"].max().item() < 1e-6
+
+
 def test_the_loaded_machine_stands_on_its_foot_and_its_screw():
     """In every step supports bear weight and cutting force; half of the machine is meshed."""
     response = simulate(read_case(EXAMPLES / "loaded_machine" / "machine.toml")).response

@@ -33,6 +33,7 @@ _LAW = {
 _MARCH = {"duration_min", "coupling"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
+_TIGHTENING = {"force_kN", "file"}
 
 #: Read once: it takes longer than all the rest of a digest.
 _VERSION = version("thermojoint")
@@ -111,12 +112,21 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     data = _condensed(case)
     del data["loads"], data["output"]
     data["march"] = {"solver": case.march.solver or default_solver()}
+    data["bolts"] = bolt_places(case)
     return _hash(with_digests(data, digest))
 
 
 def load_patterns(case: Case) -> list[dict[str, Any]]:
     """Return what the mechanical loads of a case are but for their histories, in their order."""
     return [load.model_dump(mode="json", exclude={"file"}) for load in case.loads.values()]
+
+
+def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
+    """Return where the bolts of a case are, in their order: what they are needs no factor."""
+    return [
+        (name, bolt.model_dump(mode="json", include={"head", "thread"}))
+        for name, bolt in case.bolts.items()
+    ]
 
 
 def _condensed(case: Case) -> dict[str, Any]:
@@ -128,6 +138,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
     data["held_temperatures"] = list(data["held_temperatures"])
     data["loads"] = load_patterns(case)
+    data["bolts"] = [(name, _without(bolt, _TIGHTENING)) for name, bolt in data["bolts"].items()]
     data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())
     return data

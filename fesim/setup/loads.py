@@ -18,6 +18,7 @@ from fesim.case.schema import (
     StepInput,
     TriangleInput,
 )
+from fesim.setup.bolts import tightening
 from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
@@ -89,7 +90,8 @@ def input_layout(case: Case) -> InputLayout:
 def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
     """Return the inputs of the march in time, in the order of `input_layout`.
 
-    Behind them stand the factors of the mechanical loads.
+    Behind them stand the factors of the mechanical loads, then what the bolts are given (N), and
+    with them a 1 (`fesim.solid.bolts.fastened`).
     """
     layout = input_layout(case)
     sources = [
@@ -102,15 +104,16 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
         step_history(1.0) if load.file is None else read_history(load.file, "factor")
         for load in case.loads.values()
     ]
+    behind = [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
 
     def inputs(time: float) -> NDArray[np.float64]:
         at = np.array([time])
         change = ambient(at) - ambient(np.zeros(1)) if ambient else np.zeros(1)
-        found = np.empty(layout.count + len(factors))
+        found = np.empty(layout.count + len(behind))
         found[layout.source_columns] = [power * history(at)[0] for power, history in sources]
         found[layout.ambient] = change[0]
         found[layout.held_columns] = [history(at)[0] for history in held]
-        found[layout.count :] = [history(at)[0] for history in factors]
+        found[layout.count :] = [history(at)[0] for history in behind]
         return found
 
     return inputs
