@@ -95,7 +95,8 @@ def mechanical_values(
         # A bolt pulls at one end as at the other: in all it does nothing.
         loads = len(case.loads)
         factors = np.array([load_factors(setup.machine, step.inputs)[:loads] for step in steps])
-        load = factors @ setup.forces[:, :loads].reshape(-1, 3, loads).sum(axis=0).T
+        acting = setup.forces[:, :loads]
+        load = factors @ np.stack([acting[i::3].sum(axis=0) for i in range(3)], axis=1)
         values |= {"reaction": reaction, "force_balance": force_balance(reaction, load)}
         coords |= {"support": supports}
         if setup.joints:

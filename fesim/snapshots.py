@@ -107,7 +107,7 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
         corner_stresses(structure, spaces, setup.materials, setup.deformation(step), temperature),
     )
     return to_meshio(
-        replace(mesh, doflocs=mesh.p[:, node], t=corners),
+        replace(mesh, doflocs=np.ascontiguousarray(mesh.p[:, node]), t=corners),
         point_data={
             "temperature_K": temperature[spaces.heat.nodal_dofs[0]][node],
             "displacement_m": displacement.reshape(-1, 3)[spaces.elastic.nodal_dofs[0]][node],

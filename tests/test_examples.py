@@ -108,15 +108,17 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
 
 
 def test_bolts_of_the_machine_press_its_knee_and_follow_it():
-    """Their sum is the joint's force; one that settles hands its load on to the joint alone."""
+    """Joint, bolts and screw keep the table in balance; a bolt that settles presses less."""
     response = simulate(read_case(EXAMPLES / "bolted_machine" / "machine.toml")).response
     pulls = response["bolt_force"]
     np.testing.assert_allclose(pulls[0], 30e3, rtol=1e-6)
     pressed = (response["pressure"] @ response["contact_area"]).to_numpy()
-    assert pressed[0] == pytest.approx(120e3, rel=1e-6)
-    along = -response["joint_force"].sel(joint="knee", space="x") - pulls.sum("bolt")
-    # What else presses the knee: the table is held by its screw, and grows.
-    assert np.abs(along).max().item() < 10e3
+    # The table's screw holds back a little of it.
+    assert pressed[0] == pytest.approx(120e3, rel=0.01)
+    table = response["joint_force"].sel(joint="knee") + response["reaction"].sel(
+        support="screw_foot"
+    )
+    np.testing.assert_allclose(table.sel(space="x"), pulls.sum("bolt"), rtol=1e-6)
     # Uneven from the start: more at the bolts.
     assert np.ptp(response["pressure"][0].to_numpy()) > 1e5
     settled = pulls.sel(bolt="upper", time=[600.0, 660.0]).to_numpy()

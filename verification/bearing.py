@@ -18,6 +18,7 @@ from skfem import MeshHex
 
 from artefacts.arrays import Array
 from fesim.case.schema import case_from_data
+from fesim.march.stepping import Step
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
@@ -89,7 +90,8 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
     data["probes"] = {"P": {"position_mm": place, "body": "ring"}}
     data["displacement"] = {"point": "P"}
     data["output"] = {"stress_probes": ["P"], "forces": True}
-    case, steps = case_from_data(data, "bearing", folder), []
+    case = case_from_data(data, "bearing", folder)
+    steps: list[Step] = []
     setup = set_up(case)
     last = simulate(case, setup=setup, on_step=steps.append).response.isel(time=-1)
     found = last["principal_stress"].sel(stress_probe="P").to_numpy()
@@ -125,8 +127,8 @@ def _field_checks(grid: meshio.Mesh) -> Iterator[Check]:
         principal = grid.point_data["principal_stress_Pa"][node]
         found = grid.point_data["von_mises_Pa"][node]
         title = f"thick ring, snapshot {name}"
-        yield _check(f"{title}, around", "stress", "MPa", _mpa(around), _mpa(principal[0]), 1e-2)
-        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(found), 1e-2)
+        yield _check(f"{title}, around", "stress", "MPa", _mpa(around), _mpa(principal[0]), 1e-3)
+        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(found), 1e-3)
 
 
 def quarter_ring() -> Structure:

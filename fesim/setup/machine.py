@@ -37,7 +37,7 @@ from fesim.setup.loads import (
     thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
-from fesim.solid.bolts import Bolt, BoltSprings, stretch_rows, temperature_rows
+from fesim.solid.bolts import Bolt, bolt_springs, stretch_rows, temperature_rows
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
@@ -301,11 +301,8 @@ def set_up(case: Case) -> Setup:
     machine = CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads)
     bolts = None
     if parts.bolts:
-        growth = np.array([[bolt.growth] for bolt in parts.bolts])
-        means = ends.toarray() if modes is None else ends @ modes.basis
-        flexibility = np.array([1.0 / bolt.stiffness for bolt in parts.bolts])
-        springs = BoltSprings(flexibility, growth * means)
-        machine, bolts = tightened(tuple(case.bolts), machine, springs, first_forces(case))
+        ties = bolt_springs(parts.bolts, ends.toarray() if modes is None else ends @ modes.basis)
+        machine, bolts = tightened(tuple(case.bolts), machine, ties, first_forces(case))
     return Setup(
         structure=structure,
         spaces=spaces,

@@ -117,6 +117,21 @@ def temperature_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
     return csr_array(vstack([csr_array((0, int(basis.N))), *rows]))
 
 
+def bolt_springs(bolts: Sequence[Bolt], means: Array) -> BoltSprings:
+    """Return b bolts as springs.
+
+    Parameters
+    ----------
+    bolts : sequence of Bolt
+        b of them.
+    means : ndarray, shape (b, n)
+        Their `temperature_rows`, or those times the basis of a reduced model.
+    """
+    flexibility = np.array([1.0 / bolt.stiffness for bolt in bolts])
+    growth = np.array([[bolt.growth] for bolt in bolts])
+    return BoltSprings(flexibility, growth * means)
+
+
 def fastened(
     elastic: ElasticCondensation,
     loads: LoadInfluence,
@@ -149,7 +164,7 @@ def fastened(
     stiffness = np.linalg.inv(np.diag(springs.flexibility) + 0.5 * (apart + apart.T))
     by_force = stiffness @ elastic.probe_compliance[probes:]
     by_heat = stiffness @ (elastic.probe_thermal[probes:] - springs.growth)
-    by_factor = stiffness @ np.hstack(
+    by_factor: Array = stiffness @ np.hstack(
         [loads.probes[probes:, :given], np.diag(springs.flexibility), -start[probes:, None]]
     )
     pulled, moved = loads.gap[:, given:], loads.probes[:probes, given:]
