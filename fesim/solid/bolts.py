@@ -164,9 +164,10 @@ def fastened(
     stiffness = np.linalg.inv(np.diag(springs.flexibility) + 0.5 * (apart + apart.T))
     by_force = stiffness @ elastic.probe_compliance[probes:]
     by_heat = stiffness @ (elastic.probe_thermal[probes:] - springs.growth)
-    by_factor: Array = stiffness @ np.hstack(
+    by_length = np.hstack(
         [loads.probes[probes:, :given], np.diag(springs.flexibility), -start[probes:, None]]
     )
+    by_factor = np.asarray(stiffness @ by_length, dtype=np.float64)
     pulled, moved = loads.gap[:, given:], loads.probes[:probes, given:]
     compliance = elastic.compliance + pulled @ by_force
     counted = np.hstack(
