@@ -43,6 +43,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_area": (("contact",), "m2", "area of the contact elements"),
     "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),
     "reaction": (("time", "support", "space"), "N", "force of each support on the structure"),
+    "bolt_force": (("time", "bolt"), "N", "force of each bolt, positive where it pulls"),
     "force_balance": (("time",), "1", "sum of supports and loads, relative"),
     "shear": (("time", "contact", "tangent"), "Pa", "mean shear traction on side b"),
     "joint_force": (("time", "joint", "space"), "N", "force of each joint on its side b"),

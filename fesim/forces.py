@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
 from fesim.case.schema import Case
 from fesim.march.stepping import Step, load_factors
 from fesim.setup.machine import Setup
@@ -20,12 +21,14 @@ COMPONENT_NAMES = tuple("".join(DIRECTIONS[i] for i in pair) for pair in COMPONE
 ORDER_NAMES = ("first", "second", "third")
 #: Forces below this in all count as none, N: their balance is relative to it.
 NO_FORCE = 1e-3
+#: A bolt that pushes by more than this part of its force at the start has come loose.
+LOOSE = 1e-6
 
 Coords = dict[str, np.ndarray | list[str]]
 
 
 def outputs_of(setup: Setup, step: Step) -> Array:
-    """Return the mechanical outputs (o,) of one step; none if the case asks for none.
+    """Return forces of the bolts (b,), then the mechanical outputs (o,) that the case asks for.
 
     Parameters
     ----------
@@ -33,11 +36,36 @@ def outputs_of(setup: Setup, step: Step) -> Array:
         What marches.
     step : Step
         With its temperature.
+
+    Raises
+    ------
+    ConvergenceError
+        A bolt would push: it has come loose.
     """
+    acting = setup.acting(step)
+    pulls = acting[setup.forces.shape[1] - _bolt_count(setup) :]
+    _check_tight(setup, step, pulls)
     if setup.outputs is None:
-        return np.empty(0)
-    factors = load_factors(setup.machine, step.inputs)
-    return setup.outputs.of(step.state.temperature, step.remainder, factors)
+        return pulls
+    found = setup.outputs.of(step.state.temperature, step.remainder, acting)
+    return np.concatenate([pulls, found])
+
+
+def _bolt_count(setup: Setup) -> int:
+    return 0 if setup.bolts is None else len(setup.bolts.names)
+
+
+def _check_tight(setup: Setup, step: Step, pulls: Array) -> None:
+    if setup.bolts is None or setup.machine.assembly is None:
+        return
+    given = setup.machine.assembly.factors[-1 - len(pulls) : -1]
+    loose = np.flatnonzero(pulls < -LOOSE * given)
+    if loose.size:
+        time = setup.machine.thermal.step * step.state.index
+        raise ConvergenceError(
+            f"t = {time:g} s: bolt {setup.bolts.names[loose[0]]!r} has come loose: it would have "
+            "to push; raise its force_kN, or look at what slackens it"
+        )
 
 
 def mechanical_values(
@@ -51,19 +79,24 @@ def mechanical_values(
         What was marched.
     steps : sequence of Step
         n of them.
-    outputs : ndarray, shape (n, o)
+    outputs : ndarray, shape (n, b + o)
         `outputs_of` each.
     """
+    bolts = _bolt_count(setup)
+    pulls, outputs = outputs[:, :bolts], outputs[:, bolts:]
+    values: dict[str, np.ndarray] = {"bolt_force": pulls} if bolts else {}
+    coords: Coords = {"bolt": list(case.bolts)} if bolts else {}
     if setup.outputs is None:
-        return {}, {}
+        return values, coords
     supports, points = support_names(case), case.output.stress_probes
     count = 3 * len(supports)
     reaction = outputs[:, :count].reshape(len(steps), -1, 3)
-    values: dict[str, np.ndarray] = {}
-    coords: Coords = {}
     if case.output.forces:
-        factors = np.array([load_factors(setup.machine, step.inputs) for step in steps])
-        load = factors @ setup.forces.reshape(-1, 3, setup.forces.shape[1]).sum(axis=0).T
+        # A bolt pulls at one end as at the other: in all it does nothing.
+        loads = len(case.loads)
+        factors = np.array([load_factors(setup.machine, step.inputs)[:loads] for step in steps])
+        acting = setup.forces[:, :loads]
+        load = factors @ np.stack([acting[i::3].sum(axis=0) for i in range(3)], axis=1)
         values |= {"reaction": reaction, "force_balance": force_balance(reaction, load)}
         coords |= {"support": supports}
         if setup.joints:

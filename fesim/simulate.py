@@ -27,6 +27,7 @@ from fesim.march.stepping import (
 )
 from fesim.march.track import Track, at_rest, joined, march_along, track_of
 from fesim.one_thread import one_thread
+from fesim.setup.bolts import first_forces
 from fesim.setup.loads import (
     heat_history,
     input_layout,
@@ -101,6 +102,7 @@ def simulate(
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
     table = input_table(case)
+    _check_forces(case, ready)
     (at_zero,) = table(np.zeros(1))
     first = start if start is not None else initial_state(ready.machine, at_zero)
     if first.model != ready.machine.thermal.model:
@@ -196,6 +198,18 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
+def _check_forces(case: Case, ready: Setup) -> None:
+    assembly = ready.machine.assembly
+    if assembly is None:
+        return
+    forces = first_forces(case)
+    if not np.array_equal(forces, assembly.factors[-1 - len(forces) : -1]):
+        raise InputError(
+            "bolts: the structure was set up with its bolts tightened to other forces; set it up "
+            "for this case"
+        )
+
+
 def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
     machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
@@ -224,7 +238,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "heat_balance": track.heat_balance,
     }
     if case.loads:
-        values["load_factor"] = inputs[:, layout.count :]
+        values["load_factor"] = inputs[:, layout.count : layout.count + len(case.loads)]
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
         "source": list(case.sources),

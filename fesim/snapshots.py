@@ -1,13 +1,14 @@
 """Field snapshots for ParaView and pyvista: VTU files for each time and a PVD index of them.
 
-Each snapshot has two parts: the structure with its temperature and displacement, and, if there are
-joints, their faces with what happens at the contact elements. VTU knows no units: they stand in
+Each snapshot has two parts: the structure with temperature, displacement and stress, and, if there
+are joints, their faces with what happens at the contact elements. VTU knows no units: they stand in
 the names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
@@ -17,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem.io.meshio import to_meshio
 
+from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import whole_file
 from fesim.case.schema import first_step_at
 from fesim.march.stepping import Step
 from fesim.setup.machine import Setup
+from fesim.solid.stress import corner_stresses, principal, von_mises
+from meshes.structure import Structure
 from meshes.volume_cells import corner_mesh
 
 INDEX = "snapshots.pvd"
@@ -85,8 +89,10 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Sequence[float]) -> Cal
 def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     """Undeformed mesh with the fields of one step.
 
-    Point data ``temperature_K`` (above the initial ambient) and ``displacement_m``, both of the
-    mesh's nodes; cell data ``body``, the number of the body in the order of ``structure.bodies``.
+    Point data ``temperature_K`` (above the initial ambient), ``displacement_m``, ``von_mises_Pa``
+    and ``principal_stress_Pa`` (the largest first); cell data ``body``, the number of the body in
+    the order of ``structure.bodies``. Points are the mesh's nodes; behind them stand, once more,
+    those that bodies share, so that each body has its own stress there: the mean over its cells.
     """
     spaces, structure = setup.spaces, setup.structure
     temperature = setup.nodal_temperature(step.state)
@@ -94,15 +100,66 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     body = np.zeros(structure.mesh.nelements, dtype=np.int32)
     for number, cells in enumerate(structure.bodies.values()):
         body[cells] = number
+    node, corners = points_of_bodies(structure)
+    mesh = corner_mesh(structure.mesh)
+    stress = point_means(
+        corners,
+        corner_stresses(structure, spaces, setup.materials, setup.deformation(step), temperature),
+    )
     return to_meshio(
-        corner_mesh(structure.mesh),
+        replace(mesh, doflocs=np.ascontiguousarray(mesh.p[:, node]), t=corners),
         point_data={
-            "temperature_K": temperature[spaces.heat.nodal_dofs[0]],
-            "displacement_m": displacement.reshape(-1, 3)[spaces.displacement.nodal_dofs[0]],
+            "temperature_K": temperature[spaces.heat.nodal_dofs[0]][node],
+            "displacement_m": displacement.reshape(-1, 3)[spaces.displacement.nodal_dofs[0]][node],
+            "von_mises_Pa": von_mises(stress),
+            "principal_stress_Pa": principal(stress),
         },
         cell_data={"body": [body]},
         encode_cell_data=False,
     )
+
+
+def points_of_bodies(structure: Structure) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return points of which none is shared by two bodies, and the cells between them.
+
+    Returns
+    -------
+    tuple of ndarray of int, shapes (points,) and (corners, cells)
+        The node that each point is at: first every node, then those of a body that another body
+        before it has as well; and the points at the corners of each cell.
+    """
+    corners = structure.mesh.t.astype(np.int64)
+    count = int(corners.max()) + 1
+    nodes, taken, split = [np.arange(count)], np.zeros(count, dtype=bool), corners.copy()
+    for cells in structure.bodies.values():
+        own = np.unique(corners[:, cells])
+        again = own[taken[own]]
+        number = np.arange(len(taken))
+        number[again] = count + np.arange(len(again))
+        split[:, cells] = number[corners[:, cells]]
+        nodes.append(again)
+        taken[own] = True
+        count += len(again)
+    return np.concatenate(nodes), split
+
+
+def point_means(corners: NDArray[np.int64], values: Array) -> Array:
+    """Return the mean at each point of what its cells say of it.
+
+    Parameters
+    ----------
+    corners : ndarray of int, shape (corners, cells)
+        Points of each cell; every point is in a cell.
+    values : ndarray, shape (corners, cells, k)
+        At the corners of each cell.
+
+    Returns
+    -------
+    ndarray, shape (points, k)
+    """
+    at = corners.ravel()
+    sums = [np.bincount(at, column) for column in values.reshape(at.size, -1).T]
+    return np.asarray((np.array(sums) / np.bincount(at)).T)
 
 
 def joint_snapshot(setup: Setup, step: Step) -> meshio.Mesh:

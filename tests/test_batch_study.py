@@ -201,6 +201,15 @@ CONDENSED = {
     "sources.bearings.surface": "interior",
     "held_temperatures": {"exterior": {"rise_K": 1.0}},
     "loads": {"gravity": {"acceleration_m_s2": [0.0, -9.81, 0.0]}},
+    "bolts": {
+        "one": {
+            "head": {"surface": "rear"},
+            "thread": {"surface": "knee.b"},
+            "force_kN": 10.0,
+            "diameter_mm": 16.0,
+            "material": "cast_iron",
+        }
+    },
     "walls": {"floor": {"faces": "column_base"}},
     "output.forces": True,
     "output.stress_probes": ["T1"],

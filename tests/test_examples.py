@@ -107,6 +107,25 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
     assert made.mesh.nelements == pytest.approx(kept.mesh.nelements, rel=0.2)
 
 
+def test_bolts_of_the_machine_press_its_knee_and_follow_it():
+    """Joint, bolts and screw keep the table in balance; a bolt that settles presses less."""
+    response = simulate(read_case(EXAMPLES / "bolted_machine" / "machine.toml")).response
+    pulls = response["bolt_force"]
+    np.testing.assert_allclose(pulls[0], 30e3, rtol=1e-6)
+    pressed = (response["pressure"] @ response["contact_area"]).to_numpy()
+    # The table's screw holds back a little of it.
+    assert pressed[0] == pytest.approx(120e3, rel=0.01)
+    table = response["joint_force"].sel(joint="knee") + response["reaction"].sel(
+        support="screw_foot"
+    )
+    np.testing.assert_allclose(table.sel(space="x"), pulls.sum("bolt"), rtol=1e-6)
+    # Uneven from the start: more at the bolts.
+    assert np.ptp(response["pressure"][0].to_numpy()) > 1e5
+    settled = pulls.sel(bolt="upper", time=[600.0, 660.0]).to_numpy()
+    assert 0.6 < settled[1] / settled[0] < 0.9
+    assert response["force_balance"].max().item() < 1e-6
+
+
 def test_the_loaded_machine_stands_on_its_foot_and_its_screw():
     """In every step supports bear weight and cutting force; half of the machine is meshed."""
     response = simulate(read_case(EXAMPLES / "loaded_machine" / "machine.toml")).response

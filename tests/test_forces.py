@@ -107,6 +107,18 @@ def test_the_reduced_march_bears_as_the_full_one(marched, tmp_path):
     assert full["stress"].shape == reduced["stress"].shape
 
 
+def test_heat_alone_leaves_supports_in_balance(tmp_path):
+    """Without a load there is a balance, too."""
+    warm = {"held_temperatures": {"foot": {"rise_K": 25.0}}, "output": {"forces": True}}
+    data = column_case(tmp_path, True, warm | {"joints": {"joint": joint(preload_MPa=0.5)}})
+    data["supports"] = {"fixed": ["foot", "top"]}
+    last = simulate(case_from_data(data, "c", tmp_path)).response.isel(time=-1)
+    foot, top = (last["reaction"].sel(support=name, space="z").item() for name in ("foot", "top"))
+    assert foot == pytest.approx(-top, rel=1e-6)
+    assert foot > 100.0
+    assert last["force_balance"].item() < 1e-7
+
+
 def test_a_wall_bears_what_its_joint_passes(tmp_path):
     data = column_case(tmp_path, False, STANDING | {"output": ASKED})
     last = simulate(case_from_data(data, "c", tmp_path)).response.isel(time=-1)

@@ -16,7 +16,12 @@ from fesim.case.history import step_history
 from fesim.case.schema import first_step_at
 from fesim.march.stepping import march, staggered
 from fesim.simulate import simulate
-from fesim.snapshots import joint_snapshot, snapshot_writer, structure_snapshot
+from fesim.snapshots import (
+    joint_snapshot,
+    points_of_bodies,
+    snapshot_writer,
+    structure_snapshot,
+)
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +73,11 @@ def test_fields_read_back_are_those_of_the_march(tmp_path, coarse_setup, steps):
         write(step)
     structure = coarse_setup.structure
     grid = meshio.vtu.read(tmp_path / "structure_000030.vtu")
-    assert np.array_equal(grid.points.T, structure.mesh.p)
-    assert np.array_equal(grid.point_data["temperature_K"], steps[-1].state.temperature)
+    # Table and screw share nodes: each has points of its own there.
+    node, _ = points_of_bodies(structure)
+    assert len(node) > structure.mesh.nvertices
+    assert np.array_equal(grid.points.T, structure.mesh.p[:, node])
+    assert np.array_equal(grid.point_data["temperature_K"], steps[-1].state.temperature[node])
     # The fields say the same of A and B as the condensed march does.
     nodes = [
         np.flatnonzero(np.isclose(grid.points, structure.probes[name].position).all(axis=1))[0]
@@ -90,6 +98,18 @@ def test_supports_do_not_move_and_the_structure_grows(coarse_setup, steps):
     assert not displacement[np.unique(mesh.facets[:, surfaces["column_base"]])].any()
     assert not displacement[np.unique(mesh.facets[:, surfaces["symmetry"]]), 2].any()
     assert np.abs(displacement).max() > 1e-6
+
+
+def test_stresses_are_in_a_snapshot_of_each_body_for_itself(coarse_setup, steps):
+    """The screw is 28 times stiffer than the table that it holds up: stress jumps between them."""
+    grid = structure_snapshot(coarse_setup, steps[-1])
+    principal, mises = grid.point_data["principal_stress_Pa"], grid.point_data["von_mises_Pa"]
+    assert (np.diff(principal, axis=1) <= 0.0).all()
+    apart = np.diff(principal[:, [0, 1, 2, 0]], axis=1)
+    np.testing.assert_allclose(mises, np.sqrt(0.5 * (apart**2).sum(axis=1)), rtol=1e-9, atol=1.0)
+    node, _ = points_of_bodies(coarse_setup.structure)
+    count = coarse_setup.structure.mesh.nvertices
+    assert (mises[count:] > 1.5 * mises[node[count:]]).all()
 
 
 def test_the_joint_carries_its_contact_elements(tmp_path, coarse_setup, steps):
@@ -139,7 +159,8 @@ def test_pyvista_opens_the_index(tmp_path, coarse_setup, steps):
     assert reader.time_values == [2.0, 60.0]
     reader.set_active_time_value(60.0)
     structure, joints = reader.read()
-    assert np.array_equal(structure["temperature_K"], steps[-1].state.temperature)
+    node, _ = points_of_bodies(coarse_setup.structure)
+    assert np.array_equal(structure["temperature_K"], steps[-1].state.temperature[node])
     assert structure.volume == pytest.approx(sum_of_volumes(coarse_setup))
     assert joints.area == pytest.approx(coarse_setup.joints[0].area.sum())
     assert joints["pressure_Pa"].min() == steps[-1].state.pressure.min()

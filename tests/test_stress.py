@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from skfem import MeshHex, MeshTet
 
+from fesim.snapshots import point_means, points_of_bodies
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
-from fesim.solid.stress import stress_at
+from fesim.solid.stress import corner_stresses, stress_at, stress_tensors
 from meshes.structure import Structure
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
@@ -83,3 +84,46 @@ def test_a_rigid_motion_has_no_stress_and_shear_gives_twice_mu(halves):
     found = stresses(halves, sheared, cold)[structure.bodies["left"]]
     np.testing.assert_allclose(found[:, 0, 1], 1e-4 * IRON.lame[1], rtol=1e-9)
     np.testing.assert_allclose(found[:, 0, 1], found[:, 1, 0], rtol=1e-12)
+
+
+def test_corner_stresses_are_exact_where_displacements_are(halves):
+    """A bent field of second order, and a temperature of first: each body has its own stress."""
+    structure, spaces = halves
+    materials = {"left": IRON, "right": STEEL}
+    x, y, z = spaces.elastic.doflocs
+    field = 1e-3 * np.stack([x * y + z**2, x**2 - y * z, z * x + y], axis=1)
+    rise = 10.0 + 5.0 * spaces.heat.doflocs[0] - 3.0 * spaces.heat.doflocs[2]
+    found = corner_stresses(structure, spaces, materials, field.ravel(), rise)
+    mesh = structure.mesh
+    for corner, nodes in enumerate(mesh.t):
+        x, y, z = mesh.p[:, nodes]
+        slopes = 1e-3 * np.array([[y, x, 2 * z], [2 * x, -z, -y], [z, 0 * x + 1.0, x]])
+        for name, material in materials.items():
+            own = structure.bodies[name]
+            lam, mu = material.lame
+            strain = 0.5 * (slopes + slopes.swapaxes(0, 1))[:, :, own]
+            grown = (3.0 * lam + 2.0 * mu) * material.expansion * rise[nodes[own]]
+            pressed = lam * np.trace(strain) - grown
+            exact = 2.0 * mu * strain + np.eye(3)[:, :, None] * pressed
+            got = np.moveaxis(stress_tensors(found[corner, own]), 0, -1)
+            np.testing.assert_allclose(got, exact, atol=1e-9 * np.abs(exact).max())
+
+
+def test_bodies_that_share_nodes_have_points_of_their_own(halves):
+    structure, _ = halves
+    node, corners = points_of_bodies(structure)
+    count = structure.mesh.nvertices
+    np.testing.assert_array_equal(node[:count], np.arange(count))
+    # Nine nodes at x = 0.5.
+    assert len(node) == count + 9
+    np.testing.assert_array_equal(node[corners], structure.mesh.t)
+    left, right = (np.unique(corners[:, cells]) for cells in structure.bodies.values())
+    assert not np.intersect1d(left, right).size
+    assert np.union1d(left, right).size == len(node)
+
+
+def test_the_mean_at_a_point_is_that_of_its_cells():
+    corners = np.array([[0, 1], [1, 2]])
+    values = np.array([[[1.0, 10.0], [3.0, 30.0]], [[5.0, 50.0], [7.0, 70.0]]])
+    expected = [[1.0, 10.0], [4.0, 40.0], [7.0, 70.0]]
+    np.testing.assert_allclose(point_means(corners, values), expected)

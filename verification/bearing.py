@@ -11,13 +11,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import meshio
 import numpy as np
 import xarray as xr
 from skfem import MeshHex
 
 from artefacts.arrays import Array
 from fesim.case.schema import case_from_data
+from fesim.march.stepping import Step
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from fesim.snapshots import structure_snapshot
 from meshes.exchange import write_structure
 from meshes.structure import Structure
 from verification.check import Check
@@ -86,17 +90,45 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
     data["probes"] = {"P": {"position_mm": place, "body": "ring"}}
     data["displacement"] = {"point": "P"}
     data["output"] = {"stress_probes": ["P"], "forces": True}
-    last = _march(folder, data)
-    mean = PRESSURE * INNER**2 / (OUTER**2 - INNER**2)
-    apart = mean * OUTER**2 / AT**2
-    around, radial, axial = mean + apart, mean - apart, 2.0 * POISSON * mean
+    case = case_from_data(data, "bearing", folder)
+    steps: list[Step] = []
+    setup = set_up(case)
+    last = simulate(case, setup=setup, on_step=steps.append).response.isel(time=-1)
     found = last["principal_stress"].sel(stress_probe="P").to_numpy()
-    named = {"around": around, "along the axis": axial, "radial": radial}
-    for (name, reference), one in zip(named.items(), found, strict=True):
+    for (name, reference), one in zip(ring_stresses(AT).items(), found, strict=True):
         yield _check(f"thick ring, {name}", "stress", "MPa", 1e-6 * reference, 1e-6 * one, 5e-3)
+    yield from _field_checks(structure_snapshot(setup, steps[-1]))
     # The cut carries what the pressure pushes apart: p a on either side.
     held = float(last["reaction"].sel(support="x0", space="x"))
     yield _check("thick ring, cut", "support", "N", -PRESSURE * INNER * THICK, held, 1e-3)
+
+
+def ring_stresses(radius: float) -> dict[str, float]:
+    """Lame's principal stresses at a radius, Pa, the largest first."""
+    mean = PRESSURE * INNER**2 / (OUTER**2 - INNER**2)
+    apart = mean * OUTER**2 / radius**2
+    return {
+        "around": mean + apart,
+        "along the axis": 2.0 * POISSON * mean,
+        "radial": mean - apart,
+    }
+
+
+def _field_checks(grid: meshio.Mesh) -> Iterator[Check]:
+    """The snapshot's stresses at nodes on the bore, near mid radius and on the rim."""
+    for name, radius in (("on the bore", INNER), ("near mid radius", AT), ("on the rim", OUTER)):
+        place = np.array([radius, radius, THICK / np.sqrt(2.0)]) / np.sqrt(2.0)
+        node = int(np.argmin(np.linalg.norm(grid.points - place, axis=1)))
+        exact = ring_stresses(float(np.hypot(*grid.points[node, :2])))
+        around, axial, radial = exact.values()
+        mises = np.sqrt(
+            0.5 * ((around - axial) ** 2 + (axial - radial) ** 2 + (radial - around) ** 2)
+        )
+        principal = grid.point_data["principal_stress_Pa"][node]
+        found = grid.point_data["von_mises_Pa"][node]
+        title = f"thick ring, snapshot {name}"
+        yield _check(f"{title}, around", "stress", "MPa", _mpa(around), _mpa(principal[0]), 1e-3)
+        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(found), 1e-3)
 
 
 def quarter_ring() -> Structure:
@@ -123,7 +155,7 @@ def _march(folder: Path, data: dict[str, object]) -> xr.Dataset:
     return simulate(case_from_data(data, "bearing", folder)).response.isel(time=-1)
 
 
-def _mpa(stress: xr.DataArray | Array) -> float:
+def _mpa(stress: xr.DataArray | Array | float) -> float:
     return 1e-6 * float(stress)
 
 

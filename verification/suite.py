@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from verification import (
     bearing,
     bistable,
+    bolted,
     dissimilar_rods,
     friction,
     hot_spot,
@@ -148,8 +149,19 @@ GROUPS: tuple[Group, ...] = (
         bearing.checks,
         "From case files: what a column of two bodies bears at its foot and in its joint under its "
         "weight, a force from above and one from the side; the stress of a column under pressure; "
-        "the stresses of Lamé in a thick ring under pressure from within, at mid radius, and the "
-        "force in its cut. 20 × 32 elements with straight edges over a quarter of the ring.",
+        "the stresses of Lamé in a thick ring under pressure from within, at mid radius and at "
+        "nodes of a snapshot, and the force in its cut. 20 × 32 elements with straight edges over "
+        "a quarter of the ring.",
+    ),
+    Group(
+        "Bolts",
+        bolted.checks,
+        "From case files: bars without lateral contraction that a bolt clamps between their ends. "
+        "The contact force is the bolt's. A force that parts what is clamped changes the bolt's by "
+        "$F k_b/(k_b + k_c)$ where all of it is linear (one bar); in two bars the joint between "
+        "them, which the bolt alone presses, is a spring by the law of rough surfaces. A steel "
+        "bolt through an aluminium sleeve, both warmed, gains $(\\alpha_s - \\alpha_b) L T / "
+        "(1/k_b + 1/k_s)$.",
     ),
     Group(
         "Two dissimilar rods",

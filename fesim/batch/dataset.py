@@ -80,6 +80,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
     forces = [case for case in cases if case.output.forces]
     asked = {
         "load": _union(case.loads for case in cases),
+        "bolt": _union(case.bolts for case in cases),
         "support": _union(support_names(case) for case in forces),
         "joint": _union(case.joints for case in forces),
         "stress_probe": _union(case.output.stress_probes for case in cases),

@@ -36,6 +36,8 @@ FIGURES = {
     "temperature_max_K": "highest temperature of a probe above the initial ambient",
     "gap_residual_m": "largest residual of the gap equations",
     "heat_balance": "largest error of the heat balance, relative",
+    "bolt_force_min_N": "lowest force of a bolt",
+    "bolt_force_max_N": "highest force of a bolt",
     "force_balance": "largest error of the balance of supports and loads, relative",
     "steps": "time steps",
     "iterations": "Newton iterations",
@@ -114,6 +116,9 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures["temperature_max_K"] = float(response["temperature"].max())
     figures["gap_residual_m"] = float(response["gap_residual"].max())
     figures["heat_balance"] = float(np.abs(response["heat_balance"]).max())
+    if "bolt_force" in response:
+        figures["bolt_force_min_N"] = float(response["bolt_force"].min())
+        figures["bolt_force_max_N"] = float(response["bolt_force"].max())
     if "force_balance" in response:
         figures["force_balance"] = float(response["force_balance"].max())
     figures["steps"] = response.sizes["time"] - 1

@@ -36,6 +36,7 @@ _LOADS = {"title", "heat_input", "ambient", "output"}
 _HEAT = {"convection_W_m2K", "sources", "held_temperatures", "candidates"}
 _THERMAL = {"conductivity_W_mK", "density_kg_m3", "heat_capacity_J_kgK"}
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
+_TIGHTENING = {"force_kN", "file"}
 
 #: Read once: it takes longer than all the rest of a digest.
 _VERSION = version("thermojoint")
@@ -125,6 +126,7 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
         As for `case_id`.
     """
     data = _structure(case)
+    data["bolts"] = bolt_places(case)
     for section in _HEAT:
         del data[section]
     data["materials"] = {
@@ -154,6 +156,14 @@ def asked(case: Case) -> dict[str, Any]:
     return {"output": case.output.model_dump(exclude={"snapshots_s"}), "places": places}
 
 
+def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
+    """Return where the bolts of a case are, in their order: what they are needs no factor."""
+    return [
+        (name, bolt.model_dump(mode="json", include={"head", "thread"}))
+        for name, bolt in case.bolts.items()
+    ]
+
+
 def _condensed(case: Case) -> dict[str, Any]:
     """What enters `set_up` except loads and joint laws."""
     data = case.model_dump(mode="json", exclude=_LOADS)
@@ -163,6 +173,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
     data["held_temperatures"] = list(data["held_temperatures"])
     data["loads"] = load_patterns(case)
+    data["bolts"] = [(name, _without(bolt, _TIGHTENING)) for name, bolt in data["bolts"].items()]
     data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())
     return data

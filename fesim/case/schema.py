@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from artefacts import toml
 from artefacts.errors import InputError, unknown_name
 from artefacts.refusal import first_error, keys_at, quoting, refusal
+from fesim.case.bolts import BoltSection
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -397,6 +398,7 @@ class Case(_Section):
     ambient: AmbientSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
     loads: dict[str, LoadSection] = {}
+    bolts: dict[str, BoltSection] = {}
     march: MarchSection
     displacement: DisplacementSection
     probes: dict[str, ProbeSection] = {}
@@ -405,7 +407,8 @@ class Case(_Section):
 
     @model_validator(mode="after")
     def _something_heats(self) -> Case:
-        if not (self.sources or self.held_temperatures or self.ambient or self.loads):
+        acting = self.sources, self.held_temperatures, self.ambient, self.loads, self.bolts
+        if not any(acting):
             raise ValueError("nothing heats the structure: add [sources.NAME]")
         for name, source in self.sources.items():
             if source.heat_input is None and self.heat_input is None:
@@ -479,6 +482,7 @@ _FILE_SECTIONS = (
     ("ambient",),
     ("held_temperatures", "*"),
     ("loads", "*"),
+    ("bolts", "*"),
     ("joints", "*", "conductance"),
 )
 

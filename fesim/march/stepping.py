@@ -41,6 +41,31 @@ PATIENCE = 20
 
 
 @dataclass(frozen=True)
+class Assembly:
+    """A machine whose bolts have just been tightened: nothing else acts on it.
+
+    Attributes
+    ----------
+    gap : ndarray, shape (3, m)
+        From the state before, m.
+    slip : ndarray, shape (2, m)
+        Irreversible slip, m.
+    pressure : ndarray, shape (m,)
+        Pa.
+    remainder : ndarray, shape (3 m,)
+        z + k g, Pa.
+    factors : ndarray, shape (l,)
+        What stands behind the other inputs of a step in this state.
+    """
+
+    gap: Array
+    slip: Array
+    pressure: Array
+    remainder: Array
+    factors: Array
+
+
+@dataclass(frozen=True)
 class CondensedMachine:
     """A structure ready to march.
 
@@ -58,6 +83,8 @@ class CondensedMachine:
         What holds the bodies; with it, a step in which one comes loose is an error.
     loads : LoadInfluence, optional
         Mechanical loads; their factors stand behind the other inputs of a step.
+    assembly : Assembly, optional
+        Where a machine with bolts starts (`fesim.march.assembly`).
     """
 
     thermal: ThermalCondensation
@@ -66,6 +93,7 @@ class CondensedMachine:
     gap_tolerance: float = TOLERANCE
     holds: Holds | None = None
     loads: LoadInfluence | None = None
+    assembly: Assembly | None = None
 
     @property
     def contacts(self) -> int:
@@ -265,6 +293,8 @@ Advance = Callable[[CondensedMachine, State, Array], Step]
 def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
     """Ambient temperature everywhere, every joint at its preload, under the loads of the start.
 
+    Bolts have been tightened before the loads came.
+
     Parameters
     ----------
     machine : CondensedMachine
@@ -288,7 +318,12 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         model=machine.thermal.model,
         anchor=np.zeros((7, count)),
     )
-    if machine.preload.all() and machine.loads is None:
+    if machine.assembly is not None:
+        tight = machine.assembly
+        state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
+        if inputs is None:
+            return state
+    elif machine.preload.all() and machine.loads is None:
         return state
     # A joint without preload is at rest by itself only where it is open.
     unheated = np.zeros(3 * count)

@@ -130,7 +130,8 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
     """
     if inputs is None:
         loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
-        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
+        still = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
+        inputs = np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), still])
     state, elastic = initial_state(machine, inputs), machine.elastic
     displacement = np.zeros(elastic.probe_thermal.shape[0])
     remainder = np.zeros(3 * machine.contacts)

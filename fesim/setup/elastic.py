@@ -106,5 +106,5 @@ def elastic_structure(
 
 def pieces_to_condense(case: Case, elastic: ElasticStructure) -> Iterable[Substructure]:
     """Return the factorised pieces: kept if loads, outputs or snapshots need them again."""
-    again = case.loads or case.output.snapshots_s or asks_for_outputs(case)
+    again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
     return elastic.factorised.substructures if again else elastic.one_by_one()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fesim.case.schema import Case
 from fesim.setup.laws import initial_opening
 from fesim.setup.loads import spring_stiffnesses
+from fesim.solid.bolts import Bolt
 from fesim.solid.rigid_motions import Holds, check_held, holds_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
@@ -18,7 +19,9 @@ from meshes.structure import Structure
 CLOSED = 1e-9
 
 
-def checked_holds(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> Holds:
+def checked_holds(
+    case: Case, structure: Structure, joints: Sequence[PairedJoint], bolts: Sequence[Bolt] = ()
+) -> Holds:
     """Return what holds the bodies of a case.
 
     Raises
@@ -32,6 +35,7 @@ def checked_holds(case: Case, structure: Structure, joints: Sequence[PairedJoint
         fixed_surfaces(case),
         dict(case.supports.symmetry),
         spring_stiffnesses(case, structure),
+        bolts,
     )
     check_held(holds, with_friction(case, joints), start_closed(case, joints))
     return holds

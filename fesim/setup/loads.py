@@ -18,6 +18,7 @@ from fesim.case.schema import (
     StepInput,
     TriangleInput,
 )
+from fesim.setup.bolts import tightening
 from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
@@ -89,7 +90,8 @@ def input_layout(case: Case) -> InputLayout:
 def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
     """Return the inputs of the march in time, in the order of `input_layout`.
 
-    Behind them stand the factors of the mechanical loads.
+    Behind them stand the factors of the mechanical loads, then what the bolts are given (N), and
+    with them a 1 (`fesim.solid.bolts.fastened`).
     """
     table = input_table(case)
     return lambda time: table(np.array([time]))[0]
@@ -108,16 +110,17 @@ def input_table(case: Case) -> Callable[[NDArray[np.float64]], NDArray[np.float6
         step_history(1.0) if load.file is None else read_history(load.file, "factor")
         for load in case.loads.values()
     ]
+    behind = [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
 
     def inputs(times: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = np.zeros((len(times), layout.count + len(factors)))
+        found = np.zeros((len(times), layout.count + len(behind)))
         for column, (power, history) in zip(found.T[layout.source_columns], sources, strict=True):
             column[:] = power * history(times)
         if ambient:
             found[:, layout.ambient] = ambient(times) - ambient(np.zeros(1))
         for column, history in zip(found.T[layout.held_columns], held, strict=True):
             column[:] = history(times)
-        for column, history in zip(found.T[layout.count :], factors, strict=True):
+        for column, history in zip(found.T[layout.count :], behind, strict=True):
             column[:] = history(times)
         return found
 

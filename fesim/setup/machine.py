@@ -24,6 +24,7 @@ from fesim.case.identity import (
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
+from fesim.march.assembly import Bolts, tightened
 from fesim.march.reduced import (
     ThermalModes,
     project_elasticity,
@@ -32,6 +33,7 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.stepping import CondensedMachine, State, Step, load_factors
+from fesim.setup.bolts import bolts_of, first_forces
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
 from fesim.setup.laws import element_means, joint_laws
@@ -41,6 +43,7 @@ from fesim.setup.loads import (
     thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
+from fesim.solid.bolts import Bolt, bolt_springs, stretch_rows, temperature_rows
 from fesim.solid.condensation import (
     DisplacementField,
     LoadInfluence,
@@ -83,6 +86,8 @@ class Parts:
         What holds the bodies; checked.
     laws : list of (JointLaw, int)
         The law of each joint and how many contact elements it has.
+    bolts : list of Bolt
+        In the case's order.
     """
 
     structure: Structure
@@ -90,6 +95,7 @@ class Parts:
     probes: dict[str, Probe]
     holds: Holds
     laws: list[tuple[JointLaw, int]]
+    bolts: list[Bolt]
 
 
 @dataclass(frozen=True)
@@ -116,10 +122,14 @@ class Setup:
         The reduced thermal model; None if the march has the full one.
     holds : Holds
         What holds the bodies.
-    forces : ndarray, shape (n, l)
-        Nodal forces of the mechanical loads at factor one, N.
+    forces : ndarray, shape (n, l + b)
+        Nodal forces of the mechanical loads at factor one, then of the bolts per N, N.
     outputs : MechanicalOutputs or None
-        Forces and stresses, if the case asks for them.
+        Forces and stresses, if the case asks for them; of `acting`.
+    bolts : Bolts or None
+        The bolts, if there are any.
+    materials : dict of str to Material
+        Of every body.
     """
 
     structure: Structure
@@ -133,6 +143,8 @@ class Setup:
     holds: Holds
     forces: NDArray[np.float64]
     outputs: MechanicalOutputs | None
+    bolts: Bolts | None
+    materials: dict[str, Material]
 
     @property
     def field(self) -> DisplacementField:
@@ -149,16 +161,56 @@ class Setup:
         """
         return state.temperature if self.modes is None else self.modes.basis @ state.temperature
 
-    def displacement(self, step: Step) -> NDArray[np.float64]:
-        """Displacement at every unknown, shape (n,), m.
+    def bolt_forces(self, step: Step) -> NDArray[np.float64]:
+        """Force of each bolt, shape (b,), N.
 
         Parameters
         ----------
         step : Step
             Of a march of this set-up.
         """
-        forces = self.forces @ load_factors(self.machine, step.inputs)
-        return self.field.solve(self.nodal_temperature(step.state), step.remainder, forces)
+        if self.bolts is None:
+            return np.empty(0)
+        factors = load_factors(self.machine, step.inputs)
+        return self.bolts.force.of(step.state.temperature, step.remainder, factors)
+
+    def acting(self, step: Step) -> NDArray[np.float64]:
+        """Factors of the loads and forces (N) of the bolts, shape (l + b,), as `forces` wants them.
+
+        Parameters
+        ----------
+        step : Step
+            Of a march of this set-up.
+        """
+        pulls = self.bolt_forces(step)
+        factors = load_factors(self.machine, step.inputs)
+        return np.concatenate([factors[: self.forces.shape[1] - pulls.size], pulls])
+
+    def displacement(self, step: Step) -> NDArray[np.float64]:
+        """Displacement at every unknown, shape (n,), m; with bolts from where they are just tight.
+
+        Parameters
+        ----------
+        step : Step
+            Of a march of this set-up.
+        """
+        acting, remainder = self.acting(step), step.remainder
+        if self.machine.assembly is not None:
+            acting = acting - self.machine.assembly.factors[:-1]
+            remainder = remainder - self.machine.assembly.remainder
+        temperature = self.nodal_temperature(step.state)
+        return self.field.solve(temperature, remainder, self.forces @ acting)
+
+    def deformation(self, step: Step) -> NDArray[np.float64]:
+        """Displacement from the state without any force, shape (n,), m: what stresses come of.
+
+        Parameters
+        ----------
+        step : Step
+            Of a march of this set-up.
+        """
+        temperature = self.nodal_temperature(step.state)
+        return self.field.solve(temperature, step.remainder, self.forces @ self.acting(step))
 
 
 def set_up(case: Case) -> Setup:
@@ -183,8 +235,10 @@ def set_up(case: Case) -> Setup:
     structure, joints = parts.structure, parts.joints
     materials = body_materials(case, structure)
     spaces = make_spaces(structure.mesh)
-    relative = _relative_rows(case, structure, spaces)
+    stretch = stretch_rows(spaces.displacement, parts.bolts)
+    relative = csr_array(vstack([_relative_rows(case, structure, spaces), stretch]))
     rows = probe_rows(spaces.heat, structure, parts.probes)
+    ends = temperature_rows(spaces.heat, parts.bolts)
 
     operators = joint_operators(joints, spaces)
     heat = heat_operators(
@@ -206,9 +260,14 @@ def set_up(case: Case) -> Setup:
     condensed = elastic_condensation(tied, operators, springs)
     field = cache(partial(solid.field, tied))
 
-    forces = nodal_forces(structure, spaces, materials, mechanical_loads(case, structure))
+    forces = np.hstack(
+        [
+            nodal_forces(structure, spaces, materials, mechanical_loads(case, structure)),
+            -stretch.toarray().T,
+        ]
+    )
     loads = None
-    if case.loads:
+    if forces.shape[1]:
         loads = remembered(
             LoadInfluence,
             None if key is None else f"{key} under {load_patterns(case)}",
@@ -228,7 +287,9 @@ def set_up(case: Case) -> Setup:
         modes = remembered(
             ThermalModes,
             None if heat_key is None else f"{heat_key} from {shortest(step)!r} s",
-            lambda: thermal_modes(heat, operators, condensed, rows, step, solver),
+            lambda: thermal_modes(
+                heat, operators, condensed, csr_array(vstack([rows, ends])), step, solver
+            ),
         )
         thermal = project_heat(heat, operators, step, modes)
         elastic = project_elasticity(condensed, modes)
@@ -236,11 +297,16 @@ def set_up(case: Case) -> Setup:
             outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
     else:
         thermal, elastic = condense_heat(heat, operators, step, solver), condensed
+    machine = CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads)
+    bolts = None
+    if parts.bolts:
+        ties = bolt_springs(parts.bolts, ends.toarray() if modes is None else ends @ modes.basis)
+        machine, bolts = tightened(tuple(case.bolts), machine, ties, first_forces(case))
     return Setup(
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads),
+        machine=machine,
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
@@ -248,6 +314,8 @@ def set_up(case: Case) -> Setup:
         holds=parts.holds,
         forces=forces,
         outputs=outputs,
+        bolts=bolts,
+        materials=materials,
     )
 
 
@@ -270,8 +338,10 @@ def make_parts(case: Case) -> Parts:
     if not probes:
         raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
     laws = joint_laws(case, structure, body_materials(case, structure), joints)
-    holds = checked_holds(case, structure, joints)
-    return Parts(structure, joints, probes, holds, laws)
+    bolts = bolts_of(case, structure)
+    first_forces(case)
+    holds = checked_holds(case, structure, joints, bolts)
+    return Parts(structure, joints, probes, holds, laws, bolts)
 
 
 def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
@@ -304,9 +374,9 @@ def check_names(case: Case, structure: Structure) -> None:
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:
-    """Return the set-up of a case that differs only in its loads and joint laws.
+    """Return the set-up of a case that differs only in its loads, bolt forces and joint laws.
 
-    Nothing is condensed again: neither enters the condensation.
+    Nothing is condensed again: none of them enters the condensation.
 
     Raises
     ------
@@ -316,7 +386,11 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
     check_held(setup.holds, with_friction(case, setup.joints), start_closed(case, setup.joints))
-    return replace(setup, machine=replace(setup.machine, laws=laws))
+    if setup.bolts is None:
+        return replace(setup, machine=replace(setup.machine, laws=laws))
+    names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs
+    machine, bolts = tightened(names, replace(loose, laws=laws), springs, first_forces(case))
+    return replace(setup, machine=machine, bolts=bolts)
 
 
 def build_structure(case: Case) -> Structure:

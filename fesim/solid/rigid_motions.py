@@ -22,6 +22,7 @@ from skfem import Mesh
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
+from fesim.solid.bolts import Bolt
 from fesim.solid.elasticity import DIRECTIONS
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
@@ -57,7 +58,7 @@ class Holds:
     pieces : tuple of str
         What a message calls each piece.
     supports : ndarray, shape (k, 6 p)
-        Orthonormal rows for each surface of fixed points, symmetry or springs.
+        Orthonormal rows for each surface of fixed points, symmetry or springs, and for each bolt.
     share : ndarray, shape (m, p)
         Part of side b of each contact element that is on each piece, less that of side a.
     centre : ndarray, shape (m, 3)
@@ -143,6 +144,7 @@ def holds_of(
     fixed: Sequence[str],
     symmetry: Mapping[str, str],
     springs: Mapping[str, tuple[float, float, float]],
+    bolts: Sequence[Bolt] = (),
 ) -> Holds:
     """Return what can hold the pieces of a structure.
 
@@ -154,6 +156,8 @@ def holds_of(
         In the order of the contact elements.
     fixed, symmetry, springs
         As for `fesim.solid.elasticity.elastic_operators`; a spring without stiffness holds nothing.
+    bolts : sequence of Bolt
+        Each keeps its ends from moving apart.
     """
     mesh = structure.mesh
     piece = _piece_of_cells(mesh)
@@ -178,6 +182,7 @@ def holds_of(
             points = np.tile(mesh.p[:, nodes].T, (len(axes), 1))
             rows = _span(frame, points, np.repeat(np.eye(3)[list(axes)], len(nodes), axis=0), HELD)
             supports.append(np.kron(np.eye(len(names))[own], rows))
+    supports.extend(_tie(frame, bolt, piece, len(names)) for bolt in bolts)
     return Holds(
         frame=frame,
         pieces=names,
@@ -293,6 +298,16 @@ def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array
     there = frame.rows(np.tile(centre, (len(kept), 1)), kept[:, :3])
     there[:, 3:] += own.length / frame.length * kept[:, 3:]
     return np.asarray(np.linalg.svd(there, full_matrices=False)[2])
+
+
+def _tie(frame: Frame, bolt: Bolt, piece: NDArray[np.int64], count: int) -> Array:
+    """Unit row (1, 6 p) of how far the ends of a bolt move apart; none if one piece has both."""
+    row = np.zeros((count, 6))
+    for end, sign in ((bolt.head, 1.0), (bolt.thread, -1.0)):
+        moved = frame.rows(end.points.T, np.tile(bolt.axis, (len(end.weights), 1)))
+        np.add.at(row, piece[end.cells], sign * end.weights[:, None] * moved)
+    size = float(np.linalg.norm(row))
+    return row.reshape(1, -1) / size if size > HELD else np.empty((0, 6 * count))
 
 
 def _facet_slack(mesh: Mesh, joint: PairedJoint) -> float:

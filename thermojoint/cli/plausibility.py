@@ -198,6 +198,12 @@ CASE = {
         "MPa", -1000.0, 1000.0, 1.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3))
     ),
     "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
+    "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, (Slip("N", 1e-3), Slip("MN", 1e3))),
+    "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, (Slip("m", 1e3), Slip("cm", 10.0))),
+    "bolts.*.clamped_length_mm": LENGTH,
+    "bolts.*.stiffness_N_um": Quantity(
+        "N/µm", 1.0, 1e5, 300.0, (Slip("N/mm", 1e-3), Slip("N/m", 1e-6))
+    ),
     "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, (Slip("ms", 1e-3), Slip("µs", 1e-6))),
     "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
     "structure.element_size_mm": LENGTH,

@@ -124,7 +124,7 @@ class SchemeErrors:
 
 
 def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
-    """Return what happened to temperatures and joint, in words.
+    """Return what happened to temperatures, bolts and joints, in words.
 
     Parameters
     ----------
@@ -139,6 +139,13 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
         f"Temperature: at most {temperature[step, probe]:.4g} K above the initial ambient; probe "
         f"{response['probe'].to_numpy()[probe]}, after {_lasting(response, int(step))}."
     ]
+    if "bolt_force" in response:
+        end = 1e-3 * response["bolt_force"].to_numpy()[-1]
+        low, high = (1e-3 * figures[f"bolt_force_{what}_N"] for what in ("min", "max"))
+        lines.append(
+            f"Bolts: {end.min():.4g} to {end.max():.4g} kN at the end, {low:.4g} to {high:.4g} kN "
+            f"in the run; least at the end in {response['bolt'].to_numpy()[end.argmin()]}."
+        )
     if "open_share_final" not in figures:
         return lines
     last = 1e-6 * response["pressure"].to_numpy()[-1]

@@ -1,0 +1,60 @@
+"""The sections of a case that say what its bolts are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class BoltEndSection(_Section):
+    """``[bolts.NAME.head]`` and ``thread``: a surface, or a disc around a point of a body.
+
+    The disc is across the bolt; what of it lies in no cell, as a hole does not, is left out.
+    """
+
+    surface: str | None = None
+    position_mm: tuple[Finite, Finite, Finite] | None = None
+    diameter_mm: Positive | None = None
+    body: str | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> BoltEndSection:
+        if (self.surface is None) == (self.position_mm is None):
+            raise ValueError("give either 'surface' or 'position_mm'")
+        disc = self.diameter_mm is not None, self.body is not None
+        if (self.position_mm is not None) != all(disc) or any(disc) != all(disc):
+            raise ValueError("'diameter_mm' and 'body' go with 'position_mm', both of them")
+        return self
+
+
+class BoltSection(_Section):
+    """``[bolts.NAME]``: a bolt of the meshed part, tightened to ``force_kN`` before anything acts.
+
+    It is a spring of its ``diameter_mm``, its length and its material's modulus, or one of
+    ``stiffness_N_um``; it expands as its material. ``file`` is a CSV with ``time_s,factor``: what
+    the force would be, of ``force_kN``, if its ends did not move.
+    """
+
+    head: BoltEndSection
+    thread: BoltEndSection
+    force_kN: Positive
+    material: str
+    diameter_mm: Positive | None = None
+    stiffness_N_um: Positive | None = None
+    clamped_length_mm: Positive | None = None
+    file: Path | None = None
+
+    @model_validator(mode="after")
+    def _one_stiffness(self) -> BoltSection:
+        if (self.diameter_mm is None) == (self.stiffness_N_um is None):
+            raise ValueError("give either 'diameter_mm' or 'stiffness_N_um'")
+        return self

@@ -1,0 +1,84 @@
+"""A machine whose bolts are tightened, before anything else acts on it.
+
+All bolts are tightened at once. Then they pull with given forces, whatever the structure does: a
+load, and the joints settle under it. From there on the bolts are springs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from fesim.march.stepping import Assembly, CondensedMachine, initial_state, settle_along
+from fesim.solid.bolts import BoltSprings, fastened
+from fesim.solid.outputs import MechanicalOutputs
+
+
+@dataclass(frozen=True)
+class Bolts:
+    """The bolts of a machine.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What they are called.
+    loose : CondensedMachine
+        The machine before they are tightened: see `fesim.solid.bolts.fastened`.
+    springs : BoltSprings
+        What they are.
+    force : MechanicalOutputs
+        Their forces, N, as functions of a step of the machine with bolts.
+    """
+
+    names: tuple[str, ...]
+    loose: CondensedMachine
+    springs: BoltSprings
+    force: MechanicalOutputs
+
+
+def tightened(
+    names: tuple[str, ...], loose: CondensedMachine, springs: BoltSprings, forces: Array
+) -> tuple[CondensedMachine, Bolts]:
+    """Tighten bolts; return the machine that marches, and its bolts.
+
+    Parameters
+    ----------
+    names, loose, springs
+        As for `Bolts`.
+    forces : ndarray, shape (b,)
+        Which each has after all are tight, N.
+
+    Raises
+    ------
+    ConvergenceError
+        Joints and supports find no equilibrium under these forces.
+    """
+    loads, elastic = loose.loads, loose.elastic
+    assert loads is not None
+    given = loads.gap.shape[1] - len(forces)
+    free = replace(loose, loads=None)
+    try:
+        found, _ = settle_along(free, initial_state(free), loads.gap[:, given:] @ forces)
+    except ConvergenceError as error:
+        raise ConvergenceError(f"tightening the bolts: {error}") from error
+    remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+    start = elastic.probe_compliance @ (elastic.area * remainder)
+    start = start + loads.probes[:, given:] @ forces
+    bolted, influence, force = fastened(elastic, loads, springs, start)
+    factors = np.concatenate([np.zeros(given), forces, [1.0]])
+    machine = replace(
+        loose,
+        elastic=bolted,
+        loads=influence,
+        assembly=Assembly(
+            gap=found.gap,
+            slip=found.traction.slip,
+            pressure=loose.preload + found.traction.value[0],
+            remainder=remainder,
+            factors=factors,
+        ),
+    )
+    return machine, Bolts(names, loose, springs, force)

@@ -1,0 +1,136 @@
+"""The bolts that a case asks for, in SI: their ends, springs and forces."""
+
+from __future__ import annotations
+
+import numpy as np
+from skfem import FacetBasis
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError, shown_point, unknown_name
+from fesim.case.bolts import BoltEndSection, BoltSection
+from fesim.case.history import History, read_history, step_history
+from fesim.case.schema import Case
+from fesim.solid.bolts import Bolt, Patch
+from fesim.solid.spaces import cells_at, make_spaces
+from meshes.structure import Structure
+
+#: A disc is as many rings of equal area, and points on each: the means of fields of second order
+#: over it are exact.
+RINGS, AROUND = 3, 8
+#: Ends nearer to each other than this, of the structure's size, are one place.
+APART = 1e-6
+
+
+def bolts_of(case: Case, structure: Structure) -> list[Bolt]:
+    """Return the bolts of the meshed part, in the case's order.
+
+    Raises
+    ------
+    InputError
+        A bolt names a surface, body or material that is not there, an end lies in no cell, or its
+        ends are one place.
+    """
+    return [_bolt(case, structure, name, bolt) for name, bolt in case.bolts.items()]
+
+
+def tightening(case: Case) -> list[History]:
+    """Return the force that each bolt is given in time, N: what it has if its ends stay."""
+
+    def given(bolt: BoltSection) -> History:
+        factor = step_history(1.0) if bolt.file is None else read_history(bolt.file, "factor")
+        return lambda times: 1e3 * bolt.force_kN * factor(times)
+
+    return [given(bolt) for bolt in case.bolts.values()]
+
+
+def first_forces(case: Case) -> Array:
+    """Return the force of each bolt after all are tightened, N, shape (b,).
+
+    Raises
+    ------
+    InputError
+        A history starts without a force.
+    """
+    forces = np.array([force(np.zeros(1))[0] for force in tightening(case)])
+    for name, force in zip(case.bolts, forces, strict=True):
+        if force <= 0.0:
+            raise InputError(
+                f"bolts.{name}: its factor is not positive at the start, but bolts are tightened "
+                "before anything acts; let its file begin above 0"
+            )
+    return forces
+
+
+def _bolt(case: Case, structure: Structure, name: str, section: BoltSection) -> Bolt:
+    where = f"bolts.{name}"
+    if section.material not in case.materials:
+        raise unknown_name("material", section.material, case.materials, f"{where}.material")
+    material = case.materials[section.material]
+    anchors = [_anchor(structure, e, f"{where}.{n}") for n, e in _ends(section)]
+    size = float(np.linalg.norm(np.ptp(structure.mesh.p, axis=1)))
+    distance = float(np.linalg.norm(anchors[0] - anchors[1]))
+    if distance < APART * size:
+        raise InputError(
+            f"{where}: head and thread are one place, around {shown_point(anchors[0])} m; a bolt "
+            "needs a length between them"
+        )
+    axis = (anchors[0] - anchors[1]) / distance
+    head, thread = (_patch(structure, e, axis, f"{where}.{n}") for n, e in _ends(section))
+    length = 1e-3 * (section.clamped_length_mm or 1e3 * distance)
+    if section.diameter_mm is not None:
+        area = 0.25 * np.pi * (1e-3 * section.diameter_mm) ** 2
+        stiffness = 1e9 * material.youngs_modulus_GPa * area / length
+    else:
+        stiffness = 1e6 * (section.stiffness_N_um or 0.0)
+    return Bolt(head, thread, float(stiffness), material.expansion_1_K * length)
+
+
+def _ends(section: BoltSection) -> tuple[tuple[str, BoltEndSection], ...]:
+    return ("head", section.head), ("thread", section.thread)
+
+
+def _anchor(structure: Structure, end: BoltEndSection, where: str) -> Array:
+    """Centre of an end as the case gives it, m."""
+    if end.position_mm is not None:
+        return 1e-3 * np.array(end.position_mm)
+    return _surface_patch(structure, end.surface or "", where).centre
+
+
+def _patch(structure: Structure, end: BoltEndSection, axis: Array, where: str) -> Patch:
+    if end.surface is not None:
+        return _surface_patch(structure, end.surface, where)
+    return _disc(structure, end, axis, where)
+
+
+def _surface_patch(structure: Structure, name: str, where: str) -> Patch:
+    """All of a surface, by quadrature."""
+    facets = structure.surface(name, f"{where}.surface")
+    mesh = structure.mesh
+    element = make_spaces(mesh).heat.elem
+    basis = FacetBasis(mesh, element, facets=facets, intorder=4)
+    weights = basis.dx.ravel()
+    return Patch(
+        points=np.asarray(basis.global_coordinates()).reshape(3, -1),
+        cells=np.repeat(mesh.f2t[0, facets], basis.dx.shape[1]),
+        weights=weights / weights.sum(),
+    )
+
+
+def _disc(structure: Structure, end: BoltEndSection, axis: Array, where: str) -> Patch:
+    """Points of a disc across the axis that lie in the body, each for as large a part of it."""
+    cells = structure.body(end.body or "", f"{where}.body")
+    centre = _anchor(structure, end, where)
+    across = np.linalg.svd(axis[None, :])[2][1:]
+    radius = 5e-4 * (end.diameter_mm or 0.0) * np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
+    angle = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = centre + np.concatenate([r * circle for r in radius]) @ across
+    found = cells_at(structure.mesh, points, cells)
+    inside = found >= 0
+    if not inside.any():
+        raise InputError(
+            f"{where}: the disc around {shown_point(centre)} m lies in no cell of body "
+            f"{end.body!r}; move it into the body"
+        )
+    count = int(inside.sum())
+    return Patch(points[inside].T, found[inside], np.full(count, 1.0 / count))

@@ -1,0 +1,190 @@
+"""Bolts: springs between two places of a structure, taken into its condensation (docs/bolts.md).
+
+A bolt's ends move apart by e = Q u, the mean displacement of its head less that of its thread along
+its axis. It pulls them together with f = F + k_b (e - e_0 - alpha L T_b), nodal forces -Q^T f. With
+what joints, heat and loads alone would make of its length, e_free = e + C_bb f, that is
+f = D (F / k_b - e_0 + e_free - alpha L T_b), D = (1/k_b + C_bb)^-1: everything linear stays so, and
+gaps and probes are what they were plus those of unit bolt forces times f. Nothing is factorised
+but D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, kron, vstack
+from skfem import CellBasis
+
+from artefacts.arrays import Array
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence
+from fesim.solid.outputs import MechanicalOutputs
+from fesim.solid.spaces import interpolation
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Where an end of a bolt acts: points that share its force.
+
+    Attributes
+    ----------
+    points : ndarray, shape (3, q)
+        m.
+    cells : ndarray of int, shape (q,)
+        The cell each point lies in.
+    weights : ndarray, shape (q,)
+        Share of each point; together 1.
+    """
+
+    points: Array
+    cells: NDArray[np.int64]
+    weights: Array
+
+    @property
+    def centre(self) -> Array:
+        """Where the force acts, m, shape (3,)."""
+        return self.points @ self.weights
+
+    def mean(self, basis: CellBasis) -> csr_array:
+        """Row (1, n) of the mean of a scalar field."""
+        rows = np.zeros(len(self.weights), dtype=np.int64)
+        return interpolation(basis, self.points, self.cells, rows, self.weights, 1)
+
+
+@dataclass(frozen=True)
+class Bolt:
+    """A bolt.
+
+    Attributes
+    ----------
+    head, thread : Patch
+        Its ends.
+    stiffness : float
+        k_b, N/m.
+    growth : float
+        alpha L: free elongation per K of its mean temperature, m/K.
+    """
+
+    head: Patch
+    thread: Patch
+    stiffness: float
+    growth: float
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector from thread to head, shape (3,)."""
+        along = self.head.centre - self.thread.centre
+        return np.asarray(along / np.linalg.norm(along))
+
+
+@dataclass(frozen=True)
+class BoltSprings:
+    """What b bolts are as springs.
+
+    Attributes
+    ----------
+    flexibility : ndarray, shape (b,)
+        1/k_b, m/N.
+    growth : ndarray, shape (b, n)
+        Free elongation of each per K of nodal temperature, or per amplitude of a reduced model, m.
+    """
+
+    flexibility: Array
+    growth: Array
+
+
+def stretch_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
+    """Return Q (b, n): by how much the ends of each bolt move apart; unknown 3 i + c: direction c.
+
+    Parameters
+    ----------
+    basis : skfem.CellBasis
+        One component of displacement.
+    bolts : sequence of Bolt
+        b of them.
+    """
+    rows = [
+        kron(bolt.head.mean(basis) - bolt.thread.mean(basis), bolt.axis[None, :]) for bolt in bolts
+    ]
+    return csr_array(vstack([csr_array((0, 3 * int(basis.N))), *rows]))
+
+
+def temperature_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
+    """Return rows (b, n) of the mean temperature of both ends of each bolt."""
+    rows = [0.5 * (bolt.head.mean(basis) + bolt.thread.mean(basis)) for bolt in bolts]
+    return csr_array(vstack([csr_array((0, int(basis.N))), *rows]))
+
+
+def bolt_springs(bolts: Sequence[Bolt], means: Array) -> BoltSprings:
+    """Return b bolts as springs.
+
+    Parameters
+    ----------
+    bolts : sequence of Bolt
+        b of them.
+    means : ndarray, shape (b, n)
+        Their `temperature_rows`, or those times the basis of a reduced model.
+    """
+    flexibility = np.array([1.0 / bolt.stiffness for bolt in bolts])
+    growth = np.array([[bolt.growth] for bolt in bolts])
+    return BoltSprings(flexibility, growth * means)
+
+
+def fastened(
+    elastic: ElasticCondensation,
+    loads: LoadInfluence,
+    springs: BoltSprings,
+    start: Array,
+) -> tuple[ElasticCondensation, LoadInfluence, MechanicalOutputs]:
+    """Take b bolts into a condensation.
+
+    Parameters
+    ----------
+    elastic : ElasticCondensation
+        Without them; its last b probes are the bolts' `stretch_rows`.
+    loads : LoadInfluence
+        Its last b columns are unit forces of the bolts.
+    springs : BoltSprings
+        What they are.
+    start : ndarray, shape (k + b,)
+        Where the probes of `elastic` are when the bolts are tight, m: displacements and stretches
+        count from there.
+
+    Returns
+    -------
+    tuple of ElasticCondensation, LoadInfluence, MechanicalOutputs
+        Of k probes; of the loads, of the forces that the bolts are given (N), and of a last factor
+        that is always 1: the state they count from; the bolts' forces as functions of a step.
+    """
+    bolts = springs.flexibility.size
+    probes, given = len(start) - bolts, loads.gap.shape[1] - bolts
+    apart = -loads.probes[probes:, given:]
+    stiffness = np.linalg.inv(np.diag(springs.flexibility) + 0.5 * (apart + apart.T))
+    by_force = stiffness @ elastic.probe_compliance[probes:]
+    by_heat = stiffness @ (elastic.probe_thermal[probes:] - springs.growth)
+    by_length = np.hstack(
+        [loads.probes[probes:, :given], np.diag(springs.flexibility), -start[probes:, None]]
+    )
+    by_factor = np.asarray(stiffness @ by_length, dtype=np.float64)
+    pulled, moved = loads.gap[:, given:], loads.probes[:probes, given:]
+    compliance = elastic.compliance + pulled @ by_force
+    counted = np.hstack(
+        [loads.probes[:probes, :given], np.zeros((probes, bolts)), -start[:probes, None]]
+    )
+    return (
+        ElasticCondensation(
+            compliance=0.5 * (compliance + compliance.T),
+            thermal_gap=elastic.thermal_gap + pulled @ by_heat,
+            probe_compliance=elastic.probe_compliance[:probes] + moved @ by_force,
+            probe_thermal=elastic.probe_thermal[:probes] + moved @ by_heat,
+            reference=elastic.reference,
+            area=elastic.area,
+        ),
+        LoadInfluence(
+            gap=np.pad(loads.gap[:, :given], ((0, 0), (0, bolts + 1))) + pulled @ by_factor,
+            probes=counted + moved @ by_factor,
+        ),
+        MechanicalOutputs(by_heat, by_force * elastic.area, by_factor),
+    )

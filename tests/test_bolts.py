@@ -1,0 +1,286 @@
+"""Bolts: condensed as assembled, as a preload, in time, what they hold, and refused where wrong."""
+
+import numpy as np
+import pytest
+from scipy.sparse import diags_array
+
+from artefacts.errors import ConvergenceError, InputError
+from estimator.joint_aware.reduced_machine import check_joints
+from fesim.batch.summary import figures_of
+from fesim.case.identity import condensation_key, elasticity_key
+from fesim.case.schema import case_from_data
+from fesim.march.state_file import load_state, save_state
+from fesim.march.stepping import initial_state
+from fesim.setup.machine import body_materials, set_up, with_laws
+from fesim.simulate import at_rest, simulate
+from fesim.solid.spaces import probe_cells
+from fesim.solid.stress import stress_at, stress_tensors
+from verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
+from verification.loaded import AREA, WEIGHT, column_case, joint
+
+TOUCHING = joint(preload_MPa=0.0, initial_opening_um=0.0, reference_pressure_MPa=8.0)
+#: Two bolts beside each other, from the top into the lower half.
+ENDS = {"head": [400.0, "upper"], "thread": [100.0, "lower"]}
+
+
+def bolt(x_mm=25.0, **said):
+    """An M12 bolt along z at y = 25 mm."""
+    ends = {
+        name: {"position_mm": [x_mm, 25.0, height], "diameter_mm": 10.0, "body": body}
+        for name, (height, body) in ENDS.items()
+    }
+    return ends | {"force_kN": 12.0, "material": "iron", "diameter_mm": 12.0} | said
+
+
+def machine(folder, **changes):
+    """Two bars on a joint that two unlike bolts press, under heat, weight and a slanting force."""
+    (folder / "push.csv").write_text("time_s,factor\n0,0.5\n100,1\n")
+    push = {"surface": "top", "force_N": [300.0, 100.0, 2000.0], "file": "push.csv"}
+    data = column_case(folder, True, {"loads": {"push": push, **WEIGHT}})
+    data["materials"]["iron"]["poisson_ratio"] = 0.27
+    data["joints"] = {"joint": TOUCHING}
+    data["supports"] = {"fixed": ["foot"]}
+    data["held_temperatures"] = {"foot": {"rise_K": 20.0}}
+    data["bolts"] = {"left": bolt(12.0), "right": bolt(38.0, force_kN=9.0)}
+    data["output"] = {"forces": True, "stress_probes": ["P"]}
+    march = changes.pop("march", {})
+    return case_from_data(data | changes | {"march": data["march"] | march}, "machine", folder)
+
+
+@pytest.fixture(scope="module")
+def marched(tmp_path_factory):
+    """Case, set-up, steps and response of the full thermal model."""
+    case = machine(tmp_path_factory.mktemp("bolted"), march={"thermal": "full"})
+    setup, steps = set_up(case), []
+    return case, setup, steps, simulate(case, setup=setup, on_step=steps.append).response
+
+
+def test_a_bolt_condensed_is_a_bolt_assembled(marched):
+    """Woodbury's formula against the stiffness with the bolts' own entries in it."""
+    _, setup, _, _ = marched
+    field, free = setup.field, setup.field.operators.free
+    springs = setup.bolts.springs
+    stretch = -setup.forces[:, len(setup.machine.assembly.factors) - 3 :].T
+    gap = field.gap.toarray()[:, free]
+    reference = setup.machine.elastic.reference
+    held = gap.T @ diags_array(field.area * reference) @ gap
+    ties = stretch[:, free].T @ diags_array(1.0 / springs.flexibility) @ stretch[:, free]
+    whole = field.operators.stiffness[free][:, free].toarray() + held + ties
+    compliance = gap @ np.linalg.solve(whole, gap.T)
+    scale = np.abs(compliance).max()
+    np.testing.assert_allclose(setup.machine.elastic.compliance, compliance, atol=1e-9 * scale)
+    pushed = springs.growth.T / springs.flexibility
+    load = field.operators.thermal_load[free].toarray() + stretch[:, free].T @ pushed.T
+    opened = gap @ np.linalg.solve(whole, load)
+    found = setup.machine.elastic.thermal_gap
+    np.testing.assert_allclose(found, opened, atol=1e-9 * np.abs(opened).max())
+
+
+def test_bolts_are_tight_before_anything_acts(marched):
+    """Without loads every bolt has its force, and the joint presses with all of them."""
+    _, setup, _, _ = marched
+    rest = at_rest(setup.machine)
+    np.testing.assert_allclose(setup.bolt_forces(rest), [12e3, 9e3], rtol=1e-6)
+    area = setup.machine.elastic.area[: setup.machine.contacts]
+    assert rest.state.pressure @ area == pytest.approx(21e3, rel=1e-6)
+    # The stronger bolt presses its side more.
+    left = setup.joints[0].centre[:, 0] < 0.025
+    assert rest.state.pressure[left].mean() > 1.05 * rest.state.pressure[~left].mean()
+    # Displacement counts from there.
+    assert np.abs(rest.displacement).max() < 1e-12
+    assert np.abs(setup.displacement(rest)).max() < 1e-12
+
+
+def test_the_whole_is_in_balance_with_bolts(marched):
+    _, _, _, response = marched
+    assert response["force_balance"].max().item() < 1e-7
+    weight = 7200.0 * 9.81 * 0.2 * 0.05**2
+    last = response.isel(time=-1)
+    passed = last["joint_force"].sel(joint="joint", space="z")
+    pulls = last["bolt_force"].sum()
+    # The upper half: joint up, bolts down, weight down, push up.
+    assert (passed - pulls - weight + 2000.0).item() == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_full_field_ends_where_the_condensed_displacement_does(marched):
+    """And its stress is that of the probe, tightening included."""
+    case, setup, steps, response = marched
+    structure = setup.structure
+    top = np.flatnonzero(
+        np.isclose(structure.mesh.p.T, structure.probes["top"].position).all(axis=1)
+    )
+    field = setup.displacement(steps[-1]).reshape(-1, 3)
+    own = setup.spaces.elastic.nodal_dofs[0, top[0]]
+    np.testing.assert_allclose(field[own], response["displacement"][-1], atol=1e-12)
+    probes = {"P": structure.probes["P"]}
+    found = stress_at(
+        structure,
+        setup.spaces,
+        body_materials(case, structure),
+        setup.deformation(steps[-1]),
+        setup.nodal_temperature(steps[-1].state),
+        np.array([probes["P"].position]).T,
+        probe_cells(structure, probes),
+    )[0]
+    row = response["stress"].sel(stress_probe="P")[-1].to_numpy()
+    np.testing.assert_allclose(stress_tensors(row), found, atol=1e-7 * np.abs(found).max())
+
+
+def test_the_reduced_march_has_the_bolt_forces_of_the_full_one(tmp_path):
+    one, other = (
+        simulate(machine(tmp_path, march={"thermal": thermal, "coupling": "iterated"})).response
+        for thermal in ("full", "reduced")
+    )
+    np.testing.assert_allclose(other["bolt_force"], one["bolt_force"], atol=2.0)
+    np.testing.assert_allclose(other["displacement"], one["displacement"], atol=2e-9)
+
+
+def test_a_bolt_without_stiffness_is_a_preload(tmp_path):
+    """One that only pulls, on bars that it presses evenly: the same march by two ways."""
+    even = {"head": {"surface": "top"}, "thread": {"surface": "foot"}, "material": "iron"}
+    soft = even | {"force_kN": 2.5, "stiffness_N_um": 1e-7}
+    at = joint(preload_MPa=0.0, initial_opening_um=0.0, reference_pressure_MPa=1.0)
+    push = {"push": {"surface": "top", "force_N": [0.0, 0.0, 1500.0]}, **WEIGHT}
+    heat = {"held_temperatures": {"foot": {"rise_K": 20.0}}}
+    pressed = column_case(tmp_path, True, heat | {"loads": push, "joints": {"joint": at}})
+    one = case_from_data(pressed | {"bolts": {"soft": soft}}, "c", tmp_path)
+    given = pressed | {"joints": {"joint": joint(preload_MPa=1.0)}}
+    bolted_one, preloaded = (
+        simulate(case).response for case in (one, case_from_data(given, "c", tmp_path))
+    )
+    for name, size in {"displacement": 1e-11, "pressure": 1.0, "temperature": 1e-6}.items():
+        np.testing.assert_allclose(bolted_one[name], preloaded[name], atol=size, err_msg=name)
+
+
+def test_what_a_bolt_is_given_on_the_way_it_shares_with_what_it_clamps(tmp_path):
+    """A nut turned on, or a seat that settles: F k_c/(k_b + k_c) of what held ends would give."""
+    (tmp_path / "turned.csv").write_text("time_s,factor\n0,1\n30,1\n40,1.5\n80,0.25\n")
+    data = bolted(tmp_path, False, {})
+    data["bolts"]["bolt"] = data["bolts"]["bolt"] | {"file": "turned.csv"}
+    found = simulate(case_from_data(data, "c", tmp_path)).response["bolt_force"][:, 0]
+    share = COLUMN / (STIFFNESS + COLUMN)
+    factor = np.array([1.0, 1.0, 1.5, 0.875, 0.25, 0.25, 0.25])
+    np.testing.assert_allclose(found, FORCE * (1.0 + share * (factor - 1.0)), rtol=1e-9)
+
+
+def test_a_bolt_that_would_have_to_push_has_come_loose(tmp_path):
+    data = bolted(tmp_path, False, {})
+    push = {"surface": "top", "force_N": [0.0, 0.0, -1.1 * FORCE * (1.0 + COLUMN / STIFFNESS)]}
+    (tmp_path / "late.csv").write_text("time_s,factor\n0,0\n40,0\n60,1\n")
+    data["loads"] = {"push": push | {"file": "late.csv"}}
+    with pytest.raises(ConvergenceError, match=r"t = 60 s: bolt 'bolt' has come loose"):
+        simulate(case_from_data(data, "c", tmp_path))
+
+
+def test_a_bolt_holds_a_body_along_its_axis(tmp_path):
+    """The upper half hangs on nothing else: its joint starts open, and the bolt closes it."""
+    apart = joint(preload_MPa=0.0, initial_opening_um=5.0, reference_pressure_MPa=4.0)
+    hung = column_case(tmp_path, True, {"loads": WEIGHT, "joints": {"joint": apart}})
+    with pytest.raises(InputError, match="keeps body 'upper' from moving along z"):
+        set_up(case_from_data(hung, "c", tmp_path))
+    ends = {"head": {"surface": "top"}, "thread": {"surface": "foot"}}
+    one = ends | {"force_kN": 10.0, "material": "iron", "diameter_mm": 12.0}
+    response = simulate(case_from_data(hung | {"bolts": {"one": one}}, "c", tmp_path)).response
+    first = response.isel(time=0)
+    weight = 7200.0 * 9.81 * 0.2 * AREA
+    pressed = (first["pressure"] @ first["contact_area"]).item()
+    assert pressed == pytest.approx(first["bolt_force"][0].item() + weight, rel=1e-6)
+    assert first["bolt_force"][0].item() == pytest.approx(10e3, rel=1e-3)
+
+
+def test_forces_are_given_anew_without_another_condensation(marched, tmp_path):
+    case, setup, _, _ = marched
+    bolts = case.bolts | {"left": case.bolts["left"].model_copy(update={"force_kN": 15.0})}
+    other = case.model_copy(update={"bolts": bolts})
+    assert condensation_key(other) == condensation_key(case)
+    again = with_laws(setup, other)
+    found, expected = (simulate(other, setup=one).response for one in (again, set_up(other)))
+    np.testing.assert_allclose(found["bolt_force"], expected["bolt_force"], rtol=1e-9)
+    np.testing.assert_allclose(found["displacement"], expected["displacement"], atol=1e-14)
+    with pytest.raises(InputError, match=r"bolts: .* set it up for this case"):
+        simulate(other, setup=setup)
+
+
+def test_what_a_bolt_is_splits_condensations_but_keeps_the_elastic_one(marched):
+    case, _, _, _ = marched
+    thick = case.bolts | {"left": case.bolts["left"].model_copy(update={"diameter_mm": 16.0})}
+    other = case.model_copy(update={"bolts": thick})
+    assert condensation_key(other) != condensation_key(case)
+    assert elasticity_key(other) == elasticity_key(case)
+    moved = case.model_copy(update={"bolts": {"left": case.bolts["left"]}})
+    assert elasticity_key(moved) != elasticity_key(case)
+
+
+def test_a_march_with_bolts_goes_on_where_it_was_saved(marched, tmp_path):
+    case, setup, _, whole = marched
+    half = case.model_copy(update={"march": case.march.model_copy(update={"duration_min": 1.0})})
+    save_state(simulate(half, setup=setup).state, half, tmp_path / "half.npz")
+    start = load_state(tmp_path / "half.npz", case)
+    rest = simulate(case, setup=setup, start=start).response
+    np.testing.assert_array_equal(rest["bolt_force"], whole["bolt_force"][-rest.sizes["time"] :])
+
+
+def test_a_march_starts_from_the_tightened_state(marched):
+    _, setup, _, _ = marched
+    assembly = setup.machine.assembly
+    state = initial_state(setup.machine)
+    np.testing.assert_array_equal(state.gap, assembly.gap)
+    np.testing.assert_array_equal(state.slip, assembly.slip)
+
+
+def test_a_summary_has_the_range_of_the_bolt_forces(marched):
+    _, _, _, response = marched
+    figures = figures_of(response)
+    assert figures["bolt_force_min_N"] == response["bolt_force"].min().item()
+    assert figures["bolt_force_max_N"] == response["bolt_force"].max().item()
+
+
+WRONG = {
+    "surface": ({"head": {"surface": "tip"}}, r"bolts.b.head.surface: no surface named 'tip'"),
+    "body": (
+        {"head": {"position_mm": [25, 25, 400], "diameter_mm": 10, "body": "uper"}},
+        r"bolts.b.head.body: no body named 'uper'",
+    ),
+    "outside": (
+        {"head": {"position_mm": [25, 25, 500], "diameter_mm": 10, "body": "upper"}},
+        r"bolts.b.head: the disc around .* lies in no cell of body 'upper'",
+    ),
+    "material": ({"material": "steal"}, r"bolts.b.material: no material named 'steal'"),
+    "place": ({"thread": {"surface": "top"}, "head": {"surface": "top"}}, "are one place"),
+    "history": ({"file": "zero.csv"}, r"bolts.b: its factor is not positive at the start"),
+}
+
+
+@pytest.mark.parametrize(("said", "message"), WRONG.values(), ids=WRONG)
+def test_a_bolt_that_cannot_be_is_one_line(tmp_path, said, message):
+    (tmp_path / "zero.csv").write_text("time_s,factor\n0,0\n10,1\n")
+    data = column_case(tmp_path, True, {"joints": {"joint": TOUCHING}})
+    data["bolts"] = {"b": bolt() | said}
+    with pytest.raises(InputError, match=message) as raised:
+        set_up(case_from_data(data, "c", tmp_path))
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"force_kN": -1.0}, r"bolts.b.force_kN"),
+        ({"clamped_length_mm": 0.0}, r"bolts.b.clamped_length_mm"),
+        ({"stiffness_N_um": 10.0}, "give either 'diameter_mm' or 'stiffness_N_um'"),
+        ({"head": {"position_mm": [25, 25, 400]}}, "go with 'position_mm', both of them"),
+        ({"head": {}}, "give either 'surface' or 'position_mm'"),
+        ({"torque_Nm": 10.0}, r"bolts.b: no key named 'torque_Nm'"),
+    ],
+)
+def test_a_section_that_cannot_be_is_one_line(tmp_path, said, message):
+    data = column_case(tmp_path, True, {"joints": {"joint": TOUCHING}})
+    data["bolts"] = {"b": bolt() | said}
+    with pytest.raises(InputError, match=message) as raised:
+        case_from_data(data, "c", tmp_path)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_joint_aware_estimator_refuses_bolts(marched):
+    case, _, _, _ = marched
+    with pytest.raises(InputError, match="knows no bolts"):
+        check_joints(case.model_copy(update={"loads": {}}))
