@@ -37,7 +37,8 @@ def outputs_of(setup: Setup, step: Step) -> Array:
     if setup.outputs is None:
         return np.empty(0)
     factors = load_factors(setup.machine, step.inputs)
-    return setup.outputs.of(step.state.temperature, step.remainder, factors)
+    strained = setup.machine.strained(step.state.temperature)
+    return setup.outputs.of(strained, step.remainder, factors)
 
 
 def mechanical_values(

@@ -30,6 +30,7 @@ from fesim.march.stepping import (
 )
 from fesim.setup.loads import heat_history, input_layout, source_power, thermal_inputs
 from fesim.setup.machine import Setup, measured_points, set_up
+from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
@@ -77,7 +78,7 @@ def simulate(
         The case's structure condensed already, for several heat inputs on one structure; default
         `set_up(case)`. Its heat input is not used.
     start : State, optional
-        A saved state to go on from; default ambient and preload.
+        A saved state to go on from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
         Called with every step, e.g. to write snapshots.
     progress : callable, optional
@@ -155,35 +156,37 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
 
 
 def at_rest(machine: CondensedMachine, inputs: np.ndarray | None = None) -> Step:
-    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
+    """Row zero of a response: the machine at its preload, then its first temperatures and loads.
 
     Parameters
     ----------
     machine : CondensedMachine
         What will march.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; only the factors of mechanical loads count. Default: no load.
+        At time zero; as for `fesim.march.stepping.initial_state`. Default: none.
     """
     if inputs is None:
         loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
         inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
     state, elastic = initial_state(machine, inputs), machine.elastic
-    displacement = np.zeros(elastic.probe_thermal.shape[0])
+    displacement = elastic.probe_thermal @ machine.strained(state.temperature)
     remainder = np.zeros(3 * machine.contacts)
     if state.gap.any():
         value = machine.traction(state.gap, state.slip).value
         remainder = value.ravel() + elastic.reference * state.gap.ravel()
-        displacement = elastic.probe_compliance @ (elastic.area * remainder)
+        displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
     if machine.loads is not None:
         factors = load_factors(machine, inputs)
         driven[machine.thermal.inputs.shape[1] :] = factors
         displacement = displacement + machine.loads.probes @ factors
+    conductance = machine.conductance_in(state)
+    jump = machine.thermal.jump @ state.temperature
     return Step(
         state=state,
         inputs=driven,
-        conductance=machine.conductance_in(state),
-        heat_flow=np.zeros(machine.contacts),
+        conductance=conductance,
+        heat_flow=conductance * elastic.area[: machine.contacts] * jump,
         displacement=displacement,
         remainder=remainder,
         residual=0.0,
@@ -224,6 +227,8 @@ def _response(
     }
     if case.loads:
         values["load_factor"] = inputs[:, layout.count :]
+    if machine.variable is not None:
+        values["secant_residual"] = np.array([step.secant_residual for step in steps])
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
         "source": list(case.sources),
@@ -252,7 +257,7 @@ def _response(
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "displacement_of": " relative to ".join(measured_points(case)),
         "covered_area_m2": json.dumps(
-            covered_areas(setup.structure, list(case.convection_W_m2K), setup.joints)
+            covered_areas(setup.structure, surfaces_with_films(case), setup.joints)
         ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }

@@ -104,6 +104,8 @@ def check_joints(case: Case) -> None:
     """Raise InputError if a joint of the case is none that the estimator marches."""
     if case.loads:
         raise InputError("joint-aware: knows no mechanical loads; leave [loads] out")
+    if case.initial_temperature:
+        raise InputError("joint-aware: starts at the ambient; leave [initial_temperature] out")
     if case.walls:
         raise InputError("joint-aware: knows no rigid walls; model [walls] as bodies, or leave out")
     for name, joint in case.joints.items():

@@ -37,6 +37,7 @@ FIGURES = {
     "gap_residual_m": "largest residual of the gap equations",
     "heat_balance": "largest error of the heat balance, relative",
     "force_balance": "largest error of the balance of supports and loads, relative",
+    "secant_residual_K": "largest change of a temperature in a last secant step, K",
     "steps": "time steps",
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
@@ -114,6 +115,8 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures["temperature_max_K"] = float(response["temperature"].max())
     figures["gap_residual_m"] = float(response["gap_residual"].max())
     figures["heat_balance"] = float(np.abs(response["heat_balance"]).max())
+    if "secant_residual" in response:
+        figures["secant_residual_K"] = float(response["secant_residual"].max())
     if "force_balance" in response:
         figures["force_balance"] = float(response["force_balance"].max())
     figures["steps"] = response.sizes["time"] - 1

@@ -125,8 +125,11 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["march"] = _without(data["march"], _MARCH)
     # Lists of pairs where the order is that of the condensed rows and columns.
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
-    data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
-    data["held_temperatures"] = list(data["held_temperatures"])
+    sources = data["sources"].values()
+    data["sources"] = {number: _without(one, _STRENGTH) for number, one in enumerate(sources)}
+    data["held_temperatures"] = {
+        name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
+    }
     data["loads"] = load_patterns(case)
     data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())

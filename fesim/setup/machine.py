@@ -25,16 +25,25 @@ from fesim.march.reduced import (
     shortest,
     thermal_modes,
 )
+from fesim.march.start_field import start_field
 from fesim.march.stepping import CondensedMachine, State, Step, load_factors
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
+from fesim.setup.initial_temperature import initial_temperature, read_initial_temperature
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import (
     heat_sources,
+    held_profiles,
     mechanical_loads,
     spring_stiffnesses,
     thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
+from fesim.setup.temperature_dependence import (
+    growth,
+    reference_films,
+    reference_materials,
+    variable_heat,
+)
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
@@ -153,7 +162,8 @@ class Setup:
             Of a march of this set-up.
         """
         forces = self.forces @ load_factors(self.machine, step.inputs)
-        return self.field.solve(self.nodal_temperature(step.state), step.remainder, forces)
+        temperature = self.machine.strained(self.nodal_temperature(step.state))
+        return self.field.solve(temperature, step.remainder, forces)
 
 
 def set_up(case: Case) -> Setup:
@@ -183,12 +193,14 @@ def set_up(case: Case) -> Setup:
     heat = heat_operators(
         structure,
         spaces.heat,
-        materials,
-        case.convection_W_m2K,
+        reference_materials(case, materials),
+        reference_films(case),
         heat_sources(case, structure),
         list(case.held_temperatures),
         joints,
+        held_profiles(case),
     )
+    warm = initial_temperature(case, structure, spaces.heat)
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
 
@@ -229,7 +241,7 @@ def set_up(case: Case) -> Setup:
         modes = remembered(
             ThermalModes,
             None if key is None else f"{key} from {shortest(step)!r} s",
-            lambda: thermal_modes(heat, operators, condensed, rows, step, solver),
+            lambda: thermal_modes(heat, operators, condensed, rows, step, solver, warm),
         )
         thermal = project_heat(heat, operators, step, modes)
         elastic = project_elasticity(condensed, modes)
@@ -241,7 +253,16 @@ def set_up(case: Case) -> Setup:
         structure=structure,
         spaces=spaces,
         joints=joints,
-        machine=CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads),
+        machine=CondensedMachine(
+            thermal,
+            elastic,
+            parts.laws,
+            holds=parts.holds,
+            loads=loads,
+            start=start_field(heat, warm, modes),
+            variable=variable_heat(case, structure, spaces.heat, materials, joints, heat),
+            growth=growth(case, structure, spaces.heat),
+        ),
         make_field=field,
         probes=parts.probes,
         probe_rows=rows if modes is None else rows @ modes.basis,
@@ -288,6 +309,11 @@ def check_names(case: Case, structure: Structure) -> None:
     body_materials(case, structure)
     for name in case.convection_W_m2K:
         structure.surface(name, "convection_W_m2K")
+    for name in case.radiation:
+        structure.surface(name, "radiation")
+    for cavity, section in case.cavities.items():
+        for name in section.surfaces:
+            structure.surface(name, f"cavities.{cavity}.surfaces")
     for name in [*fixed_surfaces(case), *case.supports.symmetry]:
         structure.surface(name, "supports")
     for name in case.supports.springs:
@@ -295,6 +321,8 @@ def check_names(case: Case, structure: Structure) -> None:
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
+    held_profiles(case)
+    read_initial_temperature(case)
     mechanical_loads(case, structure)
     for name in case.output.stress_probes:
         if name not in structure.probes:
