@@ -24,7 +24,8 @@ from estimator.baselines.none import Nothing
 from estimator.baselines.starting import regressions
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
-from fesim.case.schema import Case, StepInput, read_case
+from fesim.case.schema import Case, read_case
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from models.assembly import assemble

@@ -19,7 +19,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fesim.case.schema import Case, ProbeSection, StepInput, read_case
+from fesim.case.schema import Case, ProbeSection, read_case
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 

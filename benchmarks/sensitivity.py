@@ -17,7 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from fesim.batch.summary import is_open
-from fesim.case.schema import StepInput, case_from_data
+from fesim.case.schema import case_from_data
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 

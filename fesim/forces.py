@@ -47,7 +47,8 @@ def outputs_of(setup: Setup, step: Step) -> Array:
     _check_tight(setup, step, pulls)
     if setup.outputs is None:
         return pulls
-    found = setup.outputs.of(step.state.temperature, step.remainder, acting)
+    strained = setup.machine.strained(step.state.temperature)
+    found = setup.outputs.of(strained, step.remainder, acting)
     return np.concatenate([pulls, found])
 
 

@@ -35,6 +35,7 @@ from fesim.setup.loads import (
     source_power,
 )
 from fesim.setup.machine import Setup, measured_points, set_up
+from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
@@ -82,7 +83,7 @@ def simulate(
         The case's structure condensed already, for several heat inputs on one structure; default
         `set_up(case)`. Its heat input is not used.
     start : State, optional
-        A saved state to go on from; default ambient and preload.
+        A saved state to go on from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
         Called with every step, e.g. to write snapshots.
     progress : callable, optional
@@ -158,7 +159,7 @@ class _Course:
 def _kept(setup: Setup, track: Track) -> _Course:
     probes = each(setup.probe_rows, track.temperature)
     outputs = np.empty((len(track), 0))
-    if setup.outputs is not None:
+    if setup.outputs is not None or setup.bolts is not None:
         outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
     small = replace(
         track, temperature=np.empty((len(track), 0)), anchor=np.empty((len(track), 7, 0))
@@ -239,6 +240,8 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
     }
     if case.loads:
         values["load_factor"] = inputs[:, layout.count : layout.count + len(case.loads)]
+    if machine.variable is not None:
+        values["secant_residual"] = track.secant_residual
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
         "source": list(case.sources),
@@ -267,7 +270,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "displacement_of": " relative to ".join(measured_points(case)),
         "covered_area_m2": json.dumps(
-            covered_areas(setup.structure, list(case.convection_W_m2K), setup.joints)
+            covered_areas(setup.structure, surfaces_with_films(case), setup.joints)
         ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
     }

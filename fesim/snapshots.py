@@ -104,7 +104,13 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
     mesh = corner_mesh(structure.mesh)
     stress = point_means(
         corners,
-        corner_stresses(structure, spaces, setup.materials, setup.deformation(step), temperature),
+        corner_stresses(
+            structure,
+            spaces,
+            setup.materials,
+            setup.deformation(step),
+            setup.machine.strained(temperature),
+        ),
     )
     return to_meshio(
         replace(mesh, doflocs=np.ascontiguousarray(mesh.p[:, node]), t=corners),

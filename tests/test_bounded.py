@@ -21,7 +21,8 @@ from estimator.baselines.none import Nothing
 from estimator.baselines.starting import regressions
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
-from fesim.case.schema import StepInput, case_from_data
+from fesim.case.schema import case_from_data
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from models.assembly import assemble

@@ -22,7 +22,8 @@ from calibrate.placement import (
 )
 from estimator import judge, noise
 from estimator.joint_aware.model_file import read_observer
-from fesim.case.schema import HeldTemperatureSection, MeshSection, case_from_data
+from fesim.case.schema import MeshSection, case_from_data
+from fesim.case.thermal_sections import HeldTemperatureSection
 from meshes.structure import Probe
 from models.sensors import roles_in
 from thermojoint.paper import inputs

@@ -42,15 +42,8 @@ if TYPE_CHECKING:
     from estimator.saved_state import load_state as load_estimator
     from estimator.saved_state import save_state as save_estimator
     from estimator.starting import started as start_estimator
-    from fesim.case.schema import (
-        Case,
-        RampInput,
-        SampledInput,
-        StepInput,
-        TriangleInput,
-        case_from_data,
-        read_case,
-    )
+    from fesim.case.schema import Case, case_from_data, read_case
+    from fesim.case.thermal_sections import RampInput, SampledInput, StepInput, TriangleInput
     from fesim.setup.machine import Setup, set_up
     from fesim.simulate import Simulation, simulate
     from meshes.exchange import read_structure, write_structure
@@ -153,15 +146,15 @@ _HOMES = {
     "Precision": "estimator.export.program:Precision",
     "Program": "estimator.export.program:Program",
     "Provenance": "models.model_file:Provenance",
-    "RampInput": "fesim.case.schema:RampInput",
-    "SampledInput": "fesim.case.schema:SampledInput",
+    "RampInput": "fesim.case.thermal_sections:RampInput",
+    "SampledInput": "fesim.case.thermal_sections:SampledInput",
     "Setup": "fesim.setup.machine:Setup",
     "Simulation": "fesim.simulate:Simulation",
     "Status": "estimator.interface:Status",
-    "StepInput": "fesim.case.schema:StepInput",
+    "StepInput": "fesim.case.thermal_sections:StepInput",
     "Structure": "meshes.structure:Structure",
     "ThermojointError": "artefacts.errors:ThermojointError",
-    "TriangleInput": "fesim.case.schema:TriangleInput",
+    "TriangleInput": "fesim.case.thermal_sections:TriangleInput",
     "Validated": "estimator.judge:Validated",
     "assemble": "models.assembly:assemble",
     "calibrate": "calibrate.chain:calibrate_responses",

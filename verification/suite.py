@@ -13,6 +13,7 @@ from verification import (
     dissimilar_rods,
     friction,
     hot_spot,
+    le11,
     loaded,
     manufactured,
     marching,
@@ -22,6 +23,8 @@ from verification import (
     rod,
     series,
     surface_model,
+    temperature_dependence,
+    thermal_fields,
 )
 from verification.check import Check
 
@@ -87,6 +90,16 @@ GROUPS: tuple[Group, ...] = (
         "of 96 sides; D is one of its corners.",
     ),
     Group(
+        "NAFEMS LE11: cylinder, taper and sphere",
+        le11.checks,
+        "From a case file: a body of revolution starts at the temperature $r + z$ (m, K), with "
+        "$E$ = 210 GPa, $\\nu$ = 0.3 and $\\alpha = 2.3 \\cdot 10^{-4}$/K; top and bottom stay in "
+        "their planes. Compared is the axial stress at A = (1 m, 0) on the inside, that of the "
+        "cell there and not smoothed, with the benchmark's value, which has three digits. A "
+        "quarter in curved hexahedra of second order: 4 through the wall, 5 around and 3 along "
+        "each of four parts of the section, and 6, 6 and 4.",
+    ),
+    Group(
         "NAFEMS T3 and T4: heat conduction",
         nafems_heat.checks,
         "T3, a bar of 0.1 m whose one end is held at 0 and the other at $100 \\sin(\\pi t/40)$: "
@@ -134,7 +147,8 @@ GROUPS: tuple[Group, ...] = (
         "of 24 K, with air between (conductance $k_g/(Y + M)$ in parallel with Eq. 11) and "
         "no preload. Three steady states by the rod's balance in closed form; all three are found "
         "with the machine's own response to a given conductance. A cold rod comes to rest in the "
-        "open one; from the middle one, off by 1 %, marches lead to the other two.",
+        "open one. A rod whose temperatures at the start are those of the middle one stays there "
+        "for a while; off by 1 %, it comes to rest in one of the other two.",
     ),
     Group(
         "Mechanical loads",
@@ -162,6 +176,24 @@ GROUPS: tuple[Group, ...] = (
         "them, which the bolt alone presses, is a spring by the law of rough surfaces. A steel "
         "bolt through an aluminium sleeve, both warmed, gains $(\\alpha_s - \\alpha_b) L T / "
         "(1/k_b + 1/k_s)$.",
+    ),
+    Group(
+        "Thermal fields",
+        thermal_fields.checks,
+        "From case files: a cosine along a bar, left alone, decays at the rate of its mode "
+        "(1000 steps, 40 elements; full and reduced); warm bars between walls press on their "
+        "joint from the start; heat in proportion to $x$; an edge of a plate held at a sine (32 "
+        "× 32 elements).",
+    ),
+    Group(
+        "Properties that depend on temperature",
+        temperature_dependence.checks,
+        "From case files, in closed form: Kirchhoff's transform for a conductivity that changes "
+        "by half between the ends of a bar; heat that leaves by radiation, "
+        "$\\varepsilon\\sigma(T^4 - T_a^4) = q$, or by a film that depends on temperature; a bar "
+        "that grows by the integral of its expansion; a thin plate that cools through such a "
+        "film (1000 steps); two bars that face each other across enclosed air. *Last secant "
+        "step*: the change of temperature that is left, relative to the largest.",
     ),
     Group(
         "Two dissimilar rods",

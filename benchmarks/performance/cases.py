@@ -18,7 +18,8 @@ from artefacts.errors import InputError
 from calibrate import chain
 from calibrate.placement import with_roles
 from fesim.cache import VARIABLE
-from fesim.case.schema import Case, StepInput, parse_case
+from fesim.case.schema import Case, parse_case
+from fesim.case.thermal_sections import StepInput
 from thermojoint.paper import inputs
 
 REFERENCE = "step-1.0"

@@ -27,7 +27,8 @@ from compensation.offsets.settings import Settings, read_settings
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.noise import sensor_noise
-from fesim.case.schema import Case, StepInput, read_case, step_count
+from fesim.case.schema import Case, read_case, step_count
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 
 #: Standard deviation of the noise that the tuning reckons with, relative to its peak to peak.

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from artefacts import toml
 from compensation.offsets.settings import MOST_STEPS
 from compensation.toml_file import validated
-from fesim.case.schema import HeatInput, SampledInput
+from fesim.case.thermal_sections import HeatInput, SampledInput
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

@@ -106,6 +106,8 @@ def check_joints(case: Case) -> None:
         raise InputError("joint-aware: knows no mechanical loads; leave [loads] out")
     if case.bolts:
         raise InputError("joint-aware: knows no bolts; leave [bolts] out, and give a preload_MPa")
+    if case.initial_temperature:
+        raise InputError("joint-aware: starts at the ambient; leave [initial_temperature] out")
     if case.walls:
         raise InputError("joint-aware: knows no rigid walls; model [walls] as bodies, or leave out")
     for name, joint in case.joints.items():

@@ -39,6 +39,7 @@ FIGURES = {
     "bolt_force_min_N": "lowest force of a bolt",
     "bolt_force_max_N": "highest force of a bolt",
     "force_balance": "largest error of the balance of supports and loads, relative",
+    "secant_residual_K": "largest change of a temperature in a last secant step, K",
     "steps": "time steps",
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
@@ -119,6 +120,8 @@ def figures_of(response: xr.Dataset) -> Figures:
     if "bolt_force" in response:
         figures["bolt_force_min_N"] = float(response["bolt_force"].min())
         figures["bolt_force_max_N"] = float(response["bolt_force"].max())
+    if "secant_residual" in response:
+        figures["secant_residual_K"] = float(response["secant_residual"].max())
     if "force_balance" in response:
         figures["force_balance"] = float(response["force_balance"].max())
     figures["steps"] = response.sizes["time"] - 1

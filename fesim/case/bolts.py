@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from pydantic import model_validator
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+from fesim.case.section import Finite, Positive, Section
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class BoltEndSection(_Section):
+class BoltEndSection(Section):
     """``[bolts.NAME.head]`` and ``thread``: a surface, or a disc around a point of a body.
 
     The disc is across the bolt; what of it lies in no cell, as a hole does not, is left out.
@@ -36,7 +29,7 @@ class BoltEndSection(_Section):
         return self
 
 
-class BoltSection(_Section):
+class BoltSection(Section):
     """``[bolts.NAME]``: a bolt of the meshed part, tightened to ``force_kN`` before anything acts.
 
     It is a spring of its ``diameter_mm``, its length and its material's modulus, or one of

@@ -33,8 +33,23 @@ _LAW = {
 _MARCH = {"duration_min", "coupling"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
 #: What enters the heat equation only, sections and keys of materials.
-_HEAT = {"convection_W_m2K", "sources", "held_temperatures", "candidates"}
-_THERMAL = {"conductivity_W_mK", "density_kg_m3", "heat_capacity_J_kgK"}
+_HEAT = {
+    "convection_W_m2K",
+    "convection_factor",
+    "radiation",
+    "cavities",
+    "sources",
+    "held_temperatures",
+    "initial_temperature",
+    "candidates",
+}
+_THERMAL = {
+    "conductivity_W_mK",
+    "density_kg_m3",
+    "heat_capacity_J_kgK",
+    "conductivity_factor",
+    "expansion_factor",
+}
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
 _TIGHTENING = {"force_kN", "file"}
 
@@ -170,8 +185,11 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["march"] = _without(data["march"], _MARCH)
     # Lists of pairs where the order is that of the condensed rows and columns.
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
-    data["sources"] = [_without(source, _STRENGTH) for source in data["sources"].values()]
-    data["held_temperatures"] = list(data["held_temperatures"])
+    sources = data["sources"].values()
+    data["sources"] = {number: _without(one, _STRENGTH) for number, one in enumerate(sources)}
+    data["held_temperatures"] = {
+        name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
+    }
     data["loads"] = load_patterns(case)
     data["bolts"] = [(name, _without(bolt, _TIGHTENING)) for name, bolt in data["bolts"].items()]
     data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})

@@ -11,18 +11,24 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from artefacts import toml
 from artefacts.errors import InputError, unknown_name
 from artefacts.refusal import first_error, keys_at, quoting, refusal
 from fesim.case.bolts import BoltSection
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Point = tuple[Finite, Finite, Finite]
-
+from fesim.case.section import STRICT, Finite, NotNegative, Point, Positive
+from fesim.case.thermal_sections import (
+    AmbientSection,
+    CavitySection,
+    FactorSection,
+    HeatInput,
+    HeldTemperatureSection,
+    InitialTemperatureSection,
+    MaterialSection,
+    RadiationSection,
+    SourceSection,
+)
 
 #: More steps than this in one run, or contact elements in one joint, are a slip: the response, or
 #: the dense matrices of the joint, would not fit into any memory.
@@ -33,7 +39,7 @@ MOST_CONTACTS = 4_000
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+    model_config = STRICT
 
 
 class MillingMachineSection(_Section):
@@ -53,17 +59,6 @@ class MeshSection(_Section):
     file: Path
     unit: Literal["m", "cm", "mm", "in"] = "m"
     symmetry_factor: Annotated[int, Field(ge=1)] = 1
-
-
-class MaterialSection(_Section):
-    """``[materials.NAME]``."""
-
-    conductivity_W_mK: Positive
-    density_kg_m3: Positive
-    heat_capacity_J_kgK: Positive
-    youngs_modulus_GPa: Positive
-    poisson_ratio: Annotated[float, Field(gt=-1.0, lt=0.5)]
-    expansion_1_K: Finite
 
 
 class BackBurdekinSection(_Section):
@@ -212,63 +207,6 @@ class SupportsSection(_Section):
     springs: dict[str, SpringSection] = {}
 
 
-class StepInput(_Section):
-    """``[heat_input]`` with ``kind = "step"``."""
-
-    kind: Literal["step"]
-    level: Finite
-
-
-class RampInput(_Section):
-    """``[heat_input]`` with ``kind = "ramp"``."""
-
-    kind: Literal["ramp"]
-    level: Finite
-    duration_min: Positive
-
-
-class TriangleInput(_Section):
-    """``[heat_input]`` with ``kind = "triangle"``."""
-
-    kind: Literal["triangle"]
-    peak: Finite
-    duration_min: Positive
-
-
-class SampledInput(_Section):
-    """``[heat_input]`` with ``kind = "sampled"``: a CSV with ``time_s,heat_input``."""
-
-    kind: Literal["sampled"]
-    file: Path
-
-
-HeatInput = Annotated[
-    StepInput | RampInput | TriangleInput | SampledInput, Field(discriminator="kind")
-]
-
-
-class SourceSection(_Section):
-    """``[sources.NAME]``: heat that enters through a surface, or in the volume of a body.
-
-    ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
-    whole machine, or of all of them together. Without a ``heat_input`` of its own a source follows
-    the case's.
-    """
-
-    surface: str | None = None
-    body: str | None = None
-    reference_power_W: Positive
-    count: Annotated[int, Field(ge=1)] = 1
-    reading: Literal["per source", "total"] = "per source"
-    heat_input: HeatInput | None = None
-
-    @model_validator(mode="after")
-    def _one_region(self) -> SourceSection:
-        if (self.surface is None) == (self.body is None):
-            raise ValueError("give either 'surface' or 'body'")
-        return self
-
-
 class LoadSection(_Section):
     """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies, as gravity is one.
 
@@ -295,28 +233,6 @@ class LoadSection(_Section):
             )
         if self.bodies is not None and self.acceleration_m_s2 is None:
             raise ValueError("'bodies' go with 'acceleration_m_s2'")
-        return self
-
-
-class AmbientSection(_Section):
-    """``[ambient]``: a CSV with ``time_s,ambient_degC``."""
-
-    file: Path
-
-
-class HeldTemperatureSection(_Section):
-    """``[held_temperatures.SURFACE]``: above the initial ambient temperature.
-
-    Either constant, or a CSV with ``time_s,rise_K``.
-    """
-
-    rise_K: Finite | None = None
-    file: Path | None = None
-
-    @model_validator(mode="after")
-    def _one_history(self) -> HeldTemperatureSection:
-        if (self.rise_K is None) == (self.file is None):
-            raise ValueError("give either 'rise_K' or 'file'")
         return self
 
 
@@ -393,9 +309,13 @@ class Case(_Section):
     walls: dict[str, WallSection] = {}
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
+    convection_factor: dict[str, FactorSection] = {}
+    radiation: dict[str, RadiationSection] = {}
+    cavities: dict[str, CavitySection] = {}
     sources: dict[str, SourceSection] = {}
     heat_input: HeatInput | None = None
     ambient: AmbientSection | None = None
+    initial_temperature: InitialTemperatureSection | None = None
     held_temperatures: dict[str, HeldTemperatureSection] = {}
     loads: dict[str, LoadSection] = {}
     bolts: dict[str, BoltSection] = {}
@@ -407,12 +327,47 @@ class Case(_Section):
 
     @model_validator(mode="after")
     def _something_heats(self) -> Case:
-        acting = self.sources, self.held_temperatures, self.ambient, self.loads, self.bolts
+        acting = (
+            self.sources,
+            self.held_temperatures,
+            self.ambient,
+            self.initial_temperature,
+            self.loads,
+            self.bolts,
+        )
         if not any(acting):
             raise ValueError("nothing heats the structure: add [sources.NAME]")
         for name, source in self.sources.items():
             if source.heat_input is None and self.heat_input is None:
                 raise ValueError(f"source {name!r} has no heat input: add [heat_input]")
+        return self
+
+    @model_validator(mode="after")
+    def _nodes_where_temperature_matters(self) -> Case:
+        for name in self.convection_factor:
+            if name not in self.convection_W_m2K:
+                raise ValueError(f"convection_factor.{name}: add its film to [convection_W_m2K]")
+        taken = [*self.convection_W_m2K, *self.radiation]
+        for name, cavity in self.cavities.items():
+            for surface in cavity.surfaces:
+                if surface in taken:
+                    raise ValueError(
+                        f"cavities.{name}: surface {surface!r} gives off heat elsewhere as well, "
+                        "to the ambient or another cavity; leave it out there"
+                    )
+                taken.append(surface)
+        growing = growth_sections(self)
+        if growing and self.bolts:
+            raise ValueError(
+                f"{growing[0]}: bolts are condensed with bodies of constant expansion; leave out "
+                "either of them"
+            )
+        found = [*secant_sections(self), *growing]
+        if found and self.march.thermal == "reduced":
+            raise ValueError(
+                f"{found[0]}: modes are those of constant properties and films to the ambient, and "
+                'temperatures of nodes are not among them; take thermal = "full" in [march]'
+            )
         return self
 
     @model_validator(mode="after")
@@ -425,6 +380,29 @@ class Case(_Section):
                     "or make march.duration_min longer"
                 )
         return self
+
+
+def secant_sections(case: Case) -> list[str]:
+    """Return the sections that make the heat equation of a case depend on temperature."""
+    return [
+        *(f"convection_factor.{name}" for name in case.convection_factor),
+        *(f"radiation.{name}" for name in case.radiation),
+        *(f"cavities.{name}" for name in case.cavities),
+        *(
+            f"materials.{name}.conductivity_factor"
+            for name, material in case.materials.items()
+            if material.conductivity_factor is not None
+        ),
+    ]
+
+
+def growth_sections(case: Case) -> list[str]:
+    """Return the sections that make expansion depend on temperature."""
+    return [
+        f"materials.{name}.expansion_factor"
+        for name, material in case.materials.items()
+        if material.expansion_factor is not None
+    ]
 
 
 def read_case(path: Path | str) -> Case:
@@ -479,8 +457,11 @@ _FILE_SECTIONS = (
     ("structure",),
     ("heat_input",),
     ("sources", "*", "heat_input"),
+    ("sources", "*", "profile"),
     ("ambient",),
+    ("initial_temperature",),
     ("held_temperatures", "*"),
+    ("held_temperatures", "*", "profile"),
     ("loads", "*"),
     ("bolts", "*"),
     ("joints", "*", "conductance"),

@@ -59,7 +59,7 @@ def tightened(
     loads, elastic = loose.loads, loose.elastic
     assert loads is not None
     given = loads.gap.shape[1] - len(forces)
-    free = replace(loose, loads=None)
+    free = replace(loose, loads=None, start=None)
     try:
         found, _ = settle_along(free, initial_state(free), loads.gap[:, given:] @ forces)
     except ConvergenceError as error:

@@ -13,7 +13,11 @@ AT_REST = 1e-6
 
 
 def heat_step(
-    thermal: ThermalCondensation, temperature: Array, inputs: Array, joint: Array
+    thermal: ThermalCondensation,
+    temperature: Array,
+    inputs: Array,
+    joint: Array,
+    lost: Array | None = None,
 ) -> tuple[Array, Array]:
     """Implicit Euler on the condensed heat equation.
 
@@ -27,6 +31,8 @@ def heat_step(
         Sources, W; ambient and held surfaces, K.
     joint : ndarray, shape (m,)
         Conductance times area of each contact element, W/K.
+    lost : ndarray, shape (n,), optional
+        Further heat that leaves each node, W; zero where temperatures are held.
 
     Returns
     -------
@@ -35,7 +41,8 @@ def heat_step(
     heat_flow : ndarray, shape (m,)
         Across the joint from side a to side b, W.
     """
-    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
+    right_side = thermal.capacity_rate @ temperature + thermal.inputs @ inputs
+    alone = thermal.factor.solve(right_side if lost is None else right_side - lost)
     system = joint[:, None] * thermal.joint_influence
     system.flat[:: len(joint) + 1] += 1.0
     heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
@@ -64,15 +71,26 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
 
 
 def heat_balance(
-    thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
+    thermal: ThermalCondensation,
+    before: Array,
+    after: Array,
+    inputs: Array,
+    heat_flow: Array,
+    lost: tuple[float, Array] | None = None,
 ) -> float:
     """Return `heat_balances` of one step, from arrays without their number."""
     rows = (one[None] for one in (before, after, inputs, heat_flow))
-    return float(heat_balances(thermal, *rows)[0])
+    others = None if lost is None else (np.array([lost[0]]), lost[1][None])
+    return float(heat_balances(thermal, *rows, others)[0])
 
 
 def heat_balances(
-    thermal: ThermalCondensation, before: Array, after: Array, inputs: Array, heat_flow: Array
+    thermal: ThermalCondensation,
+    before: Array,
+    after: Array,
+    inputs: Array,
+    heat_flow: Array,
+    lost: tuple[Array, Array] | None = None,
 ) -> Array:
     """(in - stored - convected) over each of n steps, relative to the largest of the three.
 
@@ -91,6 +109,8 @@ def heat_balances(
         Of each step.
     heat_flow : ndarray, shape (n, m)
         W.
+    lost : tuple of ndarray, shapes (n,) and (n, h), optional
+        What leaves the nodes besides, W: of all together, and of each held unknown.
 
     Returns
     -------
@@ -99,9 +119,12 @@ def heat_balances(
     sums, step = thermal.balance, thermal.step
     held = each(sums.after, after) - each(sums.before, before)
     held += each(sums.flow, heat_flow) - each(sums.drive, inputs)
-    given, enters = each(sums.entering, inputs), held.sum(axis=1)
+    given = each(sums.entering, inputs)
     change, size = (after - before) / step, np.abs(sums.stored)
     stored, convected = each(sums.stored, change), each(sums.convected, after)
+    if lost is not None:
+        convected, held = convected + lost[0], held + lost[1]
+    enters = held.sum(axis=1)
     moved, holding = each(size, np.abs(change)), each(size, np.abs(after)) / step
     parts = [np.abs(given), np.abs(held).sum(axis=1), moved, np.abs(convected), AT_REST * holding]
     largest = np.max(parts, axis=0)

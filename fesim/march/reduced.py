@@ -63,6 +63,7 @@ def thermal_modes(
     probes: csr_array,
     step: float,
     solver: str | None = None,
+    start: Array | None = None,
 ) -> ThermalModes:
     """Find the modes that the joints, gaps and probes of a march need.
 
@@ -78,6 +79,9 @@ def thermal_modes(
         Time step, s.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
+    start : ndarray, shape (n,), optional
+        Nodal temperatures that the march starts from, K; a smaller field than `USUAL_RISE` counts
+        as one of that size.
 
     Raises
     ------
@@ -108,6 +112,7 @@ def thermal_modes(
         shortest(step),
         LONGEST,
         solver,
+        None if start is None else _usual_field(start[free]),
     )
     basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
     basis[free, : found.rates.size] = found.basis
@@ -164,6 +169,26 @@ def project_elasticity(elastic: ElasticCondensation, modes: ThermalModes) -> Ela
         thermal_gap=elastic.thermal_gap @ modes.basis,
         probe_thermal=elastic.probe_thermal @ modes.basis,
     )
+
+
+def project_start(heat: HeatOperators, modes: ThermalModes, start: Array) -> Array:
+    """Return the amplitudes (r + s,) of nodal temperatures (n,), K; those of held surfaces zero.
+
+    V^T M T0: the modes are orthonormal in the heat capacity, and hold T0 by construction.
+    """
+    count = modes.rates.size
+    amplitudes = np.zeros(modes.basis.shape[1])
+    # The modes are zero where temperatures are held.
+    amplitudes[:count] = modes.basis[:, :count].T @ (heat.capacity.diagonal() * start)
+    return amplitudes
+
+
+def _usual_field(start: Array) -> Array:
+    """The field, shape (n, 1), of the size of `USUAL_RISE` or more; none if it is zero all over."""
+    largest = float(np.abs(start).max(initial=0.0))
+    if not largest:
+        return np.empty((len(start), 0))
+    return max(1.0, USUAL_RISE / largest) * start[:, None]
 
 
 def _held_surfaces(heat: HeatOperators) -> Array:

@@ -20,13 +20,16 @@ from fesim.joint.cutting import cut
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
-from fesim.march.heat_step import heat_balance, heat_step
+from fesim.march.secant_step import step_heat
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
 
 if TYPE_CHECKING:
     from fesim.joint.loosening import Watch
     from fesim.march.kernel import StepKernel
+    from fesim.march.start_field import StartField
+    from fesim.solid.temperature_factor import ThermalGrowth
+    from fesim.solid.variable_heat import VariableHeat
 
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
@@ -85,6 +88,12 @@ class CondensedMachine:
         Mechanical loads; their factors stand behind the other inputs of a step.
     assembly : Assembly, optional
         Where a machine with bolts starts (`fesim.march.assembly`).
+    start : StartField, optional
+        Temperatures at time zero; default the ambient's.
+    variable : VariableHeat, optional
+        What of conduction, film and radiation depends on temperature; of the full model only.
+    growth : ThermalGrowth, optional
+        How bodies expand whose coefficient depends on temperature; of the full model only.
     """
 
     thermal: ThermalCondensation
@@ -94,6 +103,9 @@ class CondensedMachine:
     holds: Holds | None = None
     loads: LoadInfluence | None = None
     assembly: Assembly | None = None
+    start: StartField | None = None
+    variable: VariableHeat | None = None
+    growth: ThermalGrowth | None = None
 
     @property
     def contacts(self) -> int:
@@ -168,6 +180,10 @@ class CondensedMachine:
             for law, at in self._slices()
         ]
         return np.concatenate(parts)
+
+    def strained(self, temperature: Array) -> Array:
+        """Return what temperature unknowns count as in S_T: others where `growth` says so."""
+        return temperature if self.growth is None else self.growth.strained(temperature)
 
     @cached_property
     def reference_pressure(self) -> Array:
@@ -270,6 +286,8 @@ class Step:
         Newton iterations, and viscous steps where a joint snapped.
     heat_balance : float
         (in - stored - convected) / the largest of the three.
+    secant_residual : float
+        Largest change of a temperature in the last secant step, K; zero where none is needed.
     """
 
     state: State
@@ -282,6 +300,7 @@ class Step:
     iterations: int
     cuts: int
     heat_balance: float
+    secant_residual: float = 0.0
 
 
 #: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
@@ -291,7 +310,9 @@ Advance = Callable[[CondensedMachine, State, Array], Step]
 
 
 def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
-    """Ambient temperature everywhere, every joint at its preload, under the loads of the start.
+    """Start with every joint at its preload, then under the loads and temperatures of time zero.
+
+    Without a `start` of the machine all is at ambient temperature.
 
     Bolts have been tightened before the loads came.
 
@@ -300,17 +321,19 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     machine : CondensedMachine
         What marches.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; only the factors of mechanical loads count. Default: no load.
+        At time zero; the factors of mechanical loads count and, with a `start`, held temperatures.
+        Default: none.
 
     Raises
     ------
     ConvergenceError
         There is no equilibrium.
     """
-    count = machine.contacts
+    count, start = machine.contacts, machine.start
+    ambient = np.zeros(machine.thermal.inputs.shape[0])
     state = State(
         index=0,
-        temperature=np.zeros(machine.thermal.inputs.shape[0]),
+        temperature=ambient if start is None else start.temperature(inputs),
         gap=np.zeros((3, count)),
         slip=np.zeros((2, count)),
         pressure=machine.preload.copy(),
@@ -318,16 +341,18 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         model=machine.thermal.model,
         anchor=np.zeros((7, count)),
     )
+    if inputs is None and machine.assembly is not None:
+        inputs = np.concatenate(
+            [np.zeros(machine.thermal.inputs.shape[1]), machine.assembly.factors]
+        )
     if machine.assembly is not None:
         tight = machine.assembly
         state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
-        if inputs is None:
-            return state
-    elif machine.preload.all() and machine.loads is None:
+    elif machine.preload.all() and machine.loads is None and start is None:
         return state
     # A joint without preload is at rest by itself only where it is open.
-    unheated = np.zeros(3 * count)
-    found, _ = settle_along(machine, state, _loaded_gap(machine, unheated, inputs))
+    grown = machine.elastic.thermal_gap @ machine.strained(state.temperature)
+    found, _ = settle_along(machine, state, _loaded_gap(machine, grown, inputs))
     pressure = machine.preload + found.traction.value[0]
     return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
@@ -480,16 +505,16 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     count = machine.contacts
     elastic = machine.elastic
     thermal = inputs if machine.loads is None else inputs[: machine.thermal.inputs.shape[1]]
-    temperature, heat_flow = heat_step(
-        machine.thermal, state.temperature, thermal, conductance * elastic.area[:count]
-    )
-    thermal_gap = _loaded_gap(machine, elastic.thermal_gap @ temperature, inputs)
+    joint = conductance * elastic.area[:count]
+    heat = step_heat(machine.thermal, machine.variable, state.temperature, thermal, joint)
+    strained = machine.strained(heat.temperature)
+    thermal_gap = _loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
     found, cuts = settle_along(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
         machine.watch.check(pressure, found.traction.tangent)
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
-    displacement = elastic.probe_thermal @ temperature + elastic.probe_compliance @ (
+    displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
         elastic.area * remainder
     )
     if machine.loads is not None:
@@ -497,7 +522,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     return Step(
         state=State(
             index=state.index + 1,
-            temperature=temperature,
+            temperature=heat.temperature,
             gap=found.gap,
             slip=found.traction.slip,
             pressure=pressure,
@@ -507,15 +532,14 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         ),
         inputs=inputs,
         conductance=conductance,
-        heat_flow=heat_flow,
+        heat_flow=heat.heat_flow,
         displacement=displacement,
         remainder=remainder,
         residual=found.residual,
         iterations=found.iterations,
         cuts=cuts,
-        heat_balance=heat_balance(
-            machine.thermal, state.temperature, temperature, thermal, heat_flow
-        ),
+        heat_balance=heat.balance,
+        secant_residual=heat.residual,
     )
 
 

@@ -46,6 +46,8 @@ class Track:
         As in `Step`.
     iterations, cuts : ndarray of int
         As in `Step`.
+    secant_residual : ndarray
+        As in `Step`.
     temperature, gap, slip, pressure, change, anchor : ndarray
         As in `State`.
     model : str
@@ -62,6 +64,7 @@ class Track:
     iterations: NDArray[np.int64]
     cuts: NDArray[np.int64]
     heat_balance: Array
+    secant_residual: Array
     temperature: Array
     gap: Array
     slip: Array
@@ -97,6 +100,7 @@ class Track:
             iterations=int(self.iterations[at]),
             cuts=int(self.cuts[at]),
             heat_balance=float(self.heat_balance[at]),
+            secant_residual=float(self.secant_residual[at]),
         )
 
 
@@ -119,36 +123,38 @@ def joined(tracks: Sequence[Track]) -> Track:
 
 
 def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
-    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
+    """Row zero of a response: the machine at its preload, then its first temperatures and loads.
 
     Parameters
     ----------
     machine : CondensedMachine
         What will march.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; only the factors of mechanical loads count. Default: no load.
+        At time zero; as for `fesim.march.stepping.initial_state`. Default: none.
     """
     if inputs is None:
         loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
         still = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
         inputs = np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), still])
     state, elastic = initial_state(machine, inputs), machine.elastic
-    displacement = np.zeros(elastic.probe_thermal.shape[0])
+    displacement = elastic.probe_thermal @ machine.strained(state.temperature)
     remainder = np.zeros(3 * machine.contacts)
     if state.gap.any():
         value = machine.traction(state.gap, state.slip).value
         remainder = value.ravel() + elastic.reference * state.gap.ravel()
-        displacement = elastic.probe_compliance @ (elastic.area * remainder)
+        displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
     if machine.loads is not None:
         factors = load_factors(machine, inputs)
         driven[machine.thermal.inputs.shape[1] :] = factors
         displacement = displacement + machine.loads.probes @ factors
+    conductance = machine.conductance_in(state)
+    jump = machine.thermal.jump @ state.temperature
     return Step(
         state=state,
         inputs=driven,
-        conductance=machine.conductance_in(state),
-        heat_flow=np.zeros(machine.contacts),
+        conductance=conductance,
+        heat_flow=conductance * elastic.area[: machine.contacts] * jump,
         displacement=displacement,
         remainder=remainder,
         residual=0.0,
@@ -217,6 +223,7 @@ def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Trac
         iterations=record.iterations,
         cuts=np.zeros(taken, dtype=np.int64),
         heat_balance=heat_balances(thermal, before, record.amplitudes, known, record.heat_flow),
+        secant_residual=np.zeros(taken),
         temperature=record.amplitudes,
         gap=record.gap,
         slip=record.slip,

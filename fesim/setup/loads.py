@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from artefacts.arrays import OfPosition
 from fesim.case.history import History, ramp_history, read_history, step_history, triangle_history
-from fesim.case.schema import (
-    Case,
+from fesim.case.schema import Case
+from fesim.case.thermal_sections import (
     HeatInput,
     HeldTemperatureSection,
     RampInput,
@@ -19,6 +20,7 @@ from fesim.case.schema import (
     TriangleInput,
 )
 from fesim.setup.bolts import tightening
+from fesim.setup.positions import profile_of
 from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
@@ -33,8 +35,21 @@ def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
             structure.surface(section.surface, f"sources.{name}.surface")
         else:
             structure.body(section.body or "", f"sources.{name}.body")
-        sources.append(HeatSource(1.0 / structure.symmetry_factor, section.surface, section.body))
+        weight = None
+        if section.profile is not None:
+            weight = profile_of(section.profile, f"sources.{name}.profile", 0.0)
+        part = 1.0 / structure.symmetry_factor
+        sources.append(HeatSource(part, section.surface, section.body, weight))
     return sources
+
+
+def held_profiles(case: Case) -> dict[str, OfPosition]:
+    """Return the factor of position of every held surface that has one."""
+    return {
+        name: profile_of(held.profile, f"held_temperatures.{name}.profile")
+        for name, held in case.held_temperatures.items()
+        if held.profile is not None
+    }
 
 
 def mechanical_loads(case: Case, structure: Structure) -> list[Load]:

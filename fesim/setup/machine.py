@@ -32,17 +32,26 @@ from fesim.march.reduced import (
     shortest,
     thermal_modes,
 )
+from fesim.march.start_field import start_field
 from fesim.march.stepping import CondensedMachine, State, Step, load_factors
 from fesim.setup.bolts import bolts_of, first_forces
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
+from fesim.setup.initial_temperature import initial_temperature, read_initial_temperature
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import (
     heat_sources,
+    held_profiles,
     mechanical_loads,
     thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
+from fesim.setup.temperature_dependence import (
+    growth,
+    reference_films,
+    reference_materials,
+    variable_heat,
+)
 from fesim.solid.bolts import Bolt, bolt_springs, stretch_rows, temperature_rows
 from fesim.solid.condensation import (
     DisplacementField,
@@ -198,7 +207,7 @@ class Setup:
         if self.machine.assembly is not None:
             acting = acting - self.machine.assembly.factors[:-1]
             remainder = remainder - self.machine.assembly.remainder
-        temperature = self.nodal_temperature(step.state)
+        temperature = self.machine.strained(self.nodal_temperature(step.state))
         return self.field.solve(temperature, remainder, self.forces @ acting)
 
     def deformation(self, step: Step) -> NDArray[np.float64]:
@@ -209,7 +218,7 @@ class Setup:
         step : Step
             Of a march of this set-up.
         """
-        temperature = self.nodal_temperature(step.state)
+        temperature = self.machine.strained(self.nodal_temperature(step.state))
         return self.field.solve(temperature, step.remainder, self.forces @ self.acting(step))
 
 
@@ -244,12 +253,14 @@ def set_up(case: Case) -> Setup:
     heat = heat_operators(
         structure,
         spaces.heat,
-        materials,
-        case.convection_W_m2K,
+        reference_materials(case, materials),
+        reference_films(case),
         heat_sources(case, structure),
         list(case.held_temperatures),
         joints,
+        held_profiles(case),
     )
+    warm = initial_temperature(case, structure, spaces.heat)
     step, solver = case.march.step_s, case.march.solver
     springs = reference_springs(structure, materials, joints)
 
@@ -288,7 +299,7 @@ def set_up(case: Case) -> Setup:
             ThermalModes,
             None if heat_key is None else f"{heat_key} from {shortest(step)!r} s",
             lambda: thermal_modes(
-                heat, operators, condensed, csr_array(vstack([rows, ends])), step, solver
+                heat, operators, condensed, csr_array(vstack([rows, ends])), step, solver, warm
             ),
         )
         thermal = project_heat(heat, operators, step, modes)
@@ -297,7 +308,16 @@ def set_up(case: Case) -> Setup:
             outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
     else:
         thermal, elastic = condense_heat(heat, operators, step, solver), condensed
-    machine = CondensedMachine(thermal, elastic, parts.laws, holds=parts.holds, loads=loads)
+    machine = CondensedMachine(
+        thermal,
+        elastic,
+        parts.laws,
+        holds=parts.holds,
+        loads=loads,
+        start=start_field(heat, warm, modes),
+        variable=variable_heat(case, structure, spaces.heat, materials, joints, heat),
+        growth=growth(case, structure, spaces.heat),
+    )
     bolts = None
     if parts.bolts:
         ties = bolt_springs(parts.bolts, ends.toarray() if modes is None else ends @ modes.basis)
@@ -357,6 +377,11 @@ def check_names(case: Case, structure: Structure) -> None:
     body_materials(case, structure)
     for name in case.convection_W_m2K:
         structure.surface(name, "convection_W_m2K")
+    for name in case.radiation:
+        structure.surface(name, "radiation")
+    for cavity, section in case.cavities.items():
+        for name in section.surfaces:
+            structure.surface(name, f"cavities.{cavity}.surfaces")
     for name in [*fixed_surfaces(case), *case.supports.symmetry]:
         structure.surface(name, "supports")
     for name in case.supports.springs:
@@ -364,6 +389,8 @@ def check_names(case: Case, structure: Structure) -> None:
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
     heat_sources(case, structure)
+    held_profiles(case)
+    read_initial_temperature(case)
     mechanical_loads(case, structure)
     for name in case.output.stress_probes:
         if name not in structure.probes:

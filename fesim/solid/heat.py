@@ -6,7 +6,7 @@ the sources in the order given, the ambient, and the held surfaces in the order 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,8 @@ from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
-from artefacts.arrays import Array
+from artefacts.arrays import Array, OfPosition
+from artefacts.errors import InputError
 from fesim.solid.input_layout import InputLayout
 from fesim.solid.materials import Material
 from fesim.solid.spaces import interpolation
@@ -28,7 +29,7 @@ from meshes.structure import Structure
 
 @dataclass(frozen=True)
 class HeatSource:
-    """A region that is heated evenly: one surface, or the volume of one body.
+    """A region that is heated: one surface, or the volume of one body.
 
     Attributes
     ----------
@@ -36,11 +37,15 @@ class HeatSource:
         Heat that enters the meshed part at input 1, W.
     surface, body : str or None
         One of them.
+    weight : callable or None
+        Position (3, n), m, to what the heat's density is in proportion to (n,), not negative; the
+        whole stays `power`. None heats evenly.
     """
 
     power: float
     surface: str | None = None
     body: str | None = None
+    weight: OfPosition | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,12 @@ def flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
     return 1.0 * v
 
 
+@LinearForm
+def weighted_flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
+    """Heat of a given density, on a surface or in a volume: (q, v)."""
+    return w["value"] * v
+
+
 def cell_field(structure: Structure, values: dict[str, float], basis: CellBasis) -> DiscreteField:
     """Field that is constant on each body, on the quadrature points of `basis`."""
     return DiscreteField(np.broadcast_to(by_cell(structure, values)[:, None], basis.dx.shape))
@@ -116,6 +127,7 @@ def heat_operators(
     sources: Sequence[HeatSource],
     held: Sequence[str] = (),
     joints: Sequence[PairedJoint] = (),
+    profiles: Mapping[str, OfPosition] | None = None,
 ) -> HeatOperators:
     """Assemble the heat operators.
 
@@ -135,6 +147,13 @@ def heat_operators(
         Surfaces of given temperature; where two of them meet, the first one counts.
     joints : sequence of PairedJoint
         What they cover has no film.
+    profiles : mapping, optional
+        Held surface to a factor of position on its temperature; the others are held evenly.
+
+    Raises
+    ------
+    InputError
+        The weight of a source is nowhere above zero on the mesh.
     """
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
@@ -148,12 +167,14 @@ def heat_operators(
     layout = InputLayout(len(sources), len(held))
     inputs = np.zeros((basis.N, layout.count))
     for column, source in enumerate(sources):
-        load = flux_form.assemble(_heated(structure, basis, source))
+        load = _heat_load(structure, basis, source)
         inputs[:, column] = source.power * load / load.sum()
     inputs[:, layout.ambient] = np.asarray(convection.sum(axis=1)).ravel()
     nodes, surface = _held_unknowns(structure, basis, held)
     pattern = np.zeros((nodes.size, layout.count))
-    pattern[np.arange(nodes.size), layout.held_columns.start + surface] = 1.0
+    pattern[np.arange(nodes.size), layout.held_columns.start + surface] = _held_factors(
+        basis, held, profiles or {}, nodes, surface
+    )
     return HeatOperators(
         csr_array(capacity),
         csr_array(conduction),
@@ -189,6 +210,36 @@ def film_matrix(
     weights = (curved[cover.facet] * cover.weights)[partly]
     at = interpolation(basis, cover.points[:, partly], cover.cell[partly])
     return csr_array(matrix - at.T @ diags_array(weights) @ at)
+
+
+def _heat_load(structure: Structure, basis: CellBasis, source: HeatSource) -> Array:
+    """What every unknown gets of a source, to a factor, shape (n,)."""
+    on = _heated(structure, basis, source)
+    if source.weight is None:
+        return np.asarray(flux_form.assemble(on))
+    points = np.asarray(on.global_coordinates())
+    weight = source.weight(points.reshape(3, -1)).reshape(points.shape[1:])
+    load = np.asarray(weighted_flux_form.assemble(on, value=DiscreteField(weight)))
+    if not load.sum() > 0.0:
+        where = source.surface or source.body
+        raise InputError(f"sources: the profile on {where!r} is zero all over; mend it")
+    return load
+
+
+def _held_factors(
+    basis: CellBasis,
+    held: Sequence[str],
+    profiles: Mapping[str, OfPosition],
+    nodes: NDArray[np.int64],
+    surface: NDArray[np.int64],
+) -> Array:
+    """What each held unknown (h,), on the surface of a number (h,), has of its temperature."""
+    factors = np.ones(nodes.size)
+    for number, name in enumerate(held):
+        if name in profiles:
+            own = surface == number
+            factors[own] = profiles[name](basis.doflocs[:, nodes[own]])
+    return factors
 
 
 def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> AbstractBasis:

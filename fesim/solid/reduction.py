@@ -8,6 +8,9 @@ responses. Each block adds only the directions that the basis lacks by more than
 alike. The error is measured: full against reduced transfer at shifts between those of the basis,
 and full against reduced march; where it is too large there are more shifts. The constant
 temperature is in the basis, so that the reduced model keeps the heat balance to rounding.
+
+A field that the march starts from is in the basis as it is, with what becomes of it by itself,
+s (A + s M)^-1 M T0, and is checked alike: by its transfer, and left to itself.
 """
 
 from __future__ import annotations
@@ -76,6 +79,7 @@ def reduce_heat(
     shortest: float,
     longest: float,
     solver: str | None = None,
+    start: Array | None = None,
 ) -> ReducedHeat:
     """Reduce the heat equation.
 
@@ -93,6 +97,8 @@ def reduce_heat(
         Times of interest, s: the shortest step, and the time to a steady state.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
+    start : ndarray, shape (n, f), optional
+        Fields that a march starts from, K.
 
     Raises
     ------
@@ -100,18 +106,22 @@ def reduce_heat(
         The error stays above the tolerance with the most shifts.
     """
     root = np.sqrt(capacity)
+    fields = np.empty((len(root), 0)) if start is None else start
+    stored = capacity[:, None] * fields
     upper = upper_triangle(csr_array(conduction))
     factors = shifted_factors(upper, "shifted heat equation", solver)
     step = STEP * shortest
-    exact = _unit_march(factors(capacity / step), capacity / step, _together(drives), outputs)
+    rate = capacity / step
+    exact = _unit_march(factors(rate), rate, _together(drives), outputs, fields)
     cut, error = CUT, np.inf
     for count in SHIFTS:
         shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
-        basis = _orthonormal(root[:, None], np.empty((len(root), 0)), 0.0)
+        held = np.hstack([np.ones((len(root), 1)), fields])
+        basis = _orthonormal(root[:, None] * held, np.empty((len(root), 0)), 0.0)
         for shift in shifts:
-            factor = factors(shift * capacity)
-            for sample in _samples(drives.shape[1]):
-                block = root[:, None] * _response(factor, drives @ sample)
+            factor, driving = factors(shift * capacity), np.hstack([drives, shift * stored])
+            for sample in _samples(driving.shape[1]):
+                block = root[:, None] * _response(factor, driving @ sample)
                 found = _orthonormal(block, basis, cut)
                 basis = np.hstack([basis, found])
                 if 2 * found.shape[1] < sample.shape[1]:
@@ -120,13 +130,15 @@ def reduce_heat(
         rates, turn = np.linalg.eigh(vectors.T @ (conduction @ vectors))
         modes = np.ascontiguousarray(vectors @ turn)
         rates = np.maximum(rates, 0.0)
-        reduced_drives, reduced_outputs = modes.T @ drives, outputs @ modes
-        reduced = (reduced_outputs, rates, reduced_drives)
+        reduced = (outputs @ modes, rates, modes.T @ drives, modes.T @ stored)
         between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // CHECKED)]
         error = max(
             *(
                 _transfer_error(
-                    outputs @ _response(factors(shift * capacity), drives), reduced, shift
+                    outputs
+                    @ _response(factors(shift * capacity), np.hstack([drives, shift * stored])),
+                    reduced,
+                    shift,
                 )
                 for shift in between
             ),
@@ -164,33 +176,39 @@ def _samples(count: int) -> Iterator[Array]:
         yield rng.standard_normal((count, SAMPLE)) / np.sqrt(SAMPLE)
 
 
-def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array) -> Array:
-    """Outputs (steps, q, p) of the full model to drives that set in at time zero.
+def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fields: Array) -> Array:
+    """Outputs (steps, q, p + f) of the full model: drives that set in, and fields left alone.
 
     `factor` is that of a step, `rate` (n,) its M/dt.
     """
-    state, found = np.zeros(drives.shape), []
+    state, found = np.hstack([np.zeros(drives.shape), fields]), []
+    right_side = np.hstack([drives, np.zeros(fields.shape)])
     for _ in range(STEPS // TOGETHER):
         states = []
         for _ in range(TOGETHER):
-            state = factor.solve(drives + rate[:, None] * state)
+            state = factor.solve(right_side + rate[:, None] * state)
             states.append(state)
         moved = outputs @ np.hstack(states)
         found.extend(np.hsplit(moved, TOGETHER))
     return np.array(found)
 
 
-def _march_error(exact: Array, reduced: tuple[Array, Array, Array], step: float) -> float:
-    outputs, rates, drives = reduced
+#: Outputs, rates, drives and fields of a reduced model.
+_Reduced = tuple[Array, Array, Array, Array]
+
+
+def _march_error(exact: Array, reduced: _Reduced, step: float) -> float:
+    outputs, rates, drives, fields = reduced
     powers = (1.0 + step * rates) ** -np.arange(1, STEPS + 1)[:, None]
     # The sum of the first n powers, also where the rate is zero.
-    states = step * np.cumsum(powers, axis=0)[:, :, None] * _together(drives)
-    return _largest(exact, outputs @ states)
+    driven = step * np.cumsum(powers, axis=0)[:, :, None] * _together(drives)
+    alone = powers[:, :, None] * fields
+    return _largest(exact, outputs @ np.concatenate([driven, alone], axis=2))
 
 
-def _transfer_error(exact: Array, reduced: tuple[Array, Array, Array], shift: float) -> float:
-    outputs, rates, drives = reduced
-    return _largest(exact, (outputs / (rates + shift)) @ drives)
+def _transfer_error(exact: Array, reduced: _Reduced, shift: float) -> float:
+    outputs, rates, drives, fields = reduced
+    return _largest(exact, (outputs / (rates + shift)) @ np.hstack([drives, shift * fields]))
 
 
 def _largest(exact: Array, found: Array) -> float:

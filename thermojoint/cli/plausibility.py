@@ -16,7 +16,8 @@ import numpy as np
 
 from artefacts.errors import InputError
 from fesim.case.history import read_samples
-from fesim.case.schema import Case, SampledInput
+from fesim.case.schema import Case
+from fesim.case.thermal_sections import SampledInput
 from meshes.units import USUAL_SIZE
 
 if TYPE_CHECKING:
@@ -81,6 +82,15 @@ AMBIENT = Quantity(
     "°C", -40.0, 50.0, 20.0, (Slip("K", 1.0, -273.15), Slip("°F", 5.0 / 9.0, -160.0 / 9.0))
 )
 READING = Quantity("°C", -60.0, 250.0, 30.0, (Slip("K", 1.0, -273.15),))
+FILM = Quantity(
+    "W/(m2 K)",
+    0.1,
+    1e5,
+    10.0,
+    (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("µW/(m2 K)", 1e-6)),
+)
+#: Of a property, where its constant stands beside it.
+FACTOR = Quantity("times the constant", 0.05, 20.0, 1.0, (_PERCENT,))
 #: Temperatures above that of the surroundings.
 RISE = Quantity("K above ambient", -150.0, 250.0, 20.0, (_ABSOLUTE,))
 #: The same where a measurement begins.
@@ -178,19 +188,19 @@ CASE = {
     "supports.springs.*.stiffness_N_um.*": Quantity(
         "N/µm", 1e-3, 1e5, 100.0, (Slip("N/m", 1e-6), Slip("N/mm", 1e-3), Slip("kN/µm", 1e3))
     ),
-    "convection_W_m2K.*": Quantity(
-        "W/(m2 K)",
-        0.1,
-        1e5,
-        10.0,
-        (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("µW/(m2 K)", 1e-6)),
-    ),
+    "convection_W_m2K.*": FILM,
+    "cavities.*.film_W_m2K": FILM,
     "sources.*.reference_power_W": POWER,
     "heat_input.level": HEAT_INPUT,
     "heat_input.peak": HEAT_INPUT,
     "sources.*.heat_input.level": HEAT_INPUT,
     "sources.*.heat_input.peak": HEAT_INPUT,
     "held_temperatures.*.rise_K": RISE,
+    "initial_temperature.rise_K": RISE,
+    "materials.*.conductivity_factor.factor.*": FACTOR,
+    "materials.*.expansion_factor.factor.*": FACTOR,
+    "convection_factor.*.factor.*": FACTOR,
+    "radiation.*.ambient_degC": AMBIENT,
     "loads.*.force_N.*": Quantity(
         "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
     ),

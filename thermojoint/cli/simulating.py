@@ -84,6 +84,9 @@ def simulate(
     if covered := covered_areas(finished.response):
         parts = ", ".join(f"{1e4 * area:.4g} cm2 of {name!r}" for name, area in covered.items())
         console.say(f"joints cover {parts} of the meshed part: no convection there")
+    if "secant_residual" in finished.response:
+        left = float(finished.response["secant_residual"].max())
+        console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
     console.wrote(out, save, folder)
 
 

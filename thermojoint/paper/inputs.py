@@ -10,7 +10,8 @@ import numpy as np
 from artefacts.errors import InputError
 from calibrate.responses import check_boxes
 from fesim.case.history import read_history
-from fesim.case.schema import Case, StepInput, TriangleInput, step_count
+from fesim.case.schema import Case, step_count
+from fesim.case.thermal_sections import StepInput, TriangleInput
 from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
@@ -53,8 +54,8 @@ def check_drivable(case: Case) -> None:
     Raises
     ------
     InputError
-        There is no source, a source has a heat input of its own, or the ambient or a held
-        temperature is not that of the start.
+        There is no source, a source has a heat input of its own, the machine starts warm, or the
+        ambient or a held temperature is not that of the start.
     """
     if not case.sources:
         raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
@@ -68,6 +69,8 @@ def check_drivable(case: Case) -> None:
         ambient = read_history(case.ambient.file, "ambient_degC")(times)
         if np.ptp(ambient) > 0.0:
             raise InputError("ambient: calibration needs a steady ambient; leave [ambient] out")
+    if case.initial_temperature is not None:
+        raise InputError("initial_temperature: calibration starts at the ambient; leave it out")
     for name, section in case.held_temperatures.items():
         if held_history(section)(times).any():
             raise InputError(

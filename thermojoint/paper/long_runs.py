@@ -18,7 +18,8 @@ from artefacts.files import write_text
 from artefacts.response import probes_of
 from estimator.judge import Validated
 from estimator.rows import Row
-from fesim.case.schema import AmbientSection, Case, SampledInput
+from fesim.case.schema import Case
+from fesim.case.thermal_sections import AmbientSection, SampledInput
 from fesim.setup.machine import Setup
 from fesim.simulate import simulate
 from thermojoint.paper.inputs import COOL_DOWN, DAY, Report

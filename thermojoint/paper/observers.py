@@ -22,7 +22,8 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.reduced_machine import reduce_machine
-from fesim.case.schema import Case, MillingMachineSection, ProbeSection, StepInput
+from fesim.case.schema import Case, MillingMachineSection, ProbeSection
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
 

@@ -1,0 +1,110 @@
+"""A heat step whose conduction, film or radiation depends on temperature: secant steps to the end.
+
+Each of them is the step of the constant operators with what they lacked at the last temperatures,
+so that nothing is factorised. Anderson's method (1965) makes the next temperatures of the last few.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from fesim.march.heat_step import heat_balance, heat_step
+from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.variable_heat import VariableHeat
+
+#: Largest change of a temperature between the last two secant steps, K.
+TOLERANCE = 1e-8
+#: ... or this part of the largest temperature: rounding of a solve.
+ROUNDING = 1e-12
+MOST = 200
+#: Secant steps that the next one is made of.
+DEPTH = 5
+
+
+@dataclass(frozen=True)
+class HeatStep:
+    """The heat of one step.
+
+    Attributes
+    ----------
+    temperature : ndarray, shape (n,)
+        At its end.
+    heat_flow : ndarray, shape (m,)
+        Across the joints, W.
+    balance : float
+        `fesim.march.heat_step.heat_balance`.
+    residual : float
+        Largest change of a temperature in the last secant step, K; zero if nothing depends on
+        temperature.
+    """
+
+    temperature: Array
+    heat_flow: Array
+    balance: float
+    residual: float
+
+
+def step_heat(
+    thermal: ThermalCondensation,
+    variable: VariableHeat | None,
+    temperature: Array,
+    inputs: Array,
+    joint: Array,
+) -> HeatStep:
+    """Take one step of the heat equation; arguments as for `fesim.march.heat_step.heat_step`.
+
+    Parameters
+    ----------
+    thermal, temperature, inputs, joint
+        As there.
+    variable : VariableHeat or None
+        What depends on temperature.
+
+    Raises
+    ------
+    ConvergenceError
+        The secant steps do not settle.
+    """
+    if variable is None:
+        after, flow = heat_step(thermal, temperature, inputs, joint)
+        balance = heat_balance(thermal, temperature, after, inputs, flow)
+        return HeatStep(after, flow, balance, 0.0)
+    at, size = temperature, np.inf
+    guesses: list[Array] = []
+    changes: list[Array] = []
+    for _ in range(MOST):
+        lost = variable.lost(at, inputs)
+        lost[variable.held] = 0.0
+        after, flow = heat_step(thermal, temperature, inputs, joint, lost)
+        change = after - at
+        size = float(np.abs(change).max())
+        if size <= TOLERANCE + ROUNDING * float(np.abs(after).max()):
+            lost = variable.lost(after, inputs)
+            held = lost[variable.held]
+            left = float(lost.sum()), held
+            balance = heat_balance(thermal, temperature, after, inputs, flow, left)
+            return HeatStep(after, flow, balance, size)
+        if not np.isfinite(size):
+            break
+        guesses, changes = [*guesses[-DEPTH:], at], [*changes[-DEPTH:], change]
+        at = _next(guesses, changes)
+    raise ConvergenceError(
+        f"secant steps: temperatures still change by {size:.1e} K; take a shorter march.step_s, or "
+        "smaller changes of conductivity_factor, convection_factor and radiation"
+    )
+
+
+def _next(guesses: list[Array], changes: list[Array]) -> Array:
+    """Return where the changes of the last guesses, each linear in it, would vanish at best."""
+    step = guesses[-1] + changes[-1]
+    if len(guesses) == 1:
+        return step
+    moves = np.diff(np.array(guesses), axis=0).T
+    turns = np.diff(np.array(changes), axis=0).T
+    weights = np.linalg.lstsq(turns, changes[-1], rcond=1e-10)[0]
+    found: Array = step - (moves + turns) @ weights
+    return found

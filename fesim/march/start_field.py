@@ -1,0 +1,64 @@
+"""The temperatures that a march starts from, if these are not the ambient's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from artefacts.arrays import Array
+from fesim.march.reduced import ThermalModes, project_start
+from fesim.solid.heat import HeatOperators
+
+
+@dataclass(frozen=True)
+class StartField:
+    """Temperature unknowns (n,) at time zero, free + held u: a held surface is held from the start.
+
+    Attributes
+    ----------
+    free : ndarray, shape (n,)
+        Temperatures above the initial ambient where none is held, K, zero elsewhere; or the
+        amplitudes of a reduced model.
+    held : scipy.sparse.csr_array, shape (n, k)
+        Held temperatures per unit of each input u of the march.
+    """
+
+    free: Array
+    held: csr_array
+
+    def temperature(self, inputs: Array | None) -> Array:
+        """Return the unknowns (n,) under the inputs (k or more) of time zero, by default none."""
+        if inputs is None:
+            return self.free.copy()
+        found: Array = self.free + self.held @ inputs[: self.held.shape[1]]
+        return found
+
+
+def start_field(
+    heat: HeatOperators, field: Array | None, modes: ThermalModes | None
+) -> StartField | None:
+    """Return what a march starts from.
+
+    Parameters
+    ----------
+    heat : HeatOperators
+        What marches.
+    field : ndarray, shape (n,), or None
+        Nodal temperatures above the initial ambient, K; None starts at the ambient.
+    modes : ThermalModes or None
+        Of the reduced model, which holds the field; None for the full one.
+    """
+    if field is None:
+        return None
+    if modes is None:
+        free = field.copy()
+        free[heat.held] = 0.0
+        held = csr_array((heat.inputs.shape[0], heat.layout.count))
+        held = held.tolil()
+        held[heat.held] = heat.held_inputs
+        return StartField(free, csr_array(held))
+    rows = np.zeros((modes.basis.shape[1], heat.layout.count))
+    rows[modes.rates.size :, heat.layout.held_columns] = np.eye(heat.layout.held)
+    return StartField(project_start(heat, modes, field), csr_array(rows))

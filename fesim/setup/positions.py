@@ -1,0 +1,53 @@
+"""What a case says of position, by formula or table, as functions that are checked where used."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from artefacts.arrays import Array, OfPosition
+from artefacts.errors import InputError, shown_point
+from fesim.case.formula import formula
+from fesim.case.position_table import read_position_table
+from fesim.case.thermal_sections import ProfileSection
+
+
+def profile_of(section: ProfileSection, where: str, least: float = -math.inf) -> OfPosition:
+    """Return a profile as a function of position.
+
+    Parameters
+    ----------
+    section : ProfileSection
+        Formula or file.
+    where : str
+        Key of the section, for error messages.
+    least : float
+        Smallest value that is allowed.
+
+    Raises
+    ------
+    InputError
+        The file is no table; or, where the function is used, a value is not finite or too small.
+    """
+    if section.file is not None:
+        return checked(read_position_table(section.file, "factor"), where, least)
+    return checked(formula(section.expression or ""), where, least)
+
+
+def checked(function: OfPosition, where: str, least: float = -math.inf) -> OfPosition:
+    """Return a function of position that refuses values that are not finite or below `least`."""
+
+    def values(points: Array) -> Array:
+        found = function(points)
+        # Written so that NaN fails too.
+        bad = np.flatnonzero(~(np.isfinite(found) & (found >= least)))
+        if bad.size:
+            at = bad[0]
+            floor = f"; it may not fall below {least:g}" if np.isfinite(least) else ""
+            raise InputError(
+                f"{where}: is {found[at]:g} at {shown_point(points[:, at])} m{floor}; mend it"
+            )
+        return found
+
+    return values

@@ -1,0 +1,105 @@
+"""What of a case depends on temperature: the constant part for the operators, and the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from skfem import CellBasis
+
+from fesim.case.schema import Case
+from fesim.case.thermal_sections import FactorSection
+from fesim.solid.heat import HeatOperators, cell_field, conduction_form, film_matrix
+from fesim.solid.materials import Material
+from fesim.solid.temperature_factor import TemperatureFactor, ThermalGrowth, thermal_growth
+from fesim.solid.variable_heat import (
+    VariableHeat,
+    air_potential,
+    conduction_potential,
+    film_potential,
+    radiation_film,
+    radiation_potential,
+)
+from meshes.pairing import PairedJoint
+from meshes.structure import Structure
+
+
+def factor_of(section: FactorSection) -> TemperatureFactor:
+    """Return the factor that a section says."""
+    return TemperatureFactor(np.array(section.rise_K), np.array(section.factor))
+
+
+def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
+    """Return the bodies' materials with the middle of a conductivity that has a factor."""
+    factors = _conductivity_factors(case, materials)
+    return {
+        body: replace(material, conductivity=factors[body].middle * material.conductivity)
+        if body in factors
+        else material
+        for body, material in materials.items()
+    }
+
+
+def reference_films(case: Case) -> dict[str, float]:
+    """Return the constant film of every surface, W/(m2 K): convection and linear radiation."""
+    films = dict(case.convection_W_m2K)
+    for name, section in case.convection_factor.items():
+        films[name] *= factor_of(section).middle
+    for name, radiation in case.radiation.items():
+        film = radiation_film(radiation.emissivity, radiation.ambient_degC)
+        films[name] = films.get(name, 0.0) + film
+    for cavity in case.cavities.values():
+        films |= dict.fromkeys(cavity.surfaces, cavity.film_W_m2K)
+    return films
+
+
+def variable_heat(
+    case: Case,
+    structure: Structure,
+    basis: CellBasis,
+    materials: dict[str, Material],
+    joints: Sequence[PairedJoint],
+    heat: HeatOperators,
+) -> VariableHeat | None:
+    """Return what the constant operators `heat` lack, or None if nothing depends on temperature."""
+    terms = []
+    for body, factor in _conductivity_factors(case, materials).items():
+        own = {name: m.conductivity if name == body else 0.0 for name, m in materials.items()}
+        matrix = conduction_form.assemble(basis, value=cell_field(structure, own, basis))
+        terms.append((matrix, conduction_potential(factor)))
+    for name, section in case.convection_factor.items():
+        area = film_matrix(structure, basis, name, joints)
+        terms.append((area, film_potential(case.convection_W_m2K[name], factor_of(section))))
+    for name, radiation in case.radiation.items():
+        area = film_matrix(structure, basis, name, joints)
+        given = radiation.emissivity, radiation.ambient_degC
+        terms.append((area, radiation_potential(*given)))
+    for cavity in case.cavities.values():
+        parts = [film_matrix(structure, basis, name, joints) for name in cavity.surfaces]
+        area = sum(parts[1:], parts[0])
+        walls = np.asarray(area.sum(axis=0)).ravel()
+        terms.append((area, air_potential(cavity.film_W_m2K, walls)))
+    return VariableHeat(tuple(terms), heat.layout.ambient, heat.held) if terms else None
+
+
+def growth(case: Case, structure: Structure, basis: CellBasis) -> ThermalGrowth | None:
+    """Return how bodies grow whose expansion depends on temperature; None if none does."""
+    unknowns = {
+        name: np.unique(basis.element_dofs[:, cells]) for name, cells in structure.bodies.items()
+    }
+    sections = {body: case.materials[name].expansion_factor for body, name in case.bodies.items()}
+    given = {body: factor_of(section) for body, section in sections.items() if section is not None}
+    return thermal_growth(unknowns, given)
+
+
+def surfaces_with_films(case: Case) -> list[str]:
+    """Return the surfaces that convect or radiate, each once."""
+    return list(reference_films(case))
+
+
+def _conductivity_factors(
+    case: Case, materials: dict[str, Material]
+) -> dict[str, TemperatureFactor]:
+    sections = {body: case.materials[case.bodies[body]].conductivity_factor for body in materials}
+    return {body: factor_of(section) for body, section in sections.items() if section is not None}

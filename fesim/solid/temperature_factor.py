@@ -1,0 +1,101 @@
+"""Properties that depend on temperature: a factor on their constant, and its integral."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from artefacts.errors import InputError
+
+
+@dataclass(frozen=True)
+class TemperatureFactor:
+    """A piecewise linear factor f(T); beyond its points the end values hold.
+
+    Attributes
+    ----------
+    rises : ndarray, shape (p,)
+        Temperatures above the initial ambient, K, rising strictly.
+    values : ndarray, shape (p,)
+        The factor there, positive.
+    """
+
+    rises: Array
+    values: Array
+
+    @property
+    def middle(self) -> float:
+        """Mean of the largest and the smallest value: no value is off it by as much as itself."""
+        return 0.5 * float(self.values.min() + self.values.max())
+
+    @cached_property
+    def _sums(self) -> Array:
+        """Integral from the first point to each, K."""
+        means = 0.5 * (self.values[1:] + self.values[:-1])
+        return np.concatenate([[0.0], np.cumsum(means * np.diff(self.rises))])
+
+    def integral(self, temperature: Array) -> Array:
+        """Return theta(T), the integral of the factor from 0 to T, K (Kirchhoff's transform)."""
+        return np.asarray(self._from_first(temperature) - self._from_first(np.zeros(1)))
+
+    def _from_first(self, temperature: Array) -> Array:
+        below = np.clip(np.searchsorted(self.rises, temperature) - 1, 0, None)
+        value = np.interp(temperature, self.rises, self.values)
+        mean = 0.5 * (self.values[below] + value)
+        return np.asarray(self._sums[below] + mean * (temperature - self.rises[below]))
+
+
+@dataclass(frozen=True)
+class ThermalGrowth:
+    """Bodies whose expansion depends on temperature: strain alpha0 theta(T), not alpha0 T.
+
+    Attributes
+    ----------
+    parts : tuple of (ndarray of int, TemperatureFactor)
+        Temperature unknowns of a body, and its factor.
+    """
+
+    parts: tuple[tuple[NDArray[np.int64], TemperatureFactor], ...]
+
+    def strained(self, temperature: Array) -> Array:
+        """Return the temperatures (n,) that give the same strain at the constant coefficient, K."""
+        found = temperature.copy()
+        for nodes, factor in self.parts:
+            found[nodes] = factor.integral(temperature[nodes])
+        return found
+
+
+def thermal_growth(
+    unknowns: dict[str, NDArray[np.int64]], factors: dict[str, TemperatureFactor]
+) -> ThermalGrowth | None:
+    """Return how bodies grow, or None if all do so in proportion to their temperature.
+
+    Parameters
+    ----------
+    unknowns : dict
+        Body name to its temperature unknowns.
+    factors : dict
+        Body name to the factor on its coefficient of expansion, where it has one.
+
+    Raises
+    ------
+    InputError
+        Bodies of different factors share nodes: such a node would grow in two ways.
+    """
+    for name, factor in factors.items():
+        for other, nodes in unknowns.items():
+            alike = other in factors and _alike(factor, factors[other])
+            if not alike and np.intersect1d(unknowns[name], nodes).size:
+                raise InputError(
+                    f"expansion_factor: body {name!r} shares nodes with {other!r}; part them by a "
+                    "joint, or give both the same factor"
+                )
+    return ThermalGrowth(tuple((unknowns[b], f) for b, f in factors.items())) if factors else None
+
+
+def _alike(one: TemperatureFactor, other: TemperatureFactor) -> bool:
+    return np.array_equal(one.rises, other.rises) and np.array_equal(one.values, other.values)

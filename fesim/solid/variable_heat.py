@@ -1,0 +1,107 @@
+"""Conduction, film and radiation that depend on temperature: what the constant operators lack.
+
+The heat equation is marched with constant operators K and H. What passes more than they say is
+
+    N(T) = sum_b K_b (theta_b(T) - m_b T) + sum_s A_s (q_s(T, T_a) - h_s (T - T_a)),
+
+both sums over nodal values: theta is Kirchhoff's transform of a body's conductivity, whose constant
+part in K is m_b k_b; q_s the heat flux of a film or of radiation, whose constant part in H is h_s.
+Air that is enclosed stores no heat: its temperature is the mean of its walls, and its film in H is
+one to the ambient.
+`fesim.march.secant_step` finds the T of each step that satisfies M dT/dt + (K + H) T + N(T) = P u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import Stefan_Boltzmann, zero_Celsius
+from scipy.sparse import csr_array
+
+from artefacts.arrays import Array
+from fesim.solid.temperature_factor import TemperatureFactor
+
+#: Nodal temperatures (n,) and the ambient, above the initial one, K, to nodal values (n,).
+Potential = Callable[[Array, float], Array]
+
+
+@dataclass(frozen=True)
+class VariableHeat:
+    """N(T) of the heat equation.
+
+    Attributes
+    ----------
+    terms : tuple of (scipy.sparse.csr_array, Potential)
+        Matrices (n, n), and what of nodal temperatures they are multiplied by.
+    ambient : int
+        Which input of the march is the ambient.
+    held : ndarray of int, shape (h,)
+        Unknowns whose temperature is given.
+    """
+
+    terms: tuple[tuple[csr_array, Potential], ...]
+    ambient: int
+    held: NDArray[np.int64]
+
+    def lost(self, temperature: Array, inputs: Array) -> Array:
+        """Return N(T) (n,), W: what leaves the nodes beside what the constant operators say."""
+        around = float(inputs[self.ambient])
+        found = np.zeros(len(temperature))
+        for matrix, potential in self.terms:
+            found += matrix @ potential(temperature, around)
+        return found
+
+
+def conduction_potential(factor: TemperatureFactor) -> Potential:
+    """Return theta(T) - m T of a conductivity that has a factor, m its middle."""
+    return lambda temperature, _: factor.integral(temperature) - factor.middle * temperature
+
+
+def film_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
+    """Return h (f(d) - m) d, W/m2, of a film with a factor of d, the surface above the ambient."""
+
+    def potential(temperature: Array, ambient: float) -> Array:
+        above = temperature - ambient
+        value = np.interp(above, factor.rises, factor.values)
+        return np.asarray(coefficient * (value - factor.middle) * above)
+
+    return potential
+
+
+def air_potential(film: float, walls: Array) -> Potential:
+    """Return h (T_a - T_c), W/m2: air at T_c, the mean of its walls, in the place of the ambient.
+
+    Parameters
+    ----------
+    film : float
+        h, W/(m2 K), on all walls.
+    walls : ndarray, shape (n,)
+        Area of the walls at each node, m2.
+    """
+    weights = walls / walls.sum()
+
+    def potential(temperature: Array, ambient: float) -> Array:
+        return np.full(len(temperature), film * (ambient - float(weights @ temperature)))
+
+    return potential
+
+
+def radiation_film(emissivity: float, ambient_degc: float) -> float:
+    """Return 4 eps sigma T_a^3, W/(m2 K): radiation made linear at the initial ambient."""
+    return float(4.0 * emissivity * Stefan_Boltzmann * (zero_Celsius + ambient_degc) ** 3)
+
+
+def radiation_potential(emissivity: float, ambient_degc: float) -> Potential:
+    """Return eps sigma (T^4 - T_a^4), absolute, less what `radiation_film` says of it, W/m2."""
+    absolute = zero_Celsius + ambient_degc
+    film = radiation_film(emissivity, ambient_degc)
+
+    def potential(temperature: Array, ambient: float) -> Array:
+        exchanged = (absolute + temperature) ** 4 - (absolute + ambient) ** 4
+        found = emissivity * Stefan_Boltzmann * exchanged - film * (temperature - ambient)
+        return np.asarray(found)
+
+    return potential
