@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+
 from pydantic import model_validator
 
 from fesim.case.section import Finite, Positive, Section

@@ -79,9 +79,9 @@ def heat_balance(
     lost: tuple[float, Array] | None = None,
 ) -> float:
     """Return `heat_balances` of one step, from arrays without their number."""
-    rows = (one[None] for one in (before, after, inputs, heat_flow))
     others = None if lost is None else (np.array([lost[0]]), lost[1][None])
-    return float(heat_balances(thermal, *rows, others)[0])
+    whole = heat_balances(thermal, before[None], after[None], inputs[None], heat_flow[None], others)
+    return float(whole[0])
 
 
 def heat_balances(
