@@ -81,7 +81,9 @@ class CellGradients:
     gradient: Array
     volume: Array
 
-    def stiffness(self, lame: Array, shear: Array, pairs: tuple[Array, Array]) -> Array:
+    def stiffness(
+        self, lame: Array, shear: Array, pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
+    ) -> Array:
         """Return entries (3, 3, pairs, cells) of (sigma(u), eps(v)), N/m.
 
         Entry (i, j) of a pair (a, b) is the force along i at a by a displacement along j at b.
