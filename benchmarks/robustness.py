@@ -370,7 +370,9 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "coupling is iterated. Where a joint snaps, viscous steps lead to its next equilibrium "
             "([march.md](march.md)). A march that fails is printed with its number; "
             "`--first NUMBER --count 1` marches it again. A body comes loose where heat opens all "
-            "that held it; the march then ends, and says so. Ended before their time:",
+            "that held it; the march then ends, and says so. Marches under loads, with bolts and "
+            "joints that start open, are in [loads.md](loads.md#steps-that-are-cut). Ended before "
+            "their time:",
             "",
             *(ended or ["- none"]),
             "",
