@@ -62,7 +62,7 @@ BOLTS: dict[bool, tuple[tuple[str, str], list[tuple[Point, Point]]]] = {
         [((550.0, y, 87.5), (675.0, y, 87.5)) for y in (390.0, 500.0, 600.0, 710.0)],
     ),
 }
-DIAMETERS, TIGHTENING = (8.0, 24.0), (1.0, 60.0)
+DIAMETERS, TIGHTENING = (8.0, 24.0), (10.0, 100.0)
 TURNS = (None, "0,1\n100,1\n101,0.6", "0,1\n100,1\n101,1.5")
 #: How a march ends in which nothing holds a body any more, or a bolt: a result, and no failure.
 LOOSE = "has come loose"
@@ -181,12 +181,13 @@ def load_structure(rng: np.random.Generator, data: Data, flange: bool) -> None:
     }
     if rng.uniform() < 0.5:
         (head, thread), places = BOLTS[flange]
+        data["materials"]["bolts"] = _material(rng)
         data["bolts"] = {
             f"bolt {number}": {
                 "head": {"position_mm": ends[0], "diameter_mm": 2.0 * diameter, "body": head},
                 "thread": {"position_mm": ends[1], "diameter_mm": diameter, "body": thread},
                 "diameter_mm": diameter,
-                "material": head,
+                "material": "bolts",
             }
             for number, ends in enumerate(places)
             for diameter in [spread(rng, *DIAMETERS)]
@@ -370,7 +371,9 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "coupling is iterated. Where a joint snaps, viscous steps lead to its next equilibrium "
             "([march.md](march.md)). A march that fails is printed with its number; "
             "`--first NUMBER --count 1` marches it again. A body comes loose where heat opens all "
-            "that held it; the march then ends, and says so. Ended before their time:",
+            "that held it; the march then ends, and says so. Marches under loads, with bolts and "
+            "joints that start open, are in [loads.md](loads.md#steps-that-are-cut). Ended before "
+            "their time:",
             "",
             *(ended or ["- none"]),
             "",
