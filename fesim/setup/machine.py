@@ -15,7 +15,7 @@ from artefacts.errors import InputError, unknown_name
 from artefacts.toml import as_key
 from fesim.cache import remembered
 from fesim.case.identity import elasticity_key, load_patterns
-from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.case.schema import CandidatesSection, Case, MillingMachineSection, not_reducible
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
 from fesim.march.reduced import (
@@ -284,6 +284,8 @@ def make_parts(case: Case) -> Parts:
     """
     structure = build_structure(case)
     check_names(case, structure)
+    if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
+        raise InputError(reason)
     thermal_inputs(case)  # a bad history is found now, not after the factorisation
     joints = paired_joints(case, structure)
     probes = {

@@ -17,7 +17,13 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.reduced_machine import reduce_machine
-from fesim.case.schema import Case, MillingMachineSection, ProbeSection
+from fesim.case.schema import (
+    Case,
+    MillingMachineSection,
+    ProbeSection,
+    growth_sections,
+    secant_sections,
+)
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
@@ -76,7 +82,8 @@ def observers_of(
 ) -> list[JointAware]:
     """Return the observers of a machine, and leave their models and reports in a folder.
 
-    There is none of a machine with held temperatures: they are no state of an observer.
+    There is none of a machine with held temperatures, which are no state of an observer, or with
+    properties that depend on temperature.
 
     Parameters
     ----------
@@ -97,7 +104,7 @@ def observers_of(
     ConvergenceError
         The machine cannot be marched, or its sensors do not determine the heat.
     """
-    if case.held_temperatures:
+    if case.held_temperatures or secant_sections(case) or growth_sections(case):
         return []
     known = observer_case(case, sensors)
     machine = reduce_machine(known, set_up(known), tuple(sensors))
