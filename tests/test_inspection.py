@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import tomllib
 from dataclasses import replace
 
@@ -175,4 +176,22 @@ def test_the_skeleton_names_what_is_there(tmp_path):
     data["sources"]["heat"]["surface"] = "left_top"
     data["supports"]["fixed"] = ["left_end", "right_end"]
     case = case_from_data(data, "skeleton", case_file.parent)
+    check_names(case, build_structure(case))
+
+
+@pytest.mark.parametrize("said", ["initial_temperature", "radiation", "cavities", "materials"])
+def test_the_skeletons_thermal_sections_are_sections(tmp_path, said):
+    """Each block that is commented out becomes part of a case when the signs are taken away."""
+    write_structure(BARS, tmp_path / "bars.vtu")
+    text = case_skeleton(tmp_path / "bars.vtu", tmp_path / "bars.toml", "m", inspect(BARS))
+    begins = text.index(f"# [{said}")
+    block = text[begins : text.index("# [", begins + 3)]
+    lines = re.findall(r"^# (\[.*|\w+ = .*)$", block, re.M)
+    data = tomllib.loads(text.replace("[bodies]", "\n".join(lines) + "\n[bodies]", 1))
+    data["sources"]["heat"]["surface"] = "left_top"
+    data["supports"]["fixed"] = ["left_end", "right_end"]
+    data["march"]["thermal"] = "full"
+    if said == "cavities":
+        data["convection_W_m2K"] = {}
+    case = case_from_data(data, "skeleton", tmp_path)
     check_names(case, build_structure(case))

@@ -4,15 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from batch_cases import case_text, grid
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from artefacts.errors import ConvergenceError, InputError
+from fesim.batch.dataset import open_dataset
+from fesim.batch.study import read_study
 from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
+from thermojoint.paper.observers import observers_of
 from verification.temperature_dependence import FALLING, RISING
 from verification.thermal_bar import FOREVER, bar_case, run
 
@@ -174,6 +178,26 @@ def test_the_reduced_model_refuses_what_depends_on_temperature(tmp_path, key):
     with pytest.raises(InputError, match='thermal = "full"') as refused:
         case_from_data(data, "bar", tmp_path)
     assert key in str(refused.value)
+
+
+def test_a_copy_of_a_case_is_refused_as_the_case_would_be(tmp_path):
+    """Commands that need modes copy a case: what it cannot be marched with is found then."""
+    data = driven(tmp_path, radiation={"x1": {"emissivity": 0.5, "ambient_degC": 20.0}})
+    case = case_from_data(data, "bar", tmp_path)
+    march = case.march.model_copy(update={"thermal": "reduced"})
+    with pytest.raises(InputError, match=r"radiation\.x1: modes are"):
+        set_up(case.model_copy(update={"march": march}))
+    assert observers_of(case, {}, {}, tmp_path) == []
+
+
+def test_a_batch_has_a_place_for_the_error_of_secant_steps(tmp_path):
+    text = case_text(0.1)
+    black = "[radiation.exterior]\nemissivity = 0.5\nambient_degC = 20.0\n"
+    (tmp_path / "machine.toml").write_text(text + black)
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "machine.toml"\n{grid("radiation.exterior.emissivity", 0.5, 0.9)}')
+    arrays = open_dataset(tmp_path / "dataset.zarr", read_study(path)).arrays
+    assert arrays["secant_residual"].shape == arrays["heat_balance"].shape
 
 
 def test_bodies_that_share_nodes_do_not_grow_in_two_ways():

@@ -343,7 +343,7 @@ class Case(_Section):
         return self
 
     @model_validator(mode="after")
-    def _nodes_where_temperature_matters(self) -> Case:
+    def _one_film_a_surface(self) -> Case:
         for name in self.convection_factor:
             if name not in self.convection_W_m2K:
                 raise ValueError(f"convection_factor.{name}: add its film to [convection_W_m2K]")
@@ -356,18 +356,17 @@ class Case(_Section):
                         "to the ambient or another cavity; leave it out there"
                     )
                 taken.append(surface)
-        growing = growth_sections(self)
-        if growing and self.bolts:
+        if self.bolts and (growing := growth_sections(self)):
             raise ValueError(
                 f"{growing[0]}: bolts are condensed with bodies of constant expansion; leave out "
                 "either of them"
             )
-        found = [*secant_sections(self), *growing]
-        if found and self.march.thermal == "reduced":
-            raise ValueError(
-                f"{found[0]}: modes are those of constant properties and films to the ambient, and "
-                'temperatures of nodes are not among them; take thermal = "full" in [march]'
-            )
+        return self
+
+    @model_validator(mode="after")
+    def _marched_by_its_model(self) -> Case:
+        if (reason := not_reducible(self)) is not None:
+            raise ValueError(reason)
         return self
 
     @model_validator(mode="after")
@@ -403,6 +402,17 @@ def growth_sections(case: Case) -> list[str]:
         for name, material in case.materials.items()
         if material.expansion_factor is not None
     ]
+
+
+def not_reducible(case: Case) -> str | None:
+    """Return why the reduced model that a case asks for cannot march it; None if it can."""
+    found = [*secant_sections(case), *growth_sections(case)]
+    if not found or case.march.thermal == "full":
+        return None
+    return (
+        f"{found[0]}: modes are those of constant properties and films to the ambient, and "
+        'temperatures of nodes are not among them; take thermal = "full" in [march]'
+    )
 
 
 def read_case(path: Path | str) -> Case:

@@ -21,7 +21,7 @@ from fesim.case.identity import (
     load_patterns,
     thermal_key,
 )
-from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.case.schema import CandidatesSection, Case, MillingMachineSection, not_reducible
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
 from fesim.march.assembly import Bolts, tightened
@@ -350,6 +350,8 @@ def make_parts(case: Case) -> Parts:
     """
     structure = build_structure(case)
     check_names(case, structure)
+    if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
+        raise InputError(reason)
     thermal_inputs(case)  # a bad history is found now, not after the factorisation
     joints = paired_joints(case, structure)
     probes = {

@@ -22,7 +22,13 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.reduced_machine import reduce_machine
-from fesim.case.schema import Case, MillingMachineSection, ProbeSection
+from fesim.case.schema import (
+    Case,
+    MillingMachineSection,
+    ProbeSection,
+    growth_sections,
+    secant_sections,
+)
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
@@ -82,8 +88,8 @@ def observers_beside(
 ) -> Iterator[Callable[[], list[JointAware]]]:
     """Calibrate the observers of a machine, each in a process of its own, while the caller goes on.
 
-    Yields what waits for them and returns them. There is none of a machine with held temperatures:
-    they are no state of an observer.
+    Yields what waits for them and returns them. There is none of a machine with held temperatures,
+    which are no state of an observer, or with properties that depend on temperature.
 
     Parameters
     ----------
@@ -104,7 +110,7 @@ def observers_beside(
     ConvergenceError
         From the waiting: the machine cannot be marched, or its sensors do not determine the heat.
     """
-    if case.held_temperatures:
+    if case.held_temperatures or secant_sections(case) or growth_sections(case):
         yield list
         return
     known = observer_case(case, sensors)
