@@ -16,7 +16,7 @@ from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
-from thermojoint.paper.observers import observers_of
+from thermojoint.paper.observers import observers_beside
 from verification.temperature_dependence import FALLING, RISING
 from verification.thermal_bar import FOREVER, bar_case, run
 
@@ -187,7 +187,8 @@ def test_a_copy_of_a_case_is_refused_as_the_case_would_be(tmp_path):
     march = case.march.model_copy(update={"thermal": "reduced"})
     with pytest.raises(InputError, match=r"radiation\.x1: modes are"):
         set_up(case.model_copy(update={"march": march}))
-    assert observers_of(case, {}, {}, tmp_path) == []
+    with observers_beside(case, {}, {}, tmp_path) as observers:
+        assert observers() == []
 
 
 def test_a_batch_has_a_place_for_the_error_of_secant_steps(tmp_path):
