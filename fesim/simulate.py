@@ -253,7 +253,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
     }
     if case.loads:
         coords["load"] = list(case.loads)
-    if setup.outputs is not None:
+    if setup.outputs is not None or setup.bolts is not None:
         steps = [track.step(at) for at in range(len(track))]
         forces, places = mechanical_values(case, setup, steps, course.outputs)
         values, coords = values | forces, coords | places

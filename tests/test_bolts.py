@@ -11,8 +11,10 @@ from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.march.stepping import initial_state
+from fesim.march.track import at_rest
 from fesim.setup.machine import body_materials, set_up, with_laws
-from fesim.simulate import at_rest, simulate
+from fesim.simulate import simulate
+from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import stress_at, stress_tensors
 from verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
@@ -58,19 +60,20 @@ def marched(tmp_path_factory):
 def test_a_bolt_condensed_is_a_bolt_assembled(marched):
     """Woodbury's formula against the stiffness with the bolts' own entries in it."""
     _, setup, _, _ = marched
-    field, free = setup.field, setup.field.operators.free
+    elastic = elastic_operators(setup.structure, setup.spaces, setup.materials, ["foot"], {})
+    field, free = setup.field, elastic.free
     springs = setup.bolts.springs
     stretch = -setup.forces[:, len(setup.machine.assembly.factors) - 3 :].T
     gap = field.gap.toarray()[:, free]
     reference = setup.machine.elastic.reference
     held = gap.T @ diags_array(field.area * reference) @ gap
     ties = stretch[:, free].T @ diags_array(1.0 / springs.flexibility) @ stretch[:, free]
-    whole = field.operators.stiffness[free][:, free].toarray() + held + ties
+    whole = elastic.stiffness[free][:, free].toarray() + held + ties
     compliance = gap @ np.linalg.solve(whole, gap.T)
     scale = np.abs(compliance).max()
     np.testing.assert_allclose(setup.machine.elastic.compliance, compliance, atol=1e-9 * scale)
     pushed = springs.growth.T / springs.flexibility
-    load = field.operators.thermal_load[free].toarray() + stretch[:, free].T @ pushed.T
+    load = elastic.thermal_load[free].toarray() + stretch[:, free].T @ pushed.T
     opened = gap @ np.linalg.solve(whole, load)
     found = setup.machine.elastic.thermal_gap
     np.testing.assert_allclose(found, opened, atol=1e-9 * np.abs(opened).max())
