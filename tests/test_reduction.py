@@ -236,3 +236,28 @@ def test_a_reduced_model_never_grows_by_itself_and_loses_no_heat(chain):
         left = given_heat - stored.sum(axis=1) - field @ films
         moved = np.abs(stored).sum(axis=1) + np.abs(field) @ films
         np.testing.assert_array_less(np.abs(left), 1e-9 * moved)
+
+
+def test_many_inputs_are_sampled_and_each_is_checked(monkeypatch):
+    """More contact elements than a sample has columns: the error is still that of every one."""
+    parts = conduct(
+        two_bars(left=(3, 5, 5), right=(3, 5, 5)),
+        films={"bottom": 50.0},
+        sources={"left_top": 1.0},
+        grid=(6, 6),
+    )
+    jump = parts.operators.jump.toarray()
+    problem = Problem(
+        parts.heat.capacity.diagonal(),
+        csr_array(parts.heat.conduction + parts.heat.convection),
+        np.hstack([1e3 * parts.heat.inputs[:, :1], 1e3 / len(jump) * jump.T]),
+        jump / TEMPERATURE_ERROR,
+    )
+    each = problem.reduce()
+    monkeypatch.setattr(reduction, "SAMPLE", 8)
+    sampled = problem.reduce()
+    assert max(each.error, sampled.error) <= 1.0
+    levels = np.random.default_rng(5).uniform(-1.0, 1.0, (60, problem.drives.shape[1]))
+    size = np.abs(levels).sum(axis=1).max()
+    off = problem.march(2.0, levels) - problem.reduced_march(sampled, 2.0, levels)[0]
+    assert np.abs(off).max() <= max(sampled.error, 0.1) * size

@@ -77,6 +77,8 @@ from meshes.wall import face_of, with_wall
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000
+#: A dense matrix of all joints has (three times this) squared numbers: 2.6 GB.
+MOST_IN_ALL = 6_000
 
 
 @dataclass(frozen=True)
@@ -367,11 +369,24 @@ def make_parts(case: Case) -> Parts:
 
 
 def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
-    """Pair the sides of every joint of a case, in the order of the contact elements."""
-    return tuple(
+    """Pair the sides of every joint of a case, in the order of the contact elements.
+
+    Raises
+    ------
+    InputError
+        The sides of a joint do not fit, or there are more than `MOST_IN_ALL` contact elements.
+    """
+    joints = tuple(
         pair_joint(structure, name, section.along, section.across)
         for name, section in case.joints.items()
     )
+    count = sum(len(joint.area) for joint in joints)
+    if count > MOST_IN_ALL:
+        raise InputError(
+            f"joints: {count} contact elements in all, and {MOST_IN_ALL} at most: each dense "
+            "matrix of the joints would take gigabytes; lower along or across"
+        )
+    return joints
 
 
 def check_names(case: Case, structure: Structure) -> None:
