@@ -155,6 +155,15 @@ def test_a_bolt_without_stiffness_is_a_preload(tmp_path):
         np.testing.assert_allclose(bolted_one[name], preloaded[name], atol=size, err_msg=name)
 
 
+def test_bolts_press_beside_a_preload(tmp_path):
+    given = {"joints": {"joint": joint(preload_MPa=2.0)}}
+    setup = set_up(case_from_data(bolted(tmp_path, True, given), "c", tmp_path))
+    rest = at_rest(setup.machine)
+    area = setup.machine.elastic.area[: setup.machine.contacts]
+    assert rest.state.pressure @ area == pytest.approx(2e6 * AREA + FORCE, rel=1e-7)
+    np.testing.assert_allclose(setup.bolt_forces(rest), [FORCE], rtol=1e-7)
+
+
 def test_what_a_bolt_is_given_on_the_way_it_shares_with_what_it_clamps(tmp_path):
     """A nut turned on, or a seat that settles: F k_c/(k_b + k_c) of what held ends would give."""
     (tmp_path / "turned.csv").write_text("time_s,factor\n0,1\n30,1\n40,1.5\n80,0.25\n")
