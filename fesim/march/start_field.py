@@ -55,10 +55,10 @@ def start_field(
     if modes is None:
         free = field.copy()
         free[heat.held] = 0.0
-        held = csr_array((heat.inputs.shape[0], heat.layout.count))
-        held = held.tolil()
-        held[heat.held] = heat.held_inputs
-        return StartField(free, csr_array(held))
+        count = heat.held.size
+        entries = (np.ones(count), (heat.held, np.arange(count)))
+        placed = csr_array(entries, shape=(len(free), count))
+        return StartField(free, csr_array(placed @ csr_array(heat.held_inputs)))
     rows = np.zeros((modes.basis.shape[1], heat.layout.count))
     rows[modes.rates.size :, heat.layout.held_columns] = np.eye(heat.layout.held)
     return StartField(project_start(heat, modes, field), csr_array(rows))

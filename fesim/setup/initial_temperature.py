@@ -8,6 +8,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from skfem import CellBasis, Mesh
 from skfem.io.meshio import from_meshio
 
@@ -151,8 +152,6 @@ def _nearest(
     snapshot: Snapshot, corners: NDArray[np.int64], points: Array, body: str
 ) -> NDArray[np.int64]:
     """Nodes of the snapshot that are nearest to points (3, n) a little outside of its body."""
-    from scipy.spatial import cKDTree
-
     around = snapshot.mesh.p[:, corners]
     away, nearest = cKDTree(around.T).query(points.T)
     if away.max() > BESIDE * np.ptp(around, axis=1).max():
