@@ -199,6 +199,13 @@ CONDENSED = {
     "supports.springs": {"screw_foot": {"stiffness_N_um": [1.0, 1.0, 1.0]}},
     "convection_W_m2K.exterior": 7.0,
     "sources.bearings.surface": "interior",
+    "sources.bearings.profile": {"expression": "1 + y_m"},
+    "materials.cast_iron.conductivity_factor": {"rise_K": [0.0, 100.0], "factor": [1.0, 0.9]},
+    "materials.cast_iron.expansion_factor": {"rise_K": [0.0, 100.0], "factor": [1.0, 1.1]},
+    "convection_factor": {"exterior": {"rise_K": [0.0, 100.0], "factor": [1.0, 2.0]}},
+    "radiation": {"exterior": {"emissivity": 0.9, "ambient_degC": 20.0}},
+    "cavities": {"air": {"surfaces": ["interior"], "film_W_m2K": 3.0}},
+    "initial_temperature": {"rise_K": 5.0},
     "held_temperatures": {"exterior": {"rise_K": 1.0}},
     "loads": {"gravity": {"acceleration_m_s2": [0.0, -9.81, 0.0]}},
     "bolts": {
