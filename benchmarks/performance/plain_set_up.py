@@ -15,7 +15,7 @@ from skfem.assembly.form.form import FormExtraParams
 from artefacts.arrays import Array
 from fesim.case.schema import Case
 from fesim.joint.operators import JointOperators, joint_operators
-from fesim.march.reduced import thermal_modes
+from fesim.march.reduced import ThermalModes, thermal_modes
 from fesim.setup.holds import fixed_surfaces
 from fesim.setup.loads import heat_sources
 from fesim.setup.machine import body_materials, make_parts, measured_points, reference_springs
@@ -122,7 +122,7 @@ def plain_condensation(
     )
 
 
-def plain_set_up(case: Case) -> None:
+def plain_set_up(case: Case) -> tuple[ElasticCondensation, ThermalModes]:
     """Set a case up as `fesim.setup.machine.set_up`, but for the elastic structure."""
     parts = make_parts(case)
     structure, joints = parts.structure, parts.joints
@@ -137,7 +137,8 @@ def plain_set_up(case: Case) -> None:
     springs = reference_springs(structure, materials, joints)
     measured = {name: structure.probes[name] for name in measured_points(case)}
     scalar = probe_rows(spaces.displacement, structure, measured)
-    probes = csr_array(kron(scalar, eye_array(3)))
+    relative = scalar[[0]] - scalar[[1]] if len(measured) == 2 else scalar
+    probes = csr_array(kron(relative, eye_array(3)))
     condensed = plain_condensation(elastic, operators, springs, probes)
     rows = probe_rows(spaces.heat, structure, parts.probes)
-    thermal_modes(heat, operators, condensed, rows, case.march.step_s)
+    return condensed, thermal_modes(heat, operators, condensed, rows, case.march.step_s)

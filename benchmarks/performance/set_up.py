@@ -20,9 +20,9 @@ LONGEST = 1800.0
 PILLAR = ["--pillar", "20", "20", "12"]
 
 
-def changed_rows(repeats: int = REPEATS) -> Iterator[Row]:
+def changed_rows(repeats: int = REPEATS, machine: Case | None = None) -> Iterator[Row]:
     """Yield the rows of a set-up of which only source, film or temperature probes changed."""
-    case = reference_machine()
+    case = machine or reference_machine()
     surfaces = ["rear", "interior", "exterior"]
     changes: dict[str, list[Case]] = {
         "source": [heated_at(case, surfaces[k % 3]) for k in range(repeats)],
@@ -32,14 +32,17 @@ def changed_rows(repeats: int = REPEATS) -> Iterator[Row]:
     for name, cases in changes.items():
         with fresh_condensations():
             set_up(case)
-            ours, others = iter(cases), iter(cases)
             yield Row(
                 f"setup-changed-{name}",
-                *paired(lambda it=ours: set_up(next(it)), partial(_anew, others), repeats),
+                *paired(partial(_kept, iter(cases)), partial(_anew, iter(cases)), repeats),
                 "s",
                 f"set-up of the equal-heights machine with another {name} and the rest on the disk "
                 f"against an empty folder; median of {repeats}",
             )
+
+
+def _kept(cases: Iterator[Case]) -> None:
+    set_up(next(cases))
 
 
 def _anew(cases: Iterator[Case]) -> None:
@@ -62,7 +65,8 @@ def with_film(case: Case, film: float) -> Case:
 def read_at(case: Case, height: float) -> Case:
     """Return a case with one more temperature probe, at some height (mm)."""
     probe = {"position_mm": [625.0, height, 87.5], "body": "column"}
-    return Case.model_validate(case.model_dump() | {"probes": {"T9": probe}})
+    data = case.model_dump()
+    return Case.model_validate(data | {"probes": data["probes"] | {"T9": probe}})
 
 
 def contact_rows() -> Iterator[Row | Skipped]:
