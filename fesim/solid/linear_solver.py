@@ -29,7 +29,7 @@ VARIABLE = "THERMOJOINT_SOLVER"
 RESIDUAL_LIMIT = 1e-6
 #: A solution of doubles leaves so much of |A| |x|, however good it is: a body that is a million
 #: times stiffer than what it moves with has large forces that cancel. But never more than this.
-ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-3
+ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
 
 
 @dataclass(frozen=True)
