@@ -180,3 +180,19 @@ def test_a_dropped_factor_gives_its_memory_back(monkeypatch):
     del factor
     gc.collect()
     assert freed == [True]
+
+
+@pytest.mark.parametrize(("off", "passes"), [(1, True), (200, False)])
+def test_the_last_bits_of_a_stiff_body_on_a_soft_spring_are_no_failure(off, passes):
+    """Its two ends move together: no doubles are nearer, and what they leave is 1e13 of the bit."""
+    stiff, soft = 1e13, 1e3
+    matrix = csr_array(np.array([[soft + stiff, -stiff], [-stiff, stiff]]))
+    ends = np.array([1.0 / soft, 1.0 / soft + 1.0 / stiff])
+    ends[1] += off * np.spacing(ends[1])
+    factor = Factor(matrix, lambda _: ends, "by hand")
+    load = np.array([0.0, 1.0])
+    if passes:
+        assert np.abs(matrix @ checked_solve(factor, load, "two masses") - load).max() > 1e-6
+    else:
+        with pytest.raises(ConvergenceError, match=r"two masses: .* relative residual"):
+            checked_solve(factor, load, "two masses")

@@ -35,6 +35,9 @@ PARAMETERS = {1: 1, 2: 2}
 
 #: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
 RESIDUAL_LIMIT = 1e-6
+#: A solution of doubles leaves so much of |A| |x|, however good it is: a body that is a million
+#: times stiffer than what it moves with has large forces that cancel. But never more than this.
+ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
 
 
 @dataclass(frozen=True)
@@ -170,13 +173,13 @@ def symmetric(upper: csr_array) -> csr_array:
 
 
 def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
-    """Solve and raise ConvergenceError if the residual exceeds `RESIDUAL_LIMIT`."""
+    """Solve and raise ConvergenceError if the residual exceeds `RESIDUAL_LIMIT` and rounding."""
     if not right_side.size:
         return np.zeros(right_side.shape)
     solution = factor.solve(right_side)
     residual = _relative_residual(factor, solution, right_side)
     # Written so that NaN fails too.
-    if not residual <= RESIDUAL_LIMIT:
+    if not (residual <= RESIDUAL_LIMIT or _is_rounding(factor, solution, right_side, residual)):
         raise ConvergenceError(
             f"{what}: the solver left a relative residual of {residual:.1e}; "
             "some body is free to move or a property is out of range: check supports and materials"
@@ -188,6 +191,13 @@ def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> fl
     residual = float(np.abs(symmetric_product(factor.matrix, solution) - right_side).max())
     scale = float(np.abs(right_side).max())
     return residual / scale if scale > 0.0 else residual
+
+
+def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:
+    """Whether a relative residual is what the nearest doubles to a solution leave."""
+    sizes = symmetric_product(abs(factor.matrix), np.abs(solution))
+    least = ROUNDING * float(sizes.max()) / float(np.abs(right_side).max())
+    return residual <= min(least, ROUNDING_LIMIT)
 
 
 def singular(what: str) -> InputError:
