@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from artefacts.errors import InputError
 from artefacts.response import VARIABLES
-from fesim.batch.study import Study, plain
+from fesim.batch.study import Keep, Study, plain
 from fesim.case.schema import first_step_at
 from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
 from fesim.setup.outputs import support_names
@@ -97,20 +97,23 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
     } | {name: some for name, some in asked.items() if some.size}
 
 
-def _variables(labels: dict[str, Labels]) -> dict[str, tuple[tuple[str, ...], str, str]]:
-    """Return what the responses of a study hold: what no case asks for has no labels."""
+def _variables(
+    labels: dict[str, Labels], keep: Keep
+) -> dict[str, tuple[tuple[str, ...], str, str]]:
+    """Return what is kept of the responses of a study: what no case asks for has no labels."""
+    asked = ["displacement"] if keep == "displacement" else list(VARIABLES)
     return {
         name: said
         for name, said in VARIABLES.items()
-        if {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
+        if name in asked and {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
     }
 
 
 def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
     """Write one response into its row; writing it again changes nothing."""
     at = dataset.row[case]
-    for name, (dims, _, _) in _variables(dataset.labels).items():
-        if name not in response:
+    for name, (dims, _, _) in VARIABLES.items():
+        if name not in response or name not in dataset.arrays:
             continue
         values = response[name].to_numpy()
         array = dataset.arrays[name]
@@ -162,7 +165,7 @@ def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
 
 
 def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
-    parts: list[Any] = [list(study.paths), list(_variables(labels))]
+    parts: list[Any] = [list(study.paths), list(_variables(labels, study.keep))]
     parts += [[one.id, *(plain(value) for value in one.values.values())] for one in study.cases]
     parts += [[name, some.tolist()] for name, some in labels.items()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
@@ -183,7 +186,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
         numbers = all(isinstance(value, int | float) for value in values)
         column = np.array(values, dtype=float if numbers else str)
         _coordinate(group, varied[-1], ("case",), column, {"long_name": path_name})
-    for name, (dims, unit, long_name) in _variables(labels).items():
+    for name, (dims, unit, long_name) in _variables(labels, study.keep).items():
         shape = (count, *(len(labels[dim]) for dim in dims))
         chunks = (1, *(CHUNK if dim == "time" else max(len(labels[dim]), 1) for dim in dims))
         text = name == "contact_joint"
