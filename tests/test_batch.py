@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,30 @@ def test_the_dataset_holds_every_response_under_its_labels(finished):
         for name in response.data_vars:
             np.testing.assert_array_equal(row[name].to_numpy(), response[name].to_numpy())
         assert data["displacement"].attrs["units"] == "m"
+
+
+def test_displacements_alone_are_those_of_the_responses_and_go_on_as_well(finished, tmp_path):
+    """No response is written; a record without its row in the dataset counts as not run."""
+    whole, out, _, _, _ = finished
+    study = replace(whole, cases=whole.cases[:4], keep="displacement")
+    end = run_batch(study, tmp_path, here())
+    assert (end.summary["status"] == "done").all()
+    assert not (tmp_path / "responses").exists()
+    data, every = opened(tmp_path), opened(out)
+    assert set(data.data_vars) == {"displacement", "status"}
+    for one in study.cases:
+        ours, theirs = (each["displacement"].sel(case=one.id) for each in (data, every))
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12)
+    figures = [name for name in FIGURES if name.startswith(("pressure", "temperature"))]
+    expected = pd.read_parquet(out / "summary.parquet").set_index("id")
+    found = end.summary.set_index("id")
+    np.testing.assert_allclose(found[figures], expected.loc[found.index, figures], rtol=1e-6)
+    (tmp_path / "records" / f"{study.cases[2].id}.json").unlink()
+    assert run_batch(study, tmp_path, here()).ran == 1
+    assert run_batch(study, tmp_path, nobody).ran == 0
+    shutil.rmtree(tmp_path / "dataset.zarr")
+    assert run_batch(study, tmp_path, here()).ran == 4
+    assert (opened(tmp_path)["status"] == 1).all()
 
 
 def test_the_tables_agree_and_say_what_the_responses_say(finished):

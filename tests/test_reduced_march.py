@@ -1,7 +1,7 @@
 """The march on the reduced thermal model: the full march within the error it records."""
 
 import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -11,7 +11,9 @@ from bars import IRON, assemble, level, surface_law, two_bars
 
 from artefacts.errors import ConvergenceError, InputError
 from fesim.case.schema import case_from_data, read_case
+from fesim.joint.gap import TOLERANCE
 from fesim.joint.operators import joint_operators
+from fesim.march.ensemble import march_many
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     TEMPERATURE_ERROR,
@@ -20,7 +22,8 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.state_file import load_state, save_state
-from fesim.march.stepping import CondensedMachine, iterated, march, staggered
+from fesim.march.stepping import CondensedMachine, initial_state, iterated, march, staggered
+from fesim.march.track import joined, march_along
 from fesim.setup.machine import reference_springs, set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
@@ -187,6 +190,86 @@ def heated(machine, count, advance=staggered):
         return level(machine.thermal, 300.0 * float(np.sign(np.sin(time / 60.0))))
 
     return list(islice(march(machine, inputs, advance), count))
+
+
+def plainly(machine):
+    """The same machine, its steps taken without machine code for the whole of them."""
+    plain = replace(machine)
+    vars(plain)["kernel"] = None
+    return plain
+
+
+def warmed(count, times=(0.0, 40.0, 60.0, 200.0), watts=(0.0, 900.0, -900.0, 600.0)):
+    """Inputs of steps of 2 s: heat that turns, so that the joint slides and sticks again."""
+    heat = np.interp(2.0 * (1.0 + np.arange(count)), times, watts)
+    return np.column_stack([heat, np.zeros(count)])
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.3])
+def test_machine_code_takes_the_steps_of_the_plain_march(friction):
+    """To 1e-12 m in every step; the residual that it tells is the true one."""
+    bars = bars_of(friction=friction)
+    machine = on_modes(bars, modes_of(bars))
+    inputs, start = warmed(100), initial_state(machine)
+    assert machine.kernel is not None
+    ours = joined(list(march_along(machine, inputs, staggered, start)))
+    plain = plainly(replace(machine, gap_tolerance=1e-16))
+    theirs = joined(list(march_along(plain, inputs, staggered, start)))
+    for name in ("gap", "slip", "displacement"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ours.heat_flow, theirs.heat_flow, rtol=0, atol=1e-6)
+    assert np.abs(ours.heat_balance).max() <= 1e-11
+    assert not ours.cuts.any()
+    problem, elastic = machine.gap_problem, machine.elastic
+    slip = np.zeros((2, machine.contacts))
+    for step in (ours.step(at) for at in range(len(ours))):
+        traction = machine.traction(step.state.gap, slip)
+        warm = elastic.thermal_gap @ step.state.temperature
+        true = np.abs(problem.residual(step.state.gap, traction, warm)).max()
+        assert true <= TOLERANCE
+        assert step.residual == pytest.approx(true, abs=1e-17)
+        slip = step.state.slip
+    changes = np.abs(np.diff(ours.slip, axis=0)).max(axis=1) > 1e-12
+    assert changes.any()
+    if friction:
+        assert not changes.all()
+
+
+@pytest.mark.parametrize("cut", [1, 37, 64])
+def test_machine_code_goes_on_bit_for_bit_from_a_state(bars, modes, cut):
+    machine, inputs = on_modes(bars, modes), warmed(100)
+    whole = joined(list(march_along(machine, inputs, staggered, initial_state(machine))))
+    saved = copy.deepcopy(whole.step(cut - 1).state)
+    again = on_modes(bars, modes)
+    rest = joined(list(march_along(again, inputs[cut:], staggered, saved)))
+    for field in fields(rest):
+        if field.name != "model":
+            ours, theirs = getattr(rest, field.name), getattr(whole, field.name)[cut:]
+            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+    one_by_one = march(again, lambda time: inputs[round(time / 2.0) - 1], staggered)
+    for at, step in zip(range(100), one_by_one, strict=False):
+        np.testing.assert_array_equal(step.state.gap, whole.gap[at])
+        np.testing.assert_array_equal(step.displacement, whole.displacement[at])
+
+
+def test_many_marches_are_those_of_one_after_another(bars, modes):
+    """Other friction, preload and heat in each; a law of the user's own is marched plainly."""
+    machine = on_modes(bars, modes)
+    count = machine.contacts
+    own = replace(surface_law(0.3), conductance=lambda pressure: 0.01 * pressure)
+    laws = [[(surface_law(0.1), count)], [(surface_law(0.3, 2e6), count)], [(own, count)]]
+    rows = np.vstack([np.zeros((1, 2)), warmed(50)])
+    inputs = np.array([scale * rows for scale in (1.0, 0.7, 0.5)])
+    found = march_many(machine, laws, inputs)
+    assert found.shape == (3, 51, len(machine.elastic.probe_thermal))
+    np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-20)
+    for one, driven, displacement in zip(laws, inputs, found, strict=True):
+        plain = plainly(replace(machine, laws=one))
+        steps = march(plain, lambda time, rows=driven: rows[round(time / 2.0)], staggered)
+        expected = np.array([step.displacement for step in islice(steps, 50)])
+        np.testing.assert_allclose(displacement[1:], expected, rtol=0.0, atol=1e-12)
+    with pytest.raises(InputError, match="give one for each"):
+        march_many(machine, laws[:2], inputs)
 
 
 @pytest.mark.parametrize("step", [1.0, 5.0, 30.0])

@@ -29,6 +29,7 @@ LOOPED = 10
 WORKERS = (1, 2)
 
 STUDY = """case = "coarse.toml"
+keep = "{keep}"
 [latin_hypercube]
 samples = {samples}
 seed = 1
@@ -48,10 +49,10 @@ scale = "log"
 """
 
 
-def coarse_study(folder: Path, samples: int) -> Study:
+def coarse_study(folder: Path, samples: int, keep: str = "response") -> Study:
     """Write the study of the coarse machine into a folder and read it."""
     (folder / "coarse.toml").write_text(coarse_text(), encoding="utf-8")
-    (folder / "study.toml").write_text(STUDY.format(samples=samples), encoding="utf-8")
+    (folder / "study.toml").write_text(STUDY.format(samples=samples, keep=keep), encoding="utf-8")
     return read_study(folder / "study.toml")
 
 
@@ -102,3 +103,28 @@ def rows(samples: int = SAMPLES, repeats: int = REPEATS) -> Iterator[Row]:
             f"{len(study.cases[some])} of them ({60.0 / alone:.0f} cases/min where nothing is kept "
             f"on the disk); median of {repeats}",
         )
+
+
+#: Cases of the study of displacements that are measured, of the other, and how many it stands for.
+BRIEF, WHOLE, MANY = 400, 100, 10_000
+
+
+def displacement_rows(brief: int = BRIEF, whole: int = WHOLE) -> Iterator[Row]:
+    """Yield batch-10000: cases per minute where only displacements are kept."""
+    with TemporaryDirectory() as name, fresh_condensations():
+        folder = Path(name)
+        small = coarse_study(folder, brief, "displacement")
+        large = coarse_study(folder, whole)
+        simulate(small.cases[0].case)
+        ours = 60.0 * brief / batch_seconds(small, folder / "brief", 2)
+        other = 60.0 * whole / batch_seconds(large, folder / "whole", 2)
+    yield Row(
+        f"batch-{MANY}",
+        ours,
+        other,
+        ours / other,
+        "cases/min",
+        f"measured on {brief} cases of the coarse machine that share one condensation, 2 workers, "
+        f"start included, displacements and figures kept; other: {whole} of them with whole "
+        "responses; both measured once",
+    )

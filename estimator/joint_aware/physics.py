@@ -19,14 +19,8 @@ from artefacts.arrays import Array
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_step import (
-    HeatStep,
-    JointKernel,
-    Moving,
-    conduct_step,
-    march_steps,
-    settle_step,
-)
+from fesim.march.compiled_march import Moving, march_steps
+from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
 from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.stepping import CondensedMachine, settle_along
 

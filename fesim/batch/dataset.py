@@ -101,13 +101,14 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
 def _variables(
     study: Study, labels: dict[str, Labels]
 ) -> dict[str, tuple[tuple[str, ...], str, str]]:
-    """Return what the responses of a study hold: what no case asks for has no labels."""
-    secant = any(secant_sections(one.case) for one in study.cases)
+    """Return what is kept of the responses of a study: what no case asks for has no labels."""
+    asked = {"displacement"} if study.keep == "displacement" else set(VARIABLES)
+    if not any(secant_sections(one.case) for one in study.cases):
+        asked.discard("secant_residual")
     return {
         name: said
         for name, said in VARIABLES.items()
-        if {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
-        and (secant or name != "secant_residual")
+        if name in asked and {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
     }
 
 

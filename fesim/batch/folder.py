@@ -3,7 +3,7 @@
 ::
 
     FOLDER/
-      responses/ID.nc      one response a case, written whole
+      responses/ID.nc      one response a case, written whole; none of studies of displacements
       records/ID.json      what became of it; written last, so a record means: all of it is there
       dataset.zarr         all responses in one labelled dataset (fesim.batch.dataset)
       summary.csv          a row for each case of the study, and the same as summary.parquet
@@ -118,7 +118,8 @@ def read_records(folder: Path, study: Study) -> dict[str, Record]:
             status, _ = record["status"], record["reason"]
         except (OSError, ValueError, TypeError, LookupError):
             continue
-        finished = status == "done" and response_path(folder, one.id).is_file()
+        kept = study.keep == "displacement" or response_path(folder, one.id).is_file()
+        finished = status == "done" and kept
         if finished or status == "failed":
             found[one.id] = record
     return found

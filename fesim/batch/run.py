@@ -145,7 +145,11 @@ class _Keeper:
         for one in self.study.cases:
             path = on_disk.response_path(self.folder, one.id)
             unrecorded = one.id not in self.records and path.is_file()
-            if unrecorded or (self._status(one) == "done" and stored[one.id] != "done"):
+            lost = self._status(one) == "done" and stored[one.id] != "done"
+            if lost and not path.is_file():
+                # Only its displacement was kept, and the dataset is another one now.
+                del self.records[one.id]
+            elif unrecorded or lost:
                 self._take_in(one, path)
             if self._status(one) != stored[one.id]:
                 collected.store_status(self._dataset, one.id, self._status(one))
@@ -195,7 +199,9 @@ def _work_off(
     stopped: Callable[[], bool],
 ) -> None:
     cases = {one.id: one for one in left}
-    queue = Queue(Task(one.id, one.key, one.case.model_dump_json()) for one in left)
+    queue = Queue(
+        Task(one.id, one.key, one.case.model_dump_json(), keeper.study.keep) for one in left
+    )
     working: dict[str, Task] = {}
     losses: Counter[str] = Counter()
     found = len(keeper.records)

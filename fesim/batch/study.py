@@ -29,6 +29,9 @@ from fesim.setup.machine import make_parts
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[str, Any]
 
+#: What is kept of a case: its whole response, or its displacement and the figures of the summary.
+Keep = Literal["response", "displacement"]
+
 #: More cases than this in one study are a slip of a grid.
 MOST_CASES = 100_000
 
@@ -91,6 +94,7 @@ class StudyFile(_Section):
 
     case: Path
     title: str | None = None
+    keep: Keep = "response"
     grid: list[GridSection] = []
     list_: list[ListSection] = Field(default=[], alias="list")
     latin_hypercube: LatinHypercubeSection | None = None
@@ -161,12 +165,15 @@ class Study:
         No two alike.
     shapes : dict of str to Shape
         Of the responses, by condensation key.
+    keep : str
+        What is kept of a case: ``"response"`` or ``"displacement"``.
     """
 
     title: str
     paths: tuple[str, ...]
     cases: tuple[StudyCase, ...]
     shapes: dict[str, Shape]
+    keep: Keep = "response"
 
 
 def read_study(path: Path) -> Study:
@@ -212,7 +219,11 @@ def read_study(path: Path) -> Study:
         loads.add(load)
         found.setdefault(one.id, one)
     return Study(
-        given.title or base.title, tuple(varied_paths(given)), tuple(found.values()), shapes
+        given.title or base.title,
+        tuple(varied_paths(given)),
+        tuple(found.values()),
+        shapes,
+        given.keep,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from artefacts.errors import ConvergenceError, InputError, UnreadableError
 from artefacts.response import write_response
+from fesim.batch.study import Keep
 from fesim.batch.summary import Figures, figures_of
 from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import Case
@@ -48,11 +49,14 @@ class Task:
         Its identity and its condensation's (`fesim.case.identity`).
     case : str
         The case as JSON.
+    keep : str
+        What comes back of it, as in `fesim.batch.study.Study`.
     """
 
     id: str
     key: str
     case: str
+    keep: Keep = "response"
 
 
 @dataclass(frozen=True)
@@ -73,9 +77,9 @@ class Outcome:
     figures : dict
         See `fesim.batch.summary`.
     response : xarray.Dataset or None
-        What the case did.
+        What the case did, as much of it as is kept.
     encoded : bytes
-        The response as a NetCDF file.
+        The response as a NetCDF file; nothing if only its displacement is kept.
     """
 
     id: str
@@ -106,7 +110,11 @@ def run(task: Task) -> Outcome:
             with _files_as_read(task, case):
                 shared, condensing = _condensation(_Shared(task.key, case))
                 response = simulate(case, setup=with_laws(shared, case)).response
-        figures, encoded = figures_of(response), _encode(response)
+        figures, encoded = figures_of(response), b""
+        if task.keep == "displacement":
+            response = response[["displacement"]]
+        else:
+            encoded = _encode(response)
     except (*PASSING, *LASTING) as error:
         return Outcome(
             id=task.id,

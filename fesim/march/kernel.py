@@ -1,4 +1,4 @@
-"""A condensed machine as machine code marches it (`fesim.march.compiled_step`), where it can.
+"""A condensed machine as machine code marches it (`fesim.march.compiled_march`), where it can.
 
 It can where the thermal model is a reduced one, the joint laws are those of
 `fesim.joint.compiled_gap`, and every joint conducts by Eq. 11 or by a fixed value.
@@ -17,15 +17,8 @@ from fesim.joint.conductance import FixedConductance
 from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED, Watched
 from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
-from fesim.march.compiled_step import (
-    LOOSE,
-    HeatStep,
-    JointKernel,
-    Kept,
-    Moving,
-    Record,
-    march_steps,
-)
+from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
+from fesim.march.compiled_step import HeatStep, JointKernel
 from fesim.march.stepping import CondensedMachine, State
 
 #: Marches of one machine whose inverses are kept at a time.

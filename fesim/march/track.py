@@ -28,7 +28,7 @@ from fesim.march.stepping import (
 )
 
 if TYPE_CHECKING:
-    from fesim.march.compiled_step import Record
+    from fesim.march.compiled_march import Record
 
 #: Steps of a block: their amplitudes stay in the processor's cache.
 BLOCK = 128

@@ -1,0 +1,238 @@
+"""A march of staggered steps in machine code, with inverses that are kept from step to step.
+
+Nothing is factorised anew in a step as long as what is kept serves: for the gap equations that of
+`fesim.joint.modified_newton`, for the joint heat flows an inverse by which they are iterated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from fesim.joint.compiled_gap import largest
+from fesim.joint.loosening import Watched, surely_held
+from fesim.joint.modified_newton import MADE, Anchor, settle_near
+from fesim.machine_code import compiled
+from fesim.march.compiled_step import HeatStep, JointKernel, conduct, drive, settle_by_newton, take
+
+#: Joint heat flows are iterated until their equations lack no more than this part of what drives
+#: them. The inverse is made anew after this many iterations, and one more for so many elements: it
+#: costs as much as some iterations for each.
+HEAT_TOLERANCE = 1e-13
+HEAT_PATIENCE, FOR_EACH = 8, 16
+
+#: Why a march stopped: it is through; a joint has no equilibrium near; a body may have come loose.
+THROUGH, SNAPS, LOOSE = range(3)
+
+
+class Moving(NamedTuple):
+    """What a step goes on from, written in place; shapes as in `fesim.march.stepping.State`."""
+
+    amplitudes: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+
+
+class Kept(NamedTuple):
+    """Inverses that are kept from step to step, written in place.
+
+    Attributes
+    ----------
+    anchor : Anchor
+        Of the gap equations.
+    conducted : ndarray, shape (m,)
+        Conductance times area at which the other was made, W/K; zero at first.
+    flows : ndarray, shape (m, m)
+        (I + diag(conducted) S)^-1.
+    """
+
+    anchor: Anchor
+    conducted: Array
+    flows: Array
+
+
+class Record(NamedTuple):
+    """What is recorded of n steps; shapes begin with n, then as in `Step` and `State`.
+
+    Attributes
+    ----------
+    conducted : ndarray, shape (n, m)
+        Conductance times area, W/K.
+    anchor : ndarray, shape (n, 7, m)
+        As in `fesim.march.stepping.State`.
+    """
+
+    amplitudes: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+    anchor: Array
+    conducted: Array
+    heat_flow: Array
+    displacement: Array
+    remainder: Array
+    residual: Array
+    iterations: NDArray[np.int64]
+
+
+@compiled
+def _flow(joint_influence: Array, beyond: Array, jump: Array, kept: Kept, flow: Array) -> None:
+    """Solve (I + diag(beyond) S) j = diag(beyond) jump with the kept inverse, into `flow` (m,)."""
+    driving = beyond * jump
+    enough = HEAT_TOLERANCE * largest(driving)
+    if not kept.conducted.any():
+        _invert_flows(joint_influence, beyond, kept)
+    for attempt in range(2):
+        flow[:] = np.dot(kept.flows, driving)
+        for _ in range(HEAT_PATIENCE + beyond.size // FOR_EACH):
+            lack = driving - flow - beyond * np.dot(joint_influence, flow)
+            if largest(lack) <= enough:
+                return
+            flow += np.dot(kept.flows, lack)
+        if attempt == 0:
+            _invert_flows(joint_influence, beyond, kept)
+
+
+@compiled
+def _invert_flows(joint_influence: Array, beyond: Array, kept: Kept) -> None:
+    """Make the inverse of the joint heat flows anew."""
+    count = beyond.size
+    system = np.empty((count, count))
+    for e in range(count):
+        for f in range(count):
+            system[e, f] = beyond[e] * joint_influence[e, f]
+        system[e, e] += 1.0
+    kept.flows[:] = np.linalg.inv(system)
+    kept.conducted[:] = beyond
+
+
+@compiled
+def _settle(
+    joint: JointKernel,
+    kept: Kept,
+    free_gap: Array,
+    now: Moving,
+    found: Array,
+    value: Array,
+    moved: Array,
+    tangent: Array,
+) -> tuple[bool, float, int]:
+    """The kept inverse first, then Newton's method: whether it is solved, residual, iterations."""
+    found[:] = now.gap + now.change
+    try:
+        solved, residual, iterations = settle_near(
+            joint.springs,
+            joint.compliance,
+            joint.columns,
+            joint.laws,
+            free_gap,
+            now.slip,
+            joint.tolerance,
+            kept.anchor,
+            found,
+            value,
+            moved,
+            tangent,
+        )
+    except Exception:  # a singular tangent
+        solved, residual, iterations = False, np.nan, 0
+    if solved:
+        return True, residual, iterations
+    kept.anchor.about[MADE] = 0
+    found[:] = now.gap + now.change
+    return settle_by_newton(joint, free_gap, now.slip, now.gap, found, value, moved, tangent)
+
+
+@compiled
+def march_steps(
+    heat: HeatStep,
+    joint: JointKernel,
+    kept: Kept,
+    inputs: Array,
+    now: Moving,
+    record: Record,
+    watched: Watched,
+) -> tuple[int, int]:
+    """March through inputs (n, k + l) into `record`, in place.
+
+    Returns
+    -------
+    taken : int
+        Steps that are recorded.
+    why : int
+        `THROUGH`; `SNAPS`: the next step's gap equations have no near solution, and `now` is what
+        it goes on from; `LOOSE`: the last step taken is to be looked at by `Watch.check`.
+    """
+    count, thermal = now.pressure.size, heat.drive.shape[1]
+    value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
+    found, flow, conducted = np.empty((3, count)), np.empty(count), np.empty(count)
+    amplitudes = np.empty_like(now.amplitudes)
+    for k in range(len(inputs)):
+        amplitudes[:] = now.amplitudes
+        drive(heat, amplitudes, inputs[k])
+        conduct(joint, now.pressure, conducted)
+        jump = np.dot(joint.jump, amplitudes)
+        _flow(heat.joint_influence, conducted - joint.held, jump, kept, flow)
+        amplitudes -= np.dot(heat.influence, flow)
+        free_gap = np.dot(joint.gap, amplitudes)
+        for i in range(joint.loaded.shape[1]):
+            free_gap += inputs[k, thermal + i] * joint.loaded_gap[:, i]
+        solved, residual, iterations = _settle(
+            joint, kept, free_gap, now, found, value, moved, tangent
+        )
+        if not solved:
+            return k, SNAPS
+        now.amplitudes[:] = amplitudes
+        take(
+            joint,
+            found,
+            value,
+            moved,
+            now.gap,
+            now.slip,
+            now.pressure,
+            now.change,
+            record.remainder[k],
+        )
+        displacement = np.dot(joint.free, amplitudes) + np.dot(joint.moved, record.remainder[k])
+        for i in range(joint.loaded.shape[1]):
+            displacement += inputs[k, thermal + i] * joint.loaded[:, i]
+        record.displacement[k] = displacement
+        _note(record, k, now, kept, conducted, flow, residual, iterations)
+        if not surely_held(watched, now.pressure, tangent):
+            return k + 1, LOOSE
+    return len(inputs), THROUGH
+
+
+@compiled
+def _note(
+    record: Record,
+    k: int,
+    now: Moving,
+    kept: Kept,
+    conducted: Array,
+    flow: Array,
+    residual: float,
+    iterations: int,
+) -> None:
+    """Copy what a step has come to into row k of the record."""
+    record.amplitudes[k] = now.amplitudes
+    record.gap[k] = now.gap
+    record.slip[k] = now.slip
+    record.pressure[k] = now.pressure
+    record.change[k] = now.change
+    record.conducted[k] = conducted
+    record.heat_flow[k] = flow
+    record.residual[k] = residual
+    record.iterations[k] = iterations
+    record.anchor[k, 6] = kept.conducted
+    if kept.anchor.about[MADE] == 1:
+        record.anchor[k, :6] = kept.anchor.tangent
+    else:
+        record.anchor[k, :6] = 0.0
