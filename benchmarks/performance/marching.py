@@ -16,7 +16,8 @@ from artefacts.arrays import Array
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.timing import Row, paired
 from fesim.batch.summary import SLIDES_ABOVE
-from fesim.case.schema import Case, StepInput, step_count
+from fesim.case.schema import Case, step_count
+from fesim.case.thermal_sections import StepInput
 from fesim.joint.law import JointLaw
 from fesim.march.ensemble import march_many
 from fesim.march.stepping import CondensedMachine, State, initial_state, staggered

@@ -75,7 +75,7 @@ class StepKernel:
             record,
             self.watched,
         )
-        return Record(*(one[:taken] for one in record)), taken, why == LOOSE
+        return Record._make(one[:taken] for one in record), taken, why == LOOSE
 
     def _kept_at(self, anchor: Array) -> Kept:
         """Return what is kept of an anchor, made again if it is not."""

@@ -206,7 +206,7 @@ def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Trac
     record, taken, loose = kernel.run(state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
         # Its error is that of the plain step; those before it are good.
-        record, taken = type(record)(*(one[:-1] for one in record)), taken - 1
+        record, taken = type(record)._make(one[:-1] for one in record), taken - 1
     if not taken:
         return None
     thermal, inputs = machine.thermal, inputs[:taken]
