@@ -24,8 +24,8 @@ from rich.table import Table
 
 from fesim.case.schema import Case, parse_case
 from fesim.joint.operators import joint_operators
+from fesim.march.machine import CondensedMachine, Step
 from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
-from fesim.march.stepping import CondensedMachine, Step
 from fesim.setup.loads import heat_sources
 from fesim.setup.machine import Setup, body_materials, set_up
 from fesim.simulate import simulate

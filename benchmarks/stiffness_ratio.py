@@ -18,7 +18,8 @@ import numpy as np
 
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
-from fesim.march.stepping import CondensedMachine, Inputs, Step, march, staggered
+from fesim.march.machine import CondensedMachine, Step
+from fesim.march.stepping import Inputs, march, staggered
 from fesim.setup.loads import thermal_inputs
 from fesim.setup.machine import set_up
 

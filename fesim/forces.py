@@ -9,7 +9,7 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.case.schema import Case
-from fesim.march.stepping import Step, load_factors
+from fesim.march.machine import Step, load_factors
 from fesim.setup.machine import Setup
 from fesim.setup.outputs import support_names
 from fesim.solid.elasticity import DIRECTIONS

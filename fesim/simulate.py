@@ -17,15 +17,10 @@ from artefacts.response import make_response
 from fesim.case.schema import Case, case_from_data, step_count
 from fesim.forces import mechanical_values, outputs_of
 from fesim.march.heat_step import each
-from fesim.march.stepping import (
-    Advance,
-    State,
-    Step,
-    initial_state,
-    iterated,
-    staggered,
-)
-from fesim.march.track import Track, at_rest, joined, march_along, track_of
+from fesim.march.machine import State, Step
+from fesim.march.settling import at_rest, initial_state
+from fesim.march.stepping import Advance, iterated, march_along, staggered
+from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import (

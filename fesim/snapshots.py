@@ -22,7 +22,7 @@ from artefacts.arrays import Array
 from artefacts.errors import InputError
 from artefacts.files import whole_file
 from fesim.case.schema import first_step_at
-from fesim.march.stepping import Step
+from fesim.march.machine import Step
 from fesim.setup.machine import Setup
 from fesim.solid.stress import corner_stresses, principal, von_mises
 from meshes.structure import Structure

@@ -8,7 +8,7 @@ from skfem import MeshHex, MeshTet
 
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
 from fesim.joint.operators import JointOperators, joint_operators
-from fesim.march.stepping import CondensedMachine
+from fesim.march.machine import CondensedMachine
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import (
     DisplacementField,

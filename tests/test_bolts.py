@@ -9,9 +9,8 @@ from estimator.joint_aware.reduced_machine import check_joints
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
+from fesim.march.settling import at_rest, initial_state
 from fesim.march.state_file import load_state, save_state
-from fesim.march.stepping import initial_state
-from fesim.march.track import at_rest
 from fesim.setup.machine import body_materials, set_up, with_laws
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators

@@ -8,8 +8,8 @@ import pytest
 
 from artefacts.errors import InputError
 from fesim.case.schema import case_from_data
+from fesim.march.machine import State
 from fesim.march.state_file import fingerprint, load_state, save_state
-from fesim.march.stepping import State
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from meshes.exchange import write_structure

@@ -18,7 +18,7 @@ from skfem import MeshHex
 
 from artefacts.arrays import Array
 from fesim.case.schema import case_from_data
-from fesim.march.stepping import Step
+from fesim.march.machine import Step
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot

@@ -23,7 +23,8 @@ from skfem import MeshHex
 
 from fesim.case.schema import Case, case_from_data
 from fesim.joint.conductance import FixedConductance
-from fesim.march.stepping import State, march, staggered
+from fesim.march.machine import State
+from fesim.march.stepping import march, staggered
 from fesim.setup.loads import thermal_inputs
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate

@@ -23,7 +23,7 @@ from fesim.joint.law import (
     stiffness_at_rest,
 )
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import gap_solver
+from fesim.march.machine import gap_solver
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.materials import Material

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array, eye_array, kron
 from artefacts.arrays import Array
 from fesim.joint.law import Friction, JointLaw
 from fesim.joint.operators import JointOperators, joint_operators
+from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     GAP_ERROR,
@@ -22,7 +23,7 @@ from fesim.march.reduced import (
     project_heat,
     thermal_modes,
 )
-from fesim.march.stepping import Advance, CondensedMachine, Inputs, iterated, march, staggered
+from fesim.march.stepping import Advance, Inputs, iterated, march, staggered
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import DisplacementField, condense_elasticity, condense_heat
 from fesim.solid.elasticity import ElasticOperators, elastic_operators

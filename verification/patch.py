@@ -12,7 +12,7 @@ from artefacts.arrays import Array
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import gap_solver
+from fesim.march.machine import gap_solver
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators

@@ -16,7 +16,8 @@ from scipy.sparse.linalg import splu
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
 from fesim.joint.operators import JointOperators
-from fesim.march.stepping import CondensedMachine, Inputs
+from fesim.march.machine import CondensedMachine
+from fesim.march.stepping import Inputs
 from fesim.solid.elasticity import ElasticOperators
 from fesim.solid.heat import HeatOperators
 

@@ -36,7 +36,9 @@ from fesim.joint.law import (
     exact_conductance,
     harmonic_conductivity,
 )
-from fesim.march.stepping import CondensedMachine, State, initial_state, iterated, march, staggered
+from fesim.march.machine import CondensedMachine, State
+from fesim.march.settling import initial_state
+from fesim.march.stepping import iterated, march, staggered
 from verification.check import Check
 from verification.rods import NO_FRICTION, Rods, rods
 from verification.structures import IRON, STEEL

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from artefacts.arrays import Array
 from fesim.joint.law import Friction, JointLaw
 from fesim.joint.operators import JointOperators, joint_operators
-from fesim.march.stepping import CondensedMachine
+from fesim.march.machine import CondensedMachine
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
 from fesim.solid.elasticity import elastic_operators

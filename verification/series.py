@@ -20,7 +20,8 @@ from fesim.joint.law import (
     harmonic_conductivity,
 )
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import CondensedMachine, march, staggered
+from fesim.march.machine import CondensedMachine
+from fesim.march.stepping import march, staggered
 from fesim.setup.laws import law_of
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import condense_elasticity, condense_heat

@@ -20,7 +20,8 @@ from benchmarks.against_calculix.run import Run, run_deck
 from fesim.case.schema import Case, step_count
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import CondensedMachine, Step, march
+from fesim.march.machine import CondensedMachine, Step
+from fesim.march.stepping import march
 from fesim.setup.loads import heat_sources, thermal_inputs
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import COUPLINGS

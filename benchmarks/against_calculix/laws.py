@@ -8,7 +8,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from fesim.joint.law import JointLaw
-from fesim.march.stepping import CondensedMachine
+from fesim.march.machine import CondensedMachine
 
 
 @dataclass(frozen=True)

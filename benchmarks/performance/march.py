@@ -15,7 +15,7 @@ from benchmarks.performance.cases import reference_case
 from benchmarks.performance.timing import Row, Skipped, seconds
 from fesim.case.schema import Case
 from fesim.joint.operators import joint_operators
-from fesim.march.stepping import CondensedMachine
+from fesim.march.machine import CondensedMachine
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
 from fesim.setup.machine import body_materials, build_structure

@@ -20,8 +20,10 @@ from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput
 from fesim.joint.law import JointLaw
 from fesim.march.ensemble import march_many
-from fesim.march.stepping import CondensedMachine, State, initial_state, staggered
-from fesim.march.track import Track, joined, march_along
+from fesim.march.machine import CondensedMachine, State
+from fesim.march.settling import initial_state
+from fesim.march.stepping import march_along, staggered
+from fesim.march.track import Track, joined
 from fesim.setup.loads import input_table
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate

@@ -17,7 +17,9 @@ from compensation.offsets.usable import usable
 from estimator.interface import Estimate
 from estimator.joint_aware.estimator import JointAware
 from fesim.case.schema import Case
-from fesim.march.stepping import Inputs, State, Step, initial_state, march
+from fesim.march.machine import State, Step
+from fesim.march.settling import initial_state
+from fesim.march.stepping import Inputs, march
 from fesim.setup.loads import input_layout, thermal_inputs
 from fesim.setup.machine import Setup
 from fesim.simulate import COUPLINGS

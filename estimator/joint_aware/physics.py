@@ -22,11 +22,12 @@ from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import Moving, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
 from fesim.march.kernel import joint_kernel, new_kept, new_record
-from fesim.march.stepping import CondensedMachine, settle_along
+from fesim.march.machine import CondensedMachine
+from fesim.march.settling import settle_along
 
 
 class JointState(NamedTuple):
-    """The joint after a step; attributes as in `fesim.march.stepping.State`.
+    """The joint after a step; attributes as in `fesim.march.machine.State`.
 
     Attributes
     ----------

@@ -12,7 +12,8 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
-from fesim.march.stepping import Assembly, CondensedMachine, initial_state, settle_along
+from fesim.march.machine import Assembly, CondensedMachine
+from fesim.march.settling import initial_state, settle_along
 from fesim.solid.bolts import BoltSprings, fastened
 from fesim.solid.outputs import MechanicalOutputs
 

@@ -29,7 +29,7 @@ THROUGH, SNAPS, LOOSE = range(3)
 
 
 class Moving(NamedTuple):
-    """What a step goes on from, written in place; shapes as in `fesim.march.stepping.State`."""
+    """What a step goes on from, written in place; shapes as in `fesim.march.machine.State`."""
 
     amplitudes: Array
     gap: Array
@@ -64,7 +64,7 @@ class Record(NamedTuple):
     conducted : ndarray, shape (n, m)
         Conductance times area, W/K.
     anchor : ndarray, shape (n, 7, m)
-        As in `fesim.march.stepping.State`.
+        As in `fesim.march.machine.State`.
     """
 
     amplitudes: Array

@@ -10,8 +10,9 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from fesim.joint.law import JointLaw
-from fesim.march.stepping import Advance, CondensedMachine, staggered
-from fesim.march.track import at_rest, march_along
+from fesim.march.machine import CondensedMachine
+from fesim.march.settling import at_rest
+from fesim.march.stepping import Advance, march_along, staggered
 from fesim.one_thread import one_thread
 
 Laws = Sequence[tuple[JointLaw, int]]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -19,10 +20,13 @@ from fesim.joint.loosening import UNWATCHED, Watched
 from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
 from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
-from fesim.march.stepping import CondensedMachine, State
+from fesim.march.machine import CondensedMachine, State
 
 #: Marches of one machine whose inverses are kept at a time.
 KEPT = 2
+
+#: What was made of machines that are still there.
+_MADE: WeakKeyDictionary[CondensedMachine, StepKernel | None] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +131,14 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
     )
 
 
-def step_kernel(machine: CondensedMachine) -> StepKernel | None:
-    """Return what marches a machine, or None if it is to be marched plainly."""
+def kernel_of(machine: CondensedMachine) -> StepKernel | None:
+    """Return what marches a machine, made once, or None if it is to be marched plainly."""
+    if machine not in _MADE:
+        _MADE[machine] = _step_kernel(machine)
+    return _MADE[machine]
+
+
+def _step_kernel(machine: CondensedMachine) -> StepKernel | None:
     thermal = machine.thermal
     if not machine.contacts or thermal.factor.solver != "diagonal":
         return None

@@ -18,7 +18,7 @@ from artefacts.errors import InputError
 from artefacts.files import DAMAGED_ARCHIVE, whole_file
 from fesim.case.identity import with_digests
 from fesim.case.schema import Case
-from fesim.march.stepping import State
+from fesim.march.machine import State
 
 SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 5

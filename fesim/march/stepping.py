@@ -6,33 +6,17 @@ Nothing is factorised, assembled or allocated by mesh size inside it except the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError, ThermojointError
-from fesim.joint.cutting import cut
-from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
-from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
-from fesim.joint.relaxation import relax
+from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.secant_step import step_heat
-from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
-from fesim.solid.rigid_motions import Holds
-
-if TYPE_CHECKING:
-    from fesim.joint.loosening import Watch
-    from fesim.march.kernel import StepKernel
-    from fesim.march.start_field import StartField
-    from fesim.solid.temperature_factor import ThermalGrowth
-    from fesim.solid.variable_heat import VariableHeat
-
-#: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
-Settle = Callable[[Array, Array, Array], Equilibrium]
+from fesim.march.settling import initial_state, loaded_gap, settle_along
+from fesim.march.track import Track, kernel_track, track_of
 
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
@@ -41,320 +25,13 @@ MAX_SWEEPS = 400
 WEIGHTS = 0.05, 10.0
 #: From this sweep on, an agreement within what the gap equations leave open is one.
 PATIENCE = 20
-
-
-@dataclass(frozen=True)
-class Assembly:
-    """A machine whose bolts have just been tightened: nothing else acts on it.
-
-    Attributes
-    ----------
-    gap : ndarray, shape (3, m)
-        From the state before, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip, m.
-    pressure : ndarray, shape (m,)
-        Pa.
-    remainder : ndarray, shape (3 m,)
-        z + k g, Pa.
-    factors : ndarray, shape (l,)
-        What stands behind the other inputs of a step in this state.
-    """
-
-    gap: Array
-    slip: Array
-    pressure: Array
-    remainder: Array
-    factors: Array
-
-
-@dataclass(frozen=True)
-class CondensedMachine:
-    """A structure ready to march.
-
-    Attributes
-    ----------
-    thermal : ThermalCondensation
-        One heat step.
-    elastic : ElasticCondensation
-        Gaps and probes.
-    laws : sequence of (JointLaw, int)
-        The law of each joint and how many contact elements it has, in their order.
-    gap_tolerance : float
-        Largest residual of the gap equations, m.
-    holds : Holds, optional
-        What holds the bodies; with it, a step in which one comes loose is an error.
-    loads : LoadInfluence, optional
-        Mechanical loads; their factors stand behind the other inputs of a step.
-    assembly : Assembly, optional
-        Where a machine with bolts starts (`fesim.march.assembly`).
-    start : StartField, optional
-        Temperatures at time zero; default the ambient's.
-    variable : VariableHeat, optional
-        What of conduction, film and radiation depends on temperature; of the full model only.
-    growth : ThermalGrowth, optional
-        How bodies expand whose coefficient depends on temperature; of the full model only.
-    """
-
-    thermal: ThermalCondensation
-    elastic: ElasticCondensation
-    laws: Sequence[tuple[JointLaw, int]]
-    gap_tolerance: float = TOLERANCE
-    holds: Holds | None = None
-    loads: LoadInfluence | None = None
-    assembly: Assembly | None = None
-    start: StartField | None = None
-    variable: VariableHeat | None = None
-    growth: ThermalGrowth | None = None
-
-    @property
-    def contacts(self) -> int:
-        """Number of contact elements."""
-        return sum(count for _, count in self.laws)
-
-    @cached_property
-    def gap_problem(self) -> GapProblem:
-        """The gap equations of this machine."""
-        elastic = self.elastic
-        return gap_problem(
-            elastic.compliance * elastic.area,
-            elastic.reference,
-            stiffness_at_rest(self.laws),
-            self.traction,
-        )
-
-    @cached_property
-    def settle(self) -> Settle:
-        """What solves them."""
-        return gap_solver(self.gap_problem, self.laws, self.gap_tolerance)
-
-    @cached_property
-    def watch(self) -> Watch | None:
-        """What sees a body come loose."""
-        # Here, not above, as in `gap_solver`.
-        from fesim.joint.loosening import watch_of
-
-        return None if self.holds is None else watch_of(self.holds, self.laws)
-
-    @cached_property
-    def kernel(self) -> StepKernel | None:
-        """What takes its steps in machine code; None if they are to be taken plainly."""
-        from fesim.march.kernel import step_kernel
-
-        return step_kernel(self)
-
-    def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
-        start = 0
-        for law, count in self.laws:
-            yield law, slice(start, start + count)
-            start += count
-
-    def traction(self, gap: Array, slip: Array) -> Traction:
-        """Evaluate every joint's law; shapes as in `fesim.joint.law.evaluate`."""
-        parts = [evaluate(law, gap[:, at], slip[:, at]) for law, at in self._slices()]
-        if len(parts) == 1:
-            return parts[0]
-        return Traction(
-            np.concatenate([part.value for part in parts], axis=-1),
-            np.concatenate([part.tangent for part in parts], axis=-1),
-            np.concatenate([part.slip for part in parts], axis=-1),
-        )
-
-    def conductance(self, pressure: Array) -> Array:
-        """Eq. 11 at every contact element, W/(m2 K)."""
-        parts = [law.conductance(pressure[at]) for law, at in self._slices()]
-        return np.concatenate([np.empty(0), *parts])
-
-    @cached_property
-    def conducts_by_pressure(self) -> bool:
-        """Whether pressures alone decide what the joints conduct."""
-        return all(law.conducts_by_pressure for law, _ in self.laws)
-
-    def conductance_in(self, state: State) -> Array:
-        """What every contact element conducts in a state, by contact and gap, W/(m2 K)."""
-        if self.conducts_by_pressure:
-            return self.conductance(state.pressure)
-        rise = self.thermal.mean @ state.temperature
-        parts = [
-            law.conducts(state.pressure[at], state.gap[0, at], rise[at])
-            for law, at in self._slices()
-        ]
-        return np.concatenate(parts)
-
-    def strained(self, temperature: Array) -> Array:
-        """Return what temperature unknowns count as in S_T: others where `growth` says so."""
-        return temperature if self.growth is None else self.growth.strained(temperature)
-
-    @cached_property
-    def reference_pressure(self) -> Array:
-        """Preload of every contact element, or what stands for it where there is none, Pa."""
-        parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
-        return np.concatenate([np.empty(0), *parts])
-
-    @cached_property
-    def preload(self) -> Array:
-        """Preload of every contact element, Pa."""
-        parts = [np.full(count, law.preload) for law, count in self.laws]
-        return np.concatenate([np.empty(0), *parts])
-
-
-def gap_solver(
-    problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
-) -> Settle:
-    """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
-    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
-    from fesim.joint.compiled_gap import compile_gap
-
-    compiled = compile_gap(problem, laws)
-    solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
-    return partial(solve, tolerance=tolerance)
-
-
-@dataclass(frozen=True)
-class State:
-    """Everything the next step depends on.
-
-    Attributes
-    ----------
-    index : int
-        Steps taken; time is index times the step length.
-    temperature : ndarray, shape (n,)
-        Nodal temperatures above the initial ambient, K, or a reduced model's amplitudes.
-    gap : ndarray, shape (3, m)
-        Gaps, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip, m: the history of friction.
-    pressure : ndarray, shape (m,)
-        Contact pressure, Pa.
-    change : ndarray, shape (3, m)
-        By how much the last step changed the gaps, m: the next step's first guess goes on so.
-    model : str
-        Whose temperature it is: the `model` of the `ThermalCondensation`.
-    anchor : ndarray, shape (7, m)
-        Where the inverses were made that machine code keeps from step to step: six entries of the
-        joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
-    """
-
-    index: int
-    temperature: Array
-    gap: Array
-    slip: Array
-    pressure: Array
-    change: Array
-    model: str
-    anchor: Array
-
-
-class JointState(Protocol):
-    """What the gap equations go on from; attributes as in `State`."""
-
-    @property
-    def gap(self) -> Array:
-        """Gaps."""
-        ...
-
-    @property
-    def slip(self) -> Array:
-        """History of friction."""
-        ...
-
-    @property
-    def change(self) -> Array:
-        """By how much the last step changed the gaps."""
-        ...
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the march and the evidence that it is right.
-
-    Attributes
-    ----------
-    state : State
-        At the end of the step.
-    inputs : ndarray, shape (k + l,)
-        What drove the step: sources, W; ambient and held surfaces, K; factors of the loads.
-    conductance, heat_flow : ndarray, shape (m,)
-        W/(m2 K), and W from side a to side b.
-    displacement : ndarray, shape (k,)
-        Displacement probes, m.
-    remainder : ndarray, shape (3 m,)
-        z + k g, Pa: with the temperature, it gives the displacement field.
-    residual : float
-        Largest residual of the gap equations, m.
-    iterations, cuts : int
-        Newton iterations, and viscous steps where a joint snapped.
-    heat_balance : float
-        (in - stored - convected) / the largest of the three.
-    secant_residual : float
-        Largest change of a temperature in the last secant step, K; zero where none is needed.
-    """
-
-    state: State
-    inputs: Array
-    conductance: Array
-    heat_flow: Array
-    displacement: Array
-    remainder: Array
-    residual: float
-    iterations: int
-    cuts: int
-    heat_balance: float
-    secant_residual: float = 0.0
-
+#: Steps of a block: their amplitudes stay in the processor's cache.
+BLOCK = 128
 
 #: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
 #: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
 Advance = Callable[[CondensedMachine, State, Array], Step]
-
-
-def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
-    """Start with every joint at its preload, then under the loads and temperatures of time zero.
-
-    Without a `start` of the machine all is at ambient temperature.
-
-    Bolts have been tightened before the loads came.
-
-    Parameters
-    ----------
-    machine : CondensedMachine
-        What marches.
-    inputs : ndarray, shape (k + l,), optional
-        At time zero; the factors of mechanical loads count and, with a `start`, held temperatures.
-        Default: none.
-
-    Raises
-    ------
-    ConvergenceError
-        There is no equilibrium.
-    """
-    count, start = machine.contacts, machine.start
-    ambient = np.zeros(machine.thermal.inputs.shape[0])
-    state = State(
-        index=0,
-        temperature=ambient if start is None else start.temperature(inputs),
-        gap=np.zeros((3, count)),
-        slip=np.zeros((2, count)),
-        pressure=machine.preload.copy(),
-        change=np.zeros((3, count)),
-        model=machine.thermal.model,
-        anchor=np.zeros((7, count)),
-    )
-    if inputs is None and machine.assembly is not None:
-        inputs = np.concatenate(
-            [np.zeros(machine.thermal.inputs.shape[1]), machine.assembly.factors]
-        )
-    if machine.assembly is not None:
-        tight = machine.assembly
-        state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
-    elif machine.preload.all() and machine.loads is None and start is None:
-        return state
-    # A joint without preload is at rest by itself only where it is open.
-    grown = machine.elastic.thermal_gap @ machine.strained(state.temperature)
-    found, _ = settle_along(machine, state, _loaded_gap(machine, grown, inputs))
-    pressure = machine.preload + found.traction.value[0]
-    return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
 
 def march(
@@ -388,6 +65,39 @@ def march(
         yield step
 
 
+def march_along(
+    machine: CondensedMachine, inputs: Array, advance: Advance, start: State
+) -> Iterator[Track]:
+    """Yield the steps of a march along known inputs, some at a time.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    inputs : ndarray, shape (n, k + l)
+        Of each step, as `fesim.march.stepping.march` takes them one by one.
+    advance : callable
+        `staggered` or `iterated`.
+    start : State
+        Where to go on.
+
+    Raises
+    ------
+    ConvergenceError, InputError
+        As `march` does, after what came before is yielded.
+    """
+    state, done = start, 0
+    while done < len(inputs):
+        track = None
+        if advance is staggered:
+            track = kernel_track(machine, state, inputs[done : done + BLOCK])
+        if track is None:
+            track = track_of(advanced(machine, advance, state, inputs[done]))
+        done += len(track)
+        state = track.step(-1).state
+        yield track
+
+
 def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: Array) -> Step:
     """Take one step; an error says which.
 
@@ -405,13 +115,9 @@ def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: 
 
 def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
-    if machine.kernel is not None:
-        # Here, not above, as in `gap_solver`.
-        from fesim.march.track import kernel_track
-
-        track = kernel_track(machine, state, inputs[None])
-        if track is not None:
-            return track.step(0)
+    track = kernel_track(machine, state, inputs[None])
+    if track is not None:
+        return track.step(0)
     return _step_with(machine, state, inputs, machine.conductance_in(state))
 
 
@@ -508,7 +214,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     joint = conductance * elastic.area[:count]
     heat = step_heat(machine.thermal, machine.variable, state.temperature, thermal, joint)
     strained = machine.strained(heat.temperature)
-    thermal_gap = _loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
+    thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
     found, cuts = settle_along(machine, state, thermal_gap)
     pressure = machine.preload + found.traction.value[0]
     if machine.watch is not None:
@@ -541,49 +247,3 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         heat_balance=heat.balance,
         secant_residual=heat.residual,
     )
-
-
-def load_factors(machine: CondensedMachine, inputs: Array) -> Array:
-    """Return the factors (l,) of the mechanical loads among the inputs (k + l,) of a step."""
-    return inputs[machine.thermal.inputs.shape[1] :]
-
-
-def _loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array | None) -> Array:
-    """What heat and loads together open, (3 m,), m."""
-    if machine.loads is None or inputs is None:
-        return thermal_gap
-    return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
-
-
-def settle_along(
-    machine: CondensedMachine, state: JointState, thermal_gap: Array
-) -> tuple[Equilibrium, int]:
-    """Find the equilibrium that the state comes to, and how many viscous steps it took.
-
-    The first guess goes on as the last step did, which suits a smooth march, then it stays where
-    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps. Where that
-    leads nowhere, either, and no body is coming loose, the step is cut.
-
-    Parameters
-    ----------
-    machine : CondensedMachine
-        Whose joints they are.
-    state : JointState
-        Of the joint at the start of the step: a march's `State` is one.
-    thermal_gap : ndarray, shape (3 m,)
-        g_T at its end, m.
-
-    Raises
-    ------
-    ConvergenceError
-        There is no equilibrium, or a body has come loose.
-    """
-    for guess in (state.gap + state.change, state.gap):
-        with suppress(ConvergenceError):
-            return machine.settle(thermal_gap, state.slip, guess), 0
-    step = machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance
-    with suppress(ConvergenceError):
-        return relax(*step)
-    if machine.watch is not None:
-        machine.watch.explain(machine.traction(state.gap, state.slip))
-    return cut(*step)

@@ -25,6 +25,7 @@ from fesim.case.schema import CandidatesSection, Case, MillingMachineSection, no
 from fesim.joint.law import JointLaw
 from fesim.joint.operators import joint_operators
 from fesim.march.assembly import Bolts, tightened
+from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.reduced import (
     ThermalModes,
     project_elasticity,
@@ -33,7 +34,6 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.start_field import start_field
-from fesim.march.stepping import CondensedMachine, State, Step, load_factors
 from fesim.setup.bolts import bolts_of, first_forces
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
 from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction

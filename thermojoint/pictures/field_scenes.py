@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.march.stepping import Step
+from fesim.march.machine import Step
 from fesim.setup.machine import Setup
 from meshes.pairing import PairedJoint
 from meshes.volume_cells import corner_mesh

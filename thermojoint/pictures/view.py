@@ -12,7 +12,7 @@ import numpy as np
 from artefacts.errors import InputError
 from artefacts.response import read_response
 from fesim.case.schema import Case, first_step_at, read_case, step_count
-from fesim.march.stepping import Step
+from fesim.march.machine import Step
 from fesim.setup.loads import source_power, thermal_inputs
 from fesim.setup.machine import Setup, build_structure, set_up
 from fesim.simulate import at_rest, case_in, simulate

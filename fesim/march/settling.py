@@ -1,0 +1,166 @@
+"""Where a machine comes to rest: under loads and temperatures of its start, and in every step."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from artefacts.arrays import Array
+from artefacts.errors import ConvergenceError
+from fesim.joint.cutting import cut
+from fesim.joint.gap import Equilibrium
+from fesim.joint.relaxation import relax
+from fesim.march.machine import CondensedMachine, State, Step, load_factors
+
+
+class JointState(Protocol):
+    """What the gap equations go on from; attributes as in `State`."""
+
+    @property
+    def gap(self) -> Array:
+        """Gaps."""
+        ...
+
+    @property
+    def slip(self) -> Array:
+        """History of friction."""
+        ...
+
+    @property
+    def change(self) -> Array:
+        """By how much the last step changed the gaps."""
+        ...
+
+
+def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
+    """Start with every joint at its preload, then under the loads and temperatures of time zero.
+
+    Without a `start` of the machine all is at ambient temperature.
+
+    Bolts have been tightened before the loads came.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; the factors of mechanical loads count and, with a `start`, held temperatures.
+        Default: none.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium.
+    """
+    count, start = machine.contacts, machine.start
+    ambient = np.zeros(machine.thermal.inputs.shape[0])
+    state = State(
+        index=0,
+        temperature=ambient if start is None else start.temperature(inputs),
+        gap=np.zeros((3, count)),
+        slip=np.zeros((2, count)),
+        pressure=machine.preload.copy(),
+        change=np.zeros((3, count)),
+        model=machine.thermal.model,
+        anchor=np.zeros((7, count)),
+    )
+    if inputs is None and machine.assembly is not None:
+        inputs = np.concatenate(
+            [np.zeros(machine.thermal.inputs.shape[1]), machine.assembly.factors]
+        )
+    if machine.assembly is not None:
+        tight = machine.assembly
+        state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
+    elif machine.preload.all() and machine.loads is None and start is None:
+        return state
+    # A joint without preload is at rest by itself only where it is open.
+    grown = machine.elastic.thermal_gap @ machine.strained(state.temperature)
+    found, _ = settle_along(machine, state, loaded_gap(machine, grown, inputs))
+    pressure = machine.preload + found.traction.value[0]
+    return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
+
+
+def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
+    """Row zero of a response: the machine at its preload, then its first temperatures and loads.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What will march.
+    inputs : ndarray, shape (k + l,), optional
+        At time zero; as for `fesim.march.stepping.initial_state`. Default: none.
+    """
+    if inputs is None:
+        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+        still = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
+        inputs = np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), still])
+    state, elastic = initial_state(machine, inputs), machine.elastic
+    displacement = elastic.probe_thermal @ machine.strained(state.temperature)
+    remainder = np.zeros(3 * machine.contacts)
+    if state.gap.any():
+        value = machine.traction(state.gap, state.slip).value
+        remainder = value.ravel() + elastic.reference * state.gap.ravel()
+        displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
+    driven = np.zeros(len(inputs))
+    if machine.loads is not None:
+        factors = load_factors(machine, inputs)
+        driven[machine.thermal.inputs.shape[1] :] = factors
+        displacement = displacement + machine.loads.probes @ factors
+    conductance = machine.conductance_in(state)
+    jump = machine.thermal.jump @ state.temperature
+    return Step(
+        state=state,
+        inputs=driven,
+        conductance=conductance,
+        heat_flow=conductance * elastic.area[: machine.contacts] * jump,
+        displacement=displacement,
+        remainder=remainder,
+        residual=0.0,
+        iterations=0,
+        cuts=0,
+        heat_balance=0.0,
+    )
+
+
+def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array | None) -> Array:
+    """Return what heat and loads together open, (3 m,), m."""
+    if machine.loads is None or inputs is None:
+        return thermal_gap
+    return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
+
+
+def settle_along(
+    machine: CondensedMachine, state: JointState, thermal_gap: Array
+) -> tuple[Equilibrium, int]:
+    """Find the equilibrium that the state comes to, and how many viscous steps it took.
+
+    The first guess goes on as the last step did, which suits a smooth march, then it stays where
+    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps. Where that
+    leads nowhere, either, and no body is coming loose, the step is cut.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        Whose joints they are.
+    state : JointState
+        Of the joint at the start of the step: a march's `State` is one.
+    thermal_gap : ndarray, shape (3 m,)
+        g_T at its end, m.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium, or a body has come loose.
+    """
+    for guess in (state.gap + state.change, state.gap):
+        with suppress(ConvergenceError):
+            return machine.settle(thermal_gap, state.slip, guess), 0
+    step = machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance
+    with suppress(ConvergenceError):
+        return relax(*step)
+    if machine.watch is not None:
+        machine.watch.explain(machine.traction(state.gap, state.slip))
+    return cut(*step)
