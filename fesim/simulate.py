@@ -114,7 +114,8 @@ def simulate(
             f"march: the saved state is at {first.index * case.march.step_s:g} s already, less "
             "than two steps before the end; make march.duration_min longer"
         )
-    driven = table(case.march.step_s * (first.index + 1.0 + np.arange(count)))
+    times = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
+    driven = table(np.asarray(times, dtype=np.float64))
     parts = []
     if start is None:
         parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))

@@ -250,8 +250,8 @@ def _correct(
                         first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
                     )
             system[3 * k + i, 3 * k + i] += 1.0
-    weights: Array = np.linalg.solve(system, factors)
-    _combine(anchor, changed, weights, step, shift)
+    factors[:] = np.linalg.solve(system, factors)
+    _combine(anchor, changed, factors, step, shift)
     return True
 
 

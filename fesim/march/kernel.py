@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,8 @@ class StepKernel:
             record,
             self.watched,
         )
-        return Record(*(one[:taken] for one in record)), taken, why == LOOSE
+        rows: list[Any] = [one[:taken] for one in record]
+        return Record(*rows), taken, why == LOOSE
 
     def _kept_at(self, anchor: Array) -> Kept:
         """Return what is kept of an anchor, made again if it is not."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +199,8 @@ def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Trac
     record, taken, loose = kernel.run(state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
         # Its error is that of the plain step; those before it are good.
-        record, taken = type(record)(*(one[:-1] for one in record)), taken - 1
+        rows: list[Any] = [one[:-1] for one in record]
+        record, taken = type(record)(*rows), taken - 1
     if not taken:
         return None
     thermal, inputs = machine.thermal, inputs[:taken]
