@@ -16,6 +16,7 @@ from artefacts.errors import InputError
 from artefacts.response import make_response
 from fesim.case.schema import Case, case_from_data, step_count
 from fesim.forces import mechanical_values, outputs_of
+from fesim.march.along import at_rest, march_along
 from fesim.march.heat_step import each
 from fesim.march.stepping import (
     Advance,
@@ -25,7 +26,7 @@ from fesim.march.stepping import (
     iterated,
     staggered,
 )
-from fesim.march.track import Track, at_rest, joined, march_along, track_of
+from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.loads import (
     heat_history,

@@ -13,6 +13,7 @@ from artefacts.errors import ConvergenceError, InputError
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
 from fesim.joint.operators import joint_operators
+from fesim.march.along import march_along
 from fesim.march.ensemble import march_many
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -23,7 +24,7 @@ from fesim.march.reduced import (
 )
 from fesim.march.state_file import load_state, save_state
 from fesim.march.stepping import CondensedMachine, initial_state, iterated, march, staggered
-from fesim.march.track import joined, march_along
+from fesim.march.track import joined
 from fesim.setup.machine import reference_springs, set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot

@@ -32,9 +32,10 @@ from benchmarks.performance.timing import Row, Skipped
 from fesim.joint.compiled_gap import solve_in_place
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
 from fesim.joint.modified_newton import new_anchor, settle_near
+from fesim.march.along import march_along
 from fesim.march.kernel import joint_kernel
 from fesim.march.stepping import CondensedMachine, initial_state, staggered
-from fesim.march.track import joined, march_along
+from fesim.march.track import joined
 from fesim.setup.machine import set_up
 
 #: Steps that are solved one after another, and how different answers may be, of the preload.

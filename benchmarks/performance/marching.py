@@ -18,9 +18,10 @@ from benchmarks.performance.timing import Row, paired
 from fesim.batch.summary import SLIDES_ABOVE
 from fesim.case.schema import Case, StepInput, step_count
 from fesim.joint.law import JointLaw
+from fesim.march.along import march_along
 from fesim.march.ensemble import march_many
 from fesim.march.stepping import CondensedMachine, State, initial_state, staggered
-from fesim.march.track import Track, joined, march_along
+from fesim.march.track import Track, joined
 from fesim.setup.loads import input_table
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate

@@ -10,8 +10,8 @@ import numpy as np
 from artefacts.arrays import Array
 from artefacts.errors import InputError
 from fesim.joint.law import JointLaw
+from fesim.march.along import at_rest, march_along
 from fesim.march.stepping import Advance, CondensedMachine, staggered
-from fesim.march.track import at_rest, march_along
 from fesim.one_thread import one_thread
 
 Laws = Sequence[tuple[JointLaw, int]]

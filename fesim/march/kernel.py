@@ -8,22 +8,55 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from artefacts.arrays import Array
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
+from fesim.joint.gap import GapProblem
 from fesim.joint.law import JointLaw, PowerLawConductance
-from fesim.joint.loosening import UNWATCHED, Watched
+from fesim.joint.loosening import UNWATCHED, Watch, Watched
 from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
 from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
-from fesim.march.stepping import CondensedMachine, State
+from fesim.march.state import State
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 
 #: Marches of one machine whose inverses are kept at a time.
 KEPT = 2
+
+
+class Condensed(Protocol):
+    """What is asked of a `fesim.march.stepping.CondensedMachine`."""
+
+    @property
+    def thermal(self) -> ThermalCondensation: ...  # noqa: D102
+
+    @property
+    def elastic(self) -> ElasticCondensation: ...  # noqa: D102
+
+    @property
+    def laws(self) -> Sequence[tuple[JointLaw, int]]: ...  # noqa: D102
+
+    @property
+    def gap_tolerance(self) -> float: ...  # noqa: D102
+
+    @property
+    def loads(self) -> LoadInfluence | None: ...  # noqa: D102
+
+    @property
+    def contacts(self) -> int: ...  # noqa: D102
+
+    @property
+    def gap_problem(self) -> GapProblem: ...  # noqa: D102
+
+    @property
+    def preload(self) -> Array: ...  # noqa: D102
+
+    @property
+    def watch(self) -> Watch | None: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +162,7 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
     )
 
 
-def step_kernel(machine: CondensedMachine) -> StepKernel | None:
+def step_kernel(machine: Condensed) -> StepKernel | None:
     """Return what marches a machine, or None if it is to be marched plainly."""
     thermal = machine.thermal
     if not machine.contacts or thermal.factor.solver != "diagonal":
@@ -148,12 +181,12 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
     return StepKernel(heat, joint, watched)
 
 
-def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKernel | None:
+def joint_kernel(machine: Condensed, jump: Array, held: Array) -> JointKernel | None:
     """Return what the kernels need of a machine, or None if a law of it is none they know.
 
     Parameters
     ----------
-    machine : CondensedMachine
+    machine : Condensed
         Its gap equations; what it says of heat is not asked.
     jump : ndarray, shape (m, r)
         Temperature jump at every contact element, K.

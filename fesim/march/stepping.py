@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, sol
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
 from fesim.march.heat_step import heat_balance, heat_step
+from fesim.march.state import JointState as JointState
+from fesim.march.state import State as State
+from fesim.march.state import Step as Step
+from fesim.march.track import kernel_track
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
 
@@ -166,96 +170,6 @@ def gap_solver(
     return partial(solve, tolerance=tolerance)
 
 
-@dataclass(frozen=True)
-class State:
-    """Everything the next step depends on.
-
-    Attributes
-    ----------
-    index : int
-        Steps taken; time is index times the step length.
-    temperature : ndarray, shape (n,)
-        Nodal temperatures above the initial ambient, K, or a reduced model's amplitudes.
-    gap : ndarray, shape (3, m)
-        Gaps, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip, m: the history of friction.
-    pressure : ndarray, shape (m,)
-        Contact pressure, Pa.
-    change : ndarray, shape (3, m)
-        By how much the last step changed the gaps, m: the next step's first guess goes on so.
-    model : str
-        Whose temperature it is: the `model` of the `ThermalCondensation`.
-    anchor : ndarray, shape (7, m)
-        Where the inverses were made that machine code keeps from step to step: six entries of the
-        joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
-    """
-
-    index: int
-    temperature: Array
-    gap: Array
-    slip: Array
-    pressure: Array
-    change: Array
-    model: str
-    anchor: Array
-
-
-class JointState(Protocol):
-    """What the gap equations go on from; attributes as in `State`."""
-
-    @property
-    def gap(self) -> Array:
-        """Gaps."""
-        ...
-
-    @property
-    def slip(self) -> Array:
-        """History of friction."""
-        ...
-
-    @property
-    def change(self) -> Array:
-        """By how much the last step changed the gaps."""
-        ...
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the march and the evidence that it is right.
-
-    Attributes
-    ----------
-    state : State
-        At the end of the step.
-    inputs : ndarray, shape (k + l,)
-        What drove the step: sources, W; ambient and held surfaces, K; factors of the loads.
-    conductance, heat_flow : ndarray, shape (m,)
-        W/(m2 K), and W from side a to side b.
-    displacement : ndarray, shape (k,)
-        Displacement probes, m.
-    remainder : ndarray, shape (3 m,)
-        z + k g, Pa: with the temperature, it gives the displacement field.
-    residual : float
-        Largest residual of the gap equations, m.
-    iterations, cuts : int
-        Newton iterations, and viscous steps where a joint snapped.
-    heat_balance : float
-        (in - stored - convected) / the largest of the three.
-    """
-
-    state: State
-    inputs: Array
-    conductance: Array
-    heat_flow: Array
-    displacement: Array
-    remainder: Array
-    residual: float
-    iterations: int
-    cuts: int
-    heat_balance: float
-
-
 #: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
 #: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
@@ -346,9 +260,6 @@ def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: 
 def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """One step in which the last step's pressure sets the conductance, as in the paper."""
     if machine.kernel is not None:
-        # Here, not above, as in `gap_solver`.
-        from fesim.march.track import kernel_track
-
         track = kernel_track(machine, state, inputs[None])
         if track is not None:
             return track.step(0)

@@ -1,37 +1,34 @@
-"""Many steps of a march at once: arrays for a run of steps, taken in machine code where it can be.
+"""Many steps of a march at once: arrays for a run of steps, and those that machine code takes.
 
-What a `Step` says of one step a `Track` says of several. A march along known inputs goes from block
-to block; a step that machine code leaves is taken plainly, and machine code goes on from there.
+What a `Step` says of one step a `Track` says of several.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.arrays import Array
 from artefacts.errors import ConvergenceError
+from fesim.joint.law import Traction
 from fesim.march.heat_step import heat_balances
-from fesim.march.stepping import (
-    Advance,
-    CondensedMachine,
-    State,
-    Step,
-    advanced,
-    initial_state,
-    load_factors,
-    staggered,
-)
+from fesim.march.state import State, Step
 
 if TYPE_CHECKING:
     from fesim.march.compiled_march import Record
+    from fesim.march.kernel import Condensed, StepKernel
 
-#: Steps of a block: their amplitudes stay in the processor's cache.
-BLOCK = 128
+    class Marched(Condensed, Protocol):
+        """A condensed machine with its kernel."""
+
+        @property
+        def kernel(self) -> StepKernel | None: ...  # noqa: D102
+
+        def traction(self, gap: Array, slip: Array) -> Traction: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,80 +115,7 @@ def joined(tracks: Sequence[Track]) -> Track:
     return Track(**arrays, model=tracks[0].model)
 
 
-def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
-    """Row zero of a response: the machine at ambient temperature, at its preload, under its loads.
-
-    Parameters
-    ----------
-    machine : CondensedMachine
-        What will march.
-    inputs : ndarray, shape (k + l,), optional
-        At time zero; only the factors of mechanical loads count. Default: no load.
-    """
-    if inputs is None:
-        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
-        inputs = np.zeros(machine.thermal.inputs.shape[1] + loads)
-    state, elastic = initial_state(machine, inputs), machine.elastic
-    displacement = np.zeros(elastic.probe_thermal.shape[0])
-    remainder = np.zeros(3 * machine.contacts)
-    if state.gap.any():
-        value = machine.traction(state.gap, state.slip).value
-        remainder = value.ravel() + elastic.reference * state.gap.ravel()
-        displacement = elastic.probe_compliance @ (elastic.area * remainder)
-    driven = np.zeros(len(inputs))
-    if machine.loads is not None:
-        factors = load_factors(machine, inputs)
-        driven[machine.thermal.inputs.shape[1] :] = factors
-        displacement = displacement + machine.loads.probes @ factors
-    return Step(
-        state=state,
-        inputs=driven,
-        conductance=machine.conductance_in(state),
-        heat_flow=np.zeros(machine.contacts),
-        displacement=displacement,
-        remainder=remainder,
-        residual=0.0,
-        iterations=0,
-        cuts=0,
-        heat_balance=0.0,
-    )
-
-
-def march_along(
-    machine: CondensedMachine, inputs: Array, advance: Advance, start: State
-) -> Iterator[Track]:
-    """Yield the steps of a march along known inputs, some at a time.
-
-    Parameters
-    ----------
-    machine : CondensedMachine
-        What marches.
-    inputs : ndarray, shape (n, k + l)
-        Of each step, as `fesim.march.stepping.march` takes them one by one.
-    advance : callable
-        `staggered` or `iterated`.
-    start : State
-        Where to go on.
-
-    Raises
-    ------
-    ConvergenceError, InputError
-        As `march` does, after what came before is yielded.
-    """
-    compiled = machine.kernel is not None and advance is staggered
-    state, done = start, 0
-    while done < len(inputs):
-        track = None
-        if compiled:
-            track = kernel_track(machine, state, inputs[done : done + BLOCK])
-        if track is None:
-            track = track_of(advanced(machine, advance, state, inputs[done]))
-        done += len(track)
-        state = track.step(-1).state
-        yield track
-
-
-def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Track | None:
+def kernel_track(machine: Marched, state: State, inputs: Array) -> Track | None:
     """Return the steps through inputs (n, k + l) that machine code takes; None if none."""
     kernel = machine.kernel
     if kernel is None:
@@ -227,7 +151,7 @@ def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Trac
     )
 
 
-def _came_loose(machine: CondensedMachine, slip: Array, record: Record) -> bool:
+def _came_loose(machine: Marched, slip: Array, record: Record) -> bool:
     """Whether the last step recorded leaves a body loose; `slip` (2, m) is that at its start."""
     if machine.watch is None:
         return False
