@@ -229,14 +229,14 @@ def proxsuite(program: Program) -> Solve:
     count = len(program.matrix)
     solver = proxqp.dense.QP(count, 0, 0, True)
     solver.settings.eps_abs, solver.settings.eps_rel = ACCURACY, 0.0
-    before = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-    solver.settings.initial_guess = before
     bounds = np.zeros(count), np.full(count, 1e20)
     solver.init(program.matrix, program.vectors[0], None, None, None, None, None, *bounds)
 
     def solve(step: int) -> Array:
         solver.update(g=program.vectors[step])
         solver.solve()
+        # Only now: it would start from a result that it does not have yet.
+        solver.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         return np.array(solver.results.x)
 
     return solve
