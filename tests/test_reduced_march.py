@@ -14,7 +14,7 @@ from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
 from fesim.joint.operators import joint_operators
 from fesim.march.ensemble import march_many
-from fesim.march.kernel import kernel_of
+from fesim.march.kernel import kernel_of, without_kernel
 from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -195,13 +195,6 @@ def heated(machine, count, advance=staggered):
     return list(islice(march(machine, inputs, advance), count))
 
 
-def plainly(machine):
-    """The same machine, its steps taken without machine code for the whole of them."""
-    plain = replace(machine)
-    vars(plain)["kernel"] = None
-    return plain
-
-
 def warmed(count, times=(0.0, 40.0, 60.0, 200.0), watts=(0.0, 900.0, -900.0, 600.0)):
     """Inputs of steps of 2 s: heat that turns, so that the joint slides and sticks again."""
     heat = np.interp(2.0 * (1.0 + np.arange(count)), times, watts)
@@ -216,7 +209,7 @@ def test_machine_code_takes_the_steps_of_the_plain_march(friction):
     inputs, start = warmed(100), initial_state(machine)
     assert kernel_of(machine) is not None
     ours = joined(list(march_along(machine, inputs, staggered, start)))
-    plain = plainly(replace(machine, gap_tolerance=1e-16))
+    plain = without_kernel(replace(machine, gap_tolerance=1e-16))
     theirs = joined(list(march_along(plain, inputs, staggered, start)))
     for name in ("gap", "slip", "displacement"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-12)
@@ -267,7 +260,7 @@ def test_many_marches_are_those_of_one_after_another(bars, modes):
     assert found.shape == (3, 51, len(machine.elastic.probe_thermal))
     np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-20)
     for one, driven, displacement in zip(laws, inputs, found, strict=True):
-        plain = plainly(replace(machine, laws=one))
+        plain = without_kernel(replace(machine, laws=one))
         steps = march(plain, lambda time, rows=driven: rows[round(time / 2.0)], staggered)
         expected = np.array([step.displacement for step in islice(steps, 50)])
         np.testing.assert_allclose(displacement[1:], expected, rtol=0.0, atol=1e-12)

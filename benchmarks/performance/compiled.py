@@ -12,6 +12,7 @@ from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.timing import Row, paired
 from fesim.case.schema import Case
 from fesim.joint.gap import solve_gap
+from fesim.march.kernel import without_kernel
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 
@@ -22,9 +23,8 @@ REPEATS = 3
 
 def plain_solver(setup: Setup) -> Setup:
     """Return the same set-up, its steps taken plainly with `fesim.joint.gap.solve_gap`."""
-    machine = replace(setup.machine)
-    # Where cached properties keep their values.
-    vars(machine)["kernel"] = None
+    machine = without_kernel(setup.machine)
+    # Where a cached property keeps its value.
     vars(machine)["settle"] = partial(
         solve_gap, machine.gap_problem, tolerance=machine.gap_tolerance
     )

@@ -20,6 +20,7 @@ from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput
 from fesim.joint.law import JointLaw
 from fesim.march.ensemble import march_many
+from fesim.march.kernel import without_kernel
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import march_along, staggered
@@ -48,10 +49,7 @@ def rows() -> Iterator[Row]:
 
 def plainly(setup: Setup) -> Setup:
     """Return a set-up whose steps are taken one by one, without machine code for the whole."""
-    machine = replace(setup.machine)
-    # Where a cached property keeps its value.
-    vars(machine)["kernel"] = None
-    return replace(setup, machine=machine)
+    return replace(setup, machine=without_kernel(setup.machine))
 
 
 def march_row(case: Case, setup: Setup) -> Row:

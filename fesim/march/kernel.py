@@ -7,7 +7,7 @@ It can where the thermal model is a reduced one, the joint laws are those of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -136,6 +136,13 @@ def kernel_of(machine: CondensedMachine) -> StepKernel | None:
     if machine not in _MADE:
         _MADE[machine] = _step_kernel(machine)
     return _MADE[machine]
+
+
+def without_kernel(machine: CondensedMachine) -> CondensedMachine:
+    """Return the same machine, to be marched plainly: what machine code is compared with."""
+    found = replace(machine)
+    _MADE[found] = None
+    return found
 
 
 def _step_kernel(machine: CondensedMachine) -> StepKernel | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +46,10 @@ from thermojoint.paper.verdict import error_table, verdict
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+#: Processes that judge at a time.
+JUDGES = 2
 
 
 def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
@@ -150,24 +156,32 @@ def _judged(
     """Judge every estimator in every case; those that know no warm start begin it as if cold."""
     at_rest = [(one, one.initial_state()) for one in observers]
     warm = [(one, one.warm_state()) for one in observers]
-    short = judge.validate_model(
-        model,
-        responses[inputs.REFERENCE],
-        {name: responses[name] for name in inputs.VALIDATION},
-        noisy=[inputs.TRIANGLE],
-        baselines=baselines,
-        observers=at_rest,
-    )
-    long = judge.validate_model(model, None, lasting, baselines=baselines, observers=at_rest)
-    started = judge.validate_model(
-        model,
-        None,
-        {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)},
-        baselines=baselines,
-        observers=warm,
-        settled_s=60.0 * runs.settled,
-    )
-    return judge.joined([short, without_nonlinear(long), without_nonlinear(started)])
+    started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
+    # Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
+    with ProcessPoolExecutor(JUDGES, get_context("spawn")) as crew:
+        long = crew.submit(
+            judge.validate_model, model, None, lasting, baselines=baselines, observers=at_rest
+        )
+        warmed = crew.submit(
+            judge.validate_model,
+            model,
+            None,
+            started,
+            baselines=baselines,
+            observers=warm,
+            settled_s=60.0 * runs.settled,
+        )
+        short = crew.submit(
+            judge.validate_model,
+            model,
+            responses[inputs.REFERENCE],
+            {name: responses[name] for name in inputs.VALIDATION},
+            noisy=[inputs.TRIANGLE],
+            baselines=baselines,
+            observers=at_rest,
+        )
+        hours = [without_nonlinear(one.result()) for one in (long, warmed)]
+        return judge.joined([short.result(), *hours])
 
 
 def show(terminal: Console, data: ReportData) -> None:
