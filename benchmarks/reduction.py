@@ -27,7 +27,8 @@ from fesim.joint.operators import joint_operators
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
 from fesim.setup.loads import heat_sources
-from fesim.setup.machine import Setup, body_materials, set_up
+from fesim.setup.machine import Setup, set_up
+from fesim.setup.structure import body_materials
 from fesim.simulate import simulate
 from fesim.solid.heat import heat_operators
 from thermojoint.paper.inputs import VALIDATION

@@ -29,7 +29,8 @@ from fesim.setup.loads import (
     input_table,
     source_power,
 )
-from fesim.setup.machine import Setup, measured_points, set_up
+from fesim.setup.machine import Setup, set_up
+from fesim.setup.structure import measured_points
 from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver

@@ -26,7 +26,8 @@ from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import stiffness_at_rest
 from fesim.setup import machine
-from fesim.setup.machine import build_structure, make_parts
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import build_structure
 from models import ring_source
 from models.assembly import assemble
 

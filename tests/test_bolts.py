@@ -11,7 +11,8 @@ from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
 from fesim.march.settling import at_rest, initial_state
 from fesim.march.state_file import load_state, save_state
-from fesim.setup.machine import body_materials, set_up, with_laws
+from fesim.setup.machine import set_up, with_laws
+from fesim.setup.structure import body_materials
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import probe_cells

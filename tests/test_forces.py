@@ -15,7 +15,9 @@ from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
-from fesim.setup.machine import body_materials, build_structure, check_names, set_up
+from fesim.setup.machine import set_up
+from fesim.setup.parts import check_names
+from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import principal, stress_at, stress_tensors, von_mises

@@ -13,7 +13,8 @@ from rich.console import Console
 from skfem import MeshHex, MeshTet
 
 from fesim.case.schema import case_from_data
-from fesim.setup.machine import build_structure, check_names
+from fesim.setup.parts import check_names
+from fesim.setup.structure import build_structure
 from meshes.exchange import write_structure
 from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine

@@ -12,7 +12,9 @@ from fesim.joint.cutting import cut, held_by
 from fesim.joint.gap import gap_problem, solve_gap
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw, evaluate, stiffness_at_rest
 from fesim.march.state_file import load_state, save_state
-from fesim.setup.machine import build_structure, check_names, set_up
+from fesim.setup.machine import set_up
+from fesim.setup.parts import check_names
+from fesim.setup.structure import build_structure
 from fesim.simulate import simulate
 from fesim.solid.forces import BodyForce, SurfaceForce, SurfacePressure, nodal_forces
 from fesim.solid.materials import Material

@@ -18,7 +18,8 @@ from fesim.joint.gap import gap_problem, solve_gap
 from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
 from fesim.joint.opening import TOUCHING
 from fesim.setup.laws import law_of, read_conductance_table
-from fesim.setup.machine import build_structure, make_parts
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import build_structure
 from fesim.simulate import simulate
 from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint

@@ -11,13 +11,9 @@ from fesim.case.schema import case_from_data
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_history, source_power
-from fesim.setup.machine import (
-    body_materials,
-    build_structure,
-    candidate_probes,
-    make_parts,
-    set_up,
-)
+from fesim.setup.machine import set_up
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import body_materials, build_structure, candidate_probes
 from fesim.simulate import simulate
 from meshes.pairing import pair_joint
 
@@ -416,7 +412,7 @@ def test_a_set_up_of_another_step_is_refused(coarse_case, coarse_setup):
 
 
 def test_more_contact_elements_in_all_than_memory_holds_are_refused(coarse_data, monkeypatch):
-    monkeypatch.setattr("fesim.setup.machine.MOST_IN_ALL", 26)
+    monkeypatch.setattr("fesim.setup.parts.MOST_IN_ALL", 26)
     with pytest.raises(InputError, match="27 contact elements in all, and 26 at most") as caught:
         make_parts(case_from_data(coarse_data, "case", Path()))
     assert "\n" not in str(caught.value)

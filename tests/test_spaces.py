@@ -9,7 +9,7 @@ from skfem import MeshHex, MeshTet
 
 from artefacts.errors import InputError
 from fesim.case.schema import CandidatesSection
-from fesim.setup.machine import candidate_probes
+from fesim.setup.structure import candidate_probes
 from fesim.solid.spaces import cells_at, probe_cells
 from meshes.structure import Probe, Structure
 

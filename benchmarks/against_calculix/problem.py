@@ -11,7 +11,7 @@ from fesim.case.schema import Case, step_count
 from fesim.joint.law import JointLaw
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
-from fesim.setup.machine import body_materials, build_structure
+from fesim.setup.structure import body_materials, build_structure
 from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint, outward_areas, pair_joint
 from meshes.structure import Structure

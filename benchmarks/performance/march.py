@@ -18,7 +18,7 @@ from fesim.joint.operators import joint_operators
 from fesim.march.machine import CondensedMachine
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
-from fesim.setup.machine import body_materials, build_structure
+from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import heat_operators

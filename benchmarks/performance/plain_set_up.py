@@ -18,7 +18,9 @@ from fesim.joint.operators import JointOperators, joint_operators
 from fesim.march.reduced import ThermalModes, thermal_modes
 from fesim.setup.holds import fixed_surfaces
 from fesim.setup.loads import heat_sources
-from fesim.setup.machine import body_materials, make_parts, measured_points, reference_springs
+from fesim.setup.machine import reference_springs
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import body_materials, measured_points
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import ElasticOperators, held_unknowns
 from fesim.solid.heat import cell_field, heat_operators

@@ -12,7 +12,7 @@ from statistics import median
 
 from benchmarks.performance.cases import reference_case, with_elements
 from benchmarks.performance.timing import Row, Skipped
-from fesim.setup.machine import make_parts
+from fesim.setup.parts import make_parts
 from fesim.solid.spaces import make_spaces
 
 #: Element edges of the milling machine, mm: 22 000 to 590 000 displacement unknowns.

@@ -18,7 +18,8 @@ from fesim.case.schema import Case, JointSection
 from fesim.joint.law import JointLaw
 from fesim.setup.laws import joint_conductivity, law_of
 from fesim.setup.loads import heat_sources, source_power
-from fesim.setup.machine import Setup, body_materials
+from fesim.setup.machine import Setup
+from fesim.setup.structure import body_materials
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import heat_operators

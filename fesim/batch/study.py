@@ -24,7 +24,7 @@ from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.loads import thermal_inputs
-from fesim.setup.machine import make_parts
+from fesim.setup.parts import make_parts
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[str, Any]

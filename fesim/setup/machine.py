@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from artefacts.errors import InputError, unknown_name
-from artefacts.toml import as_key
 from fesim.cache import remembered
 from fesim.case.identity import (
     asked,
@@ -21,8 +18,7 @@ from fesim.case.identity import (
     load_patterns,
     thermal_key,
 )
-from fesim.case.schema import CandidatesSection, Case, MillingMachineSection, not_reducible
-from fesim.joint.law import JointLaw
+from fesim.case.schema import Case
 from fesim.joint.operators import joint_operators
 from fesim.march.assembly import Bolts, tightened
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
@@ -34,25 +30,26 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.start_field import start_field
-from fesim.setup.bolts import bolts_of, first_forces
+from fesim.setup.bolts import first_forces
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
-from fesim.setup.holds import checked_holds, fixed_surfaces, start_closed, with_friction
-from fesim.setup.initial_temperature import initial_temperature, read_initial_temperature
+from fesim.setup.holds import start_closed, with_friction
+from fesim.setup.initial_temperature import initial_temperature
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import (
     heat_sources,
     held_profiles,
     mechanical_loads,
-    thermal_inputs,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import body_materials, measured_points
 from fesim.setup.temperature_dependence import (
     growth,
     reference_films,
     reference_materials,
     variable_heat,
 )
-from fesim.solid.bolts import Bolt, bolt_springs, stretch_rows, temperature_rows
+from fesim.solid.bolts import bolt_springs, stretch_rows, temperature_rows
 from fesim.solid.condensation import (
     DisplacementField,
     LoadInfluence,
@@ -66,47 +63,10 @@ from fesim.solid.heat import by_cell, heat_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Holds, check_held
-from fesim.solid.spaces import Spaces, cells_at, make_spaces, probe_rows
+from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from fesim.solid.substructures import TieCondensation
-from meshes.exchange import read_structure
-from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
-from meshes.pairing import PairedJoint, pair_joint
+from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
-from meshes.units import UNITS
-from meshes.wall import face_of, with_wall
-
-#: More possible sensors than this are a slip of a unit.
-MOST_CANDIDATES = 100_000
-#: A dense matrix of all joints has (three times this) squared numbers: 2.6 GB.
-MOST_IN_ALL = 6_000
-
-
-@dataclass(frozen=True)
-class Parts:
-    """What a case is made of, before any finite element.
-
-    Attributes
-    ----------
-    structure : Structure
-        With all probes of the case.
-    joints : tuple of PairedJoint
-        In the order of the contact elements.
-    probes : dict of str to Probe
-        Temperature probes: those that the case names and its candidates.
-    holds : Holds
-        What holds the bodies; checked.
-    laws : list of (JointLaw, int)
-        The law of each joint and how many contact elements it has.
-    bolts : list of Bolt
-        In the case's order.
-    """
-
-    structure: Structure
-    joints: tuple[PairedJoint, ...]
-    probes: dict[str, Probe]
-    holds: Holds
-    laws: list[tuple[JointLaw, int]]
-    bolts: list[Bolt]
 
 
 @dataclass(frozen=True)
@@ -341,82 +301,6 @@ def set_up(case: Case) -> Setup:
     )
 
 
-def make_parts(case: Case) -> Parts:
-    """Build and check what a case names, short of finite elements: quick, and finds most slips.
-
-    Raises
-    ------
-    InputError
-        A name does not exist in the structure, a history is bad, parts do not fit, or nothing
-        holds a body.
-    """
-    structure = build_structure(case)
-    check_names(case, structure)
-    if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
-        raise InputError(reason)
-    thermal_inputs(case)  # a bad history is found now, not after the factorisation
-    joints = paired_joints(case, structure)
-    probes = {
-        name: probe for name, probe in structure.probes.items() if name in case.probes
-    } | candidate_probes(case, structure)
-    if not probes:
-        raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
-    laws = joint_laws(case, structure, body_materials(case, structure), joints)
-    bolts = bolts_of(case, structure)
-    first_forces(case)
-    holds = checked_holds(case, structure, joints, bolts)
-    return Parts(structure, joints, probes, holds, laws, bolts)
-
-
-def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
-    """Pair the sides of every joint of a case, in the order of the contact elements.
-
-    Raises
-    ------
-    InputError
-        The sides of a joint do not fit, or there are more than `MOST_IN_ALL` contact elements.
-    """
-    joints = tuple(
-        pair_joint(structure, name, section.along, section.across)
-        for name, section in case.joints.items()
-    )
-    count = sum(len(joint.area) for joint in joints)
-    if count > MOST_IN_ALL:
-        raise InputError(
-            f"joints: {count} contact elements in all, and {MOST_IN_ALL} at most: each dense "
-            "matrix of the joints would take gigabytes; lower along or across"
-        )
-    return joints
-
-
-def check_names(case: Case, structure: Structure) -> None:
-    """Raise InputError if a support, load or material of the case names what is not there."""
-    body_materials(case, structure)
-    for name in case.convection_W_m2K:
-        structure.surface(name, "convection_W_m2K")
-    for name in case.radiation:
-        structure.surface(name, "radiation")
-    for cavity, section in case.cavities.items():
-        for name in section.surfaces:
-            structure.surface(name, f"cavities.{cavity}.surfaces")
-    for name in [*fixed_surfaces(case), *case.supports.symmetry]:
-        structure.surface(name, "supports")
-    for name in case.supports.springs:
-        structure.surface(name, "supports.springs")
-    for name in case.held_temperatures:
-        structure.surface(name, "held_temperatures")
-    heat_sources(case, structure)
-    held_profiles(case)
-    read_initial_temperature(case)
-    mechanical_loads(case, structure)
-    for name in case.output.stress_probes:
-        if name not in structure.probes:
-            raise unknown_name("probe", name, structure.probes, "output.stress_probes")
-    for name in measured_points(case):
-        if name not in structure.probes:
-            raise unknown_name("probe", name, structure.probes, "displacement")
-
-
 def with_laws(setup: Setup, case: Case) -> Setup:
     """Return the set-up of a case that differs only in its loads, bolt forces and joint laws.
 
@@ -435,90 +319,6 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs
     machine, bolts = tightened(names, replace(loose, laws=laws), springs, first_forces(case))
     return replace(setup, machine=machine, bolts=bolts)
-
-
-def build_structure(case: Case) -> Structure:
-    """Build or read the structure, with the probes and joints that the case adds."""
-    section = case.structure
-    probes = {
-        name: Probe(_metres(probe.position_mm), probe.body) for name, probe in case.probes.items()
-    }
-    if isinstance(section, MillingMachineSection):
-        known = {field.name for field in fields(MillingMachineDimensions)}
-        for name in section.dimensions_mm:
-            if name not in known:
-                raise unknown_name("dimension", name, known, "structure.dimensions_mm")
-        lengths = {name: 1e-3 * value for name, value in section.dimensions_mm.items()}
-        joint_size = section.joint_element_size_mm
-        structure = box_milling_machine(
-            MillingMachineDimensions(**lengths),
-            element_size=1e-3 * section.element_size_mm,
-            joint_element_size=None if joint_size is None else 1e-3 * joint_size,
-            half=section.half,
-            probes=probes,
-        )
-    else:
-        structure = read_structure(section.file, UNITS[section.unit])
-    for name, wall in case.walls.items():
-        structure = with_wall(structure, name, wall.faces)
-    sides = structure.joints
-    joints = {}
-    for name, joint in case.joints.items():
-        if joint.side_a is not None and joint.side_b is not None:
-            joints[name] = (_side(case, joint.side_a), _side(case, joint.side_b))
-        elif name in sides:
-            joints[name] = sides[name]
-        else:
-            raise unknown_name("joint", name, sides, "joints")
-    unused = set(sides) - set(joints)
-    if unused:
-        name = min(unused)
-        raise InputError(
-            f"joints: the structure's joint {name!r} has no section; add [joints.{as_key(name)}]"
-        )
-    factor = (
-        structure.symmetry_factor
-        if isinstance(section, MillingMachineSection)
-        else section.symmetry_factor
-    )
-    return Structure(
-        mesh=structure.mesh,
-        bodies=structure.bodies,
-        surfaces=structure.surfaces,
-        joints=joints,
-        probes=structure.probes | probes,
-        symmetry_factor=factor,
-    )
-
-
-def _side(case: Case, name: str) -> str:
-    """Return the surface that a joint means by the name of a surface or a wall."""
-    return face_of(name) if name in case.walls else name
-
-
-def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
-    """Material of every body."""
-    made = {
-        name: Material(
-            conductivity=section.conductivity_W_mK,
-            density=section.density_kg_m3,
-            heat_capacity=section.heat_capacity_J_kgK,
-            youngs_modulus=1e9 * section.youngs_modulus_GPa,
-            poisson_ratio=section.poisson_ratio,
-            expansion=section.expansion_1_K,
-        )
-        for name, section in case.materials.items()
-    }
-    for body, material in case.bodies.items():
-        structure.body(body, "bodies")
-        if material not in made:
-            raise unknown_name("material", material, made, f"bodies.{body}")
-    for body in structure.bodies:
-        if body not in case.bodies:
-            raise InputError(
-                f'bodies: body {body!r} has no material; add {as_key(body)} = "MATERIAL"'
-            )
-    return {body: made[case.bodies[body]] for body in structure.bodies}
 
 
 def reference_springs(
@@ -540,55 +340,6 @@ def reference_springs(
         for joint in joints
     ]
     return np.tile(np.concatenate([np.empty(0), *each]), 3)
-
-
-def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
-    """Possible sensors: lattice points of each ``[[candidates]]`` box that lie in its body.
-
-    A candidate is called after its position in mm, e.g. ``s575_700_150``.
-    """
-    found: dict[str, Probe] = {}
-    for section in case.candidates:
-        cells = structure.body(section.body, "candidates.body")
-        if math.prod(_lattice_counts(section)) > MOST_CANDIDATES:
-            raise InputError(
-                f"candidates: more than {MOST_CANDIDATES} lattice points; raise spacing_mm"
-            )
-        lattice = _lattice(section)
-        at = cells_at(structure.mesh, 1e-3 * np.array(lattice), cells)
-        for point, cell in zip(lattice, at, strict=True):
-            if cell >= 0:
-                name = "s" + "_".join(f"{value:g}" for value in point)
-                found[name] = Probe(_metres(point), section.body)
-    return found
-
-
-def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:
-    counts = _lattice_counts(section)
-    axes = [
-        np.linspace(low, high, count) if count > 1 else np.array([low])
-        for low, high, count in zip(section.low_mm, section.high_mm, counts, strict=True)
-    ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return [(float(x), float(y), float(z)) for x, y, z in grid]
-
-
-def _lattice_counts(section: CandidatesSection) -> list[int]:
-    return [
-        max(2, round(min((high - low) / section.spacing_mm, 1e9)) + 1) if high > low else 1
-        for low, high in zip(section.low_mm, section.high_mm, strict=True)
-    ]
-
-
-def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
-    x, y, z = (1e-3 * value for value in point)
-    return x, y, z
-
-
-def measured_points(case: Case) -> list[str]:
-    """Return the point whose displacement is recorded and the one it is measured from, if any."""
-    point, origin = case.displacement.point, case.displacement.relative_to
-    return [point] if origin is None else [point, origin]
 
 
 def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:

@@ -81,7 +81,8 @@ def inspect(
     """
     from artefacts.files import write_text
     from fesim.case.schema import read_case
-    from fesim.setup.machine import build_structure, check_names
+    from fesim.setup.parts import check_names
+    from fesim.setup.structure import build_structure
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as look_over
     from meshes.units import UNITS
@@ -126,7 +127,7 @@ def inspect(
 def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> Inspection:
     """Add to the warnings what the supports and joints of a case do not hold."""
     from fesim.setup.holds import checked_holds
-    from fesim.setup.machine import paired_joints
+    from fesim.setup.parts import paired_joints
 
     try:
         checked_holds(case, structure, paired_joints(case, structure))

@@ -41,7 +41,8 @@ def place(
     from estimator.joint_aware.placement import place_sensors
     from estimator.joint_aware.plant_family import fewer_modes
     from estimator.joint_aware.reduced_machine import reduce_machine
-    from fesim.setup.machine import candidate_probes, set_up
+    from fesim.setup.machine import set_up
+    from fesim.setup.structure import candidate_probes
     from thermojoint.cli import console, plausibility
 
     arguments.check_outputs(

@@ -14,7 +14,8 @@ from artefacts.response import read_response
 from fesim.case.schema import Case, first_step_at, read_case, step_count
 from fesim.march.machine import Step
 from fesim.setup.loads import source_power, thermal_inputs
-from fesim.setup.machine import Setup, build_structure, set_up
+from fesim.setup.machine import Setup, set_up
+from fesim.setup.structure import build_structure
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.cli.console import Report, warn

@@ -1,0 +1,131 @@
+"""What a case is made of before any finite element, checked: quick, and finds most slips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from artefacts.errors import InputError, unknown_name
+from fesim.case.schema import Case, not_reducible
+from fesim.joint.law import JointLaw
+from fesim.setup.bolts import bolts_of, first_forces
+from fesim.setup.holds import checked_holds, fixed_surfaces
+from fesim.setup.initial_temperature import read_initial_temperature
+from fesim.setup.laws import joint_laws
+from fesim.setup.loads import (
+    heat_sources,
+    held_profiles,
+    mechanical_loads,
+    thermal_inputs,
+)
+from fesim.setup.structure import body_materials, build_structure, candidate_probes, measured_points
+from fesim.solid.bolts import Bolt
+from fesim.solid.rigid_motions import Holds
+from meshes.pairing import PairedJoint, pair_joint
+from meshes.structure import Probe, Structure
+
+#: A dense matrix of all joints has (three times this) squared numbers: 2.6 GB.
+MOST_IN_ALL = 6_000
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a case is made of, before any finite element.
+
+    Attributes
+    ----------
+    structure : Structure
+        With all probes of the case.
+    joints : tuple of PairedJoint
+        In the order of the contact elements.
+    probes : dict of str to Probe
+        Temperature probes: those that the case names and its candidates.
+    holds : Holds
+        What holds the bodies; checked.
+    laws : list of (JointLaw, int)
+        The law of each joint and how many contact elements it has.
+    bolts : list of Bolt
+        In the case's order.
+    """
+
+    structure: Structure
+    joints: tuple[PairedJoint, ...]
+    probes: dict[str, Probe]
+    holds: Holds
+    laws: list[tuple[JointLaw, int]]
+    bolts: list[Bolt]
+
+
+def make_parts(case: Case) -> Parts:
+    """Build and check what a case names, short of finite elements: quick, and finds most slips.
+
+    Raises
+    ------
+    InputError
+        A name does not exist in the structure, a history is bad, parts do not fit, or nothing
+        holds a body.
+    """
+    structure = build_structure(case)
+    check_names(case, structure)
+    if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
+        raise InputError(reason)
+    thermal_inputs(case)  # a bad history is found now, not after the factorisation
+    joints = paired_joints(case, structure)
+    probes = {
+        name: probe for name, probe in structure.probes.items() if name in case.probes
+    } | candidate_probes(case, structure)
+    if not probes:
+        raise InputError("probes: the case names no temperature probe; add [probes.NAME]")
+    laws = joint_laws(case, structure, body_materials(case, structure), joints)
+    bolts = bolts_of(case, structure)
+    first_forces(case)
+    holds = checked_holds(case, structure, joints, bolts)
+    return Parts(structure, joints, probes, holds, laws, bolts)
+
+
+def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
+    """Pair the sides of every joint of a case, in the order of the contact elements.
+
+    Raises
+    ------
+    InputError
+        The sides of a joint do not fit, or there are more than `MOST_IN_ALL` contact elements.
+    """
+    joints = tuple(
+        pair_joint(structure, name, section.along, section.across)
+        for name, section in case.joints.items()
+    )
+    count = sum(len(joint.area) for joint in joints)
+    if count > MOST_IN_ALL:
+        raise InputError(
+            f"joints: {count} contact elements in all, and {MOST_IN_ALL} at most: each dense "
+            "matrix of the joints would take gigabytes; lower along or across"
+        )
+    return joints
+
+
+def check_names(case: Case, structure: Structure) -> None:
+    """Raise InputError if a support, load or material of the case names what is not there."""
+    body_materials(case, structure)
+    for name in case.convection_W_m2K:
+        structure.surface(name, "convection_W_m2K")
+    for name in case.radiation:
+        structure.surface(name, "radiation")
+    for cavity, section in case.cavities.items():
+        for name in section.surfaces:
+            structure.surface(name, f"cavities.{cavity}.surfaces")
+    for name in [*fixed_surfaces(case), *case.supports.symmetry]:
+        structure.surface(name, "supports")
+    for name in case.supports.springs:
+        structure.surface(name, "supports.springs")
+    for name in case.held_temperatures:
+        structure.surface(name, "held_temperatures")
+    heat_sources(case, structure)
+    held_profiles(case)
+    read_initial_temperature(case)
+    mechanical_loads(case, structure)
+    for name in case.output.stress_probes:
+        if name not in structure.probes:
+            raise unknown_name("probe", name, structure.probes, "output.stress_probes")
+    for name in measured_points(case):
+        if name not in structure.probes:
+            raise unknown_name("probe", name, structure.probes, "displacement")
