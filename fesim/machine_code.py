@@ -4,14 +4,21 @@ Left to itself, Numba keeps machine code beside the source or in the user's home
 neither can be written: an installation of somebody else's, a service account. Here it goes into a
 folder of the user's own, because it is executed when it is read back. Where there is none, every
 process compiles for itself. A ``NUMBA_CACHE_DIR`` that is set goes before.
+
+What is kept names the classes of its arguments, and cannot be read once one of them has moved to
+another module. So every source has a folder of its own, and one that nobody used for long goes.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from shutil import rmtree
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -20,13 +27,16 @@ from artefacts.own_folder import own_folder
 
 P = ParamSpec("P")
 R = TypeVar("R")
+#: Machine code of a source that nobody used for so long is dropped, s.
+UNUSED = 30 * 86_400.0
+_NAME = "machine-code"
 #: Numba's settings, which have no types.
 _CONFIG: Any = numba.config
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Return `function` as machine code, made at its first call; it divides as NumPy does."""
-    with _kept_in(_folder()):
+    with _kept_in(_folder(function.__module__.partition(".")[0])):
         try:
             made = numba.njit(error_model="numpy", cache=True)(function)
         except RuntimeError:  # no place that can be written
@@ -35,8 +45,33 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @cache
-def _folder() -> Path | None:
-    return None if _CONFIG.CACHE_DIR else own_folder("machine-code")
+def _folder(package: str) -> Path | None:
+    """Where machine code of a package is kept; None if Numba is told, or there is no place."""
+    if _CONFIG.CACHE_DIR:
+        return None
+    folder = own_folder(f"{_NAME}-{_source(package)}")
+    if folder is not None:
+        with suppress(OSError):
+            os.utime(folder)  # It is in use.
+        _drop_unused(folder.parent)
+    return folder
+
+
+def _source(package: str) -> str:
+    """Digest of the modules of a package, and of this one, whose classes it may use."""
+    found = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for name in sorted({package, __name__.partition(".")[0]}):
+        for path in sorted((root / name).rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def _drop_unused(place: Path) -> None:
+    for one in place.glob(f"{_NAME}*"):
+        with suppress(OSError):
+            if time.time() - one.stat().st_mtime > UNUSED:
+                rmtree(one)
 
 
 @contextmanager
