@@ -20,7 +20,8 @@ from fesim.batch.study import (
 )
 from fesim.batch.worker import Outcome, Task
 from fesim.case.identity import case_id, condensation_key, elasticity_key
-from fesim.case.schema import ConductanceSection, case_from_data
+from fesim.case.joint_sections import ConductanceSection
+from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up, with_laws
 
 CUBE = """[latin_hypercube]

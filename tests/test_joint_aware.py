@@ -36,7 +36,8 @@ from estimator.joint_aware.readings import run_in, samples_in
 from estimator.joint_aware.recognition import is_observer
 from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from estimator.joint_aware.saved_state import load_state, save_state
-from fesim.case.schema import JointSection, case_from_data
+from fesim.case.joint_sections import JointSection
+from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.cli.app import app
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from artefacts.errors import InputError
 from estimator.joint_aware.reduced_machine import check_joints
-from fesim.case.schema import JointSection, case_from_data, read_case
+from fesim.case.joint_sections import JointSection
+from fesim.case.schema import case_from_data, read_case
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import ConductanceTable
 from fesim.joint.gap import gap_problem, solve_gap

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import erfcinv
 
-from fesim.case.schema import JointSection
+from fesim.case.joint_sections import JointSection
 from fesim.joint.law import (
     Friction,
     JointLaw,

@@ -24,7 +24,7 @@ from estimator.joint_aware.observer_model import Band, Calibrated, Kind, Observe
 from estimator.joint_aware.recognition import SCHEMA
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from estimator.joint_aware.remainder import Remainder
-from fesim.case.schema import JointSection
+from fesim.case.joint_sections import JointSection
 from fesim.solid.condensation import ElasticCondensation
 
 SCHEMA_VERSION = 2

@@ -14,7 +14,8 @@ import numpy as np
 
 from artefacts.arrays import Array
 from artefacts.errors import InputError
-from fesim.case.schema import Case, JointSection
+from fesim.case.joint_sections import JointSection
+from fesim.case.schema import Case
 from fesim.joint.law import JointLaw
 from fesim.setup.laws import joint_conductivity, law_of
 from fesim.setup.loads import heat_sources, source_power

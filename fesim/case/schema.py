@@ -17,6 +17,7 @@ from artefacts import toml
 from artefacts.errors import InputError, unknown_name
 from artefacts.refusal import first_error, keys_at, quoting, refusal
 from fesim.case.bolts import BoltSection
+from fesim.case.joint_sections import JointSection, WallSection
 from fesim.case.section import STRICT, Finite, NotNegative, Point, Positive
 from fesim.case.thermal_sections import (
     AmbientSection,
@@ -30,15 +31,15 @@ from fesim.case.thermal_sections import (
     SourceSection,
 )
 
-#: More steps than this in one run, or contact elements in one joint, are a slip: the response, or
-#: the dense matrices of the joint, would not fit into any memory.
+#: More steps than this in one run are a slip: the response would not fit into any memory.
 MOST_STEPS = 10_000_000
 #: A time may lie after a step by this fraction of the step and still be that step.
 TIME_SLACK = 1e-6
-MOST_CONTACTS = 4_000
 
 
 class _Section(BaseModel):
+    """As `fesim.case.section.Section`; the linter knows by its base that defaults are copied."""
+
     model_config = STRICT
 
 
@@ -59,138 +60,6 @@ class MeshSection(_Section):
     file: Path
     unit: Literal["m", "cm", "mm", "in"] = "m"
     symmetry_factor: Annotated[int, Field(ge=1)] = 1
-
-
-class BackBurdekinSection(_Section):
-    """``[joints.NAME.back_burdekin]``: approach = coefficient * pressure^exponent, um and MPa."""
-
-    coefficient_um: Positive
-    exponent: Annotated[float, Field(gt=0.0, le=1.0)]
-
-
-class ConductanceSection(_Section):
-    """``[joints.NAME.conductance]``: which constants of Eq. 11, or what stands in its place.
-
-    ``file`` is a CSV with ``pressure_MPa,conductance_W_m2K``, and ``rise_K`` if h depends on it.
-    """
-
-    law: Literal[
-        "cmy-1969", "yovanovich-1982", "cmy-exact", "constants", "fixed", "table", "none"
-    ] = "cmy-1969"
-    constant: Positive | None = None
-    exponent: Positive | None = None
-    value_W_m2K: NotNegative | None = None
-    file: Path | None = None
-
-    @model_validator(mode="after")
-    def _constants_go_with_their_law(self) -> ConductanceSection:
-        given = self.constant is not None, self.exponent is not None
-        if (self.law == "constants") != all(given) or any(given) != all(given):
-            raise ValueError("'constant' and 'exponent' go with law = \"constants\", both of them")
-        if (self.law == "fixed") != (self.value_W_m2K is not None):
-            raise ValueError("'value_W_m2K' goes with law = \"fixed\", and only with it")
-        if (self.law == "table") != (self.file is not None):
-            raise ValueError("'file' goes with law = \"table\", and only with it")
-        return self
-
-
-class GapSection(_Section):
-    """``[joints.NAME.gap]``: what passes heat beside the contact, open or closed."""
-
-    gas_conductivity_W_mK: NotNegative = 0.0
-    temperature_jump_um: NotNegative = 0.0
-    emissivity_a: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    emissivity_b: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    mean_temperature_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)] | None = None
-
-    @model_validator(mode="after")
-    def _something_conducts(self) -> GapSection:
-        radiation = self.emissivity_a, self.emissivity_b, self.mean_temperature_degC
-        given = [value is not None for value in radiation]
-        if any(given) and not all(given):
-            raise ValueError(
-                "radiation needs 'emissivity_a', 'emissivity_b' and 'mean_temperature_degC', all "
-                "of them"
-            )
-        if self.gas_conductivity_W_mK == 0.0 and not any(given):
-            raise ValueError("give 'gas_conductivity_W_mK', or both emissivities")
-        return self
-
-
-class JointSection(_Section):
-    """``[joints.NAME]``: contact elements, surfaces and friction of one joint.
-
-    What is one machine's has no default: preload, surfaces, friction. A joint without preload
-    starts open by ``initial_opening_um``, or by what separates its sides in the mesh.
-    ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
-    for v = 0.25 and 0.80 for v = 0.33.
-    """
-
-    side_a: str | None = None
-    side_b: str | None = None
-    preload_MPa: NotNegative
-    reference_pressure_MPa: Positive | None = None
-    initial_opening_um: Finite | Literal["mesh"] | None = None
-    along: Annotated[int, Field(ge=1)]
-    across: Annotated[int, Field(ge=1)] = 1
-    roughness_um: Positive
-    asperity_slope: Positive
-    hardness_GPa: Positive
-    normal_law: Literal["surface", "back-burdekin"] = "surface"
-    back_burdekin: BackBurdekinSection | None = None
-    conductance: ConductanceSection = ConductanceSection()
-    gap: GapSection | None = None
-    friction_coefficient: NotNegative
-    tangential_stiffness_ratio: Positive = 0.844
-
-    @model_validator(mode="after")
-    def _preload_or_opening(self) -> JointSection:
-        if self.preload_MPa > 0.0:
-            if self.initial_opening_um is not None or self.reference_pressure_MPa is not None:
-                raise ValueError(
-                    "'initial_opening_um' and 'reference_pressure_MPa' are for a joint without "
-                    "preload; set preload_MPa = 0, or leave them out"
-                )
-            return self
-        if self.initial_opening_um is None or self.reference_pressure_MPa is None:
-            raise ValueError(
-                "preload_MPa = 0 needs 'initial_opening_um' (0 if the sides touch, or \"mesh\") "
-                "and 'reference_pressure_MPa', at which the stiffness is taken"
-            )
-        if self.initial_opening_um != "mesh" and self.initial_opening_um < 0.0:
-            raise ValueError(
-                "initial_opening_um is negative: the joint starts interpenetrated; give 0 or "
-                "more, or a preload_MPa"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _preload_below_hardness(self) -> JointSection:
-        if self.preload_MPa >= 500.0 * self.hardness_GPa:
-            raise ValueError("preload_MPa must be below half of the hardness")
-        if (self.reference_pressure_MPa or 0.0) >= 500.0 * self.hardness_GPa:
-            raise ValueError("reference_pressure_MPa must be below half of the hardness")
-        if self.along * self.across > MOST_CONTACTS:
-            raise ValueError(
-                f"along x across is more than {MOST_CONTACTS} contact elements a patch"
-            )
-        if (self.side_a is None) != (self.side_b is None):
-            raise ValueError("give both side_a and side_b, or neither")
-        if self.normal_law == "back-burdekin" and self.back_burdekin is None:
-            raise ValueError(
-                'normal_law = "back-burdekin" needs back_burdekin = { coefficient_um = ..., '
-                "exponent = ... }"
-            )
-        return self
-
-
-class WallSection(_Section):
-    """``[walls.NAME]``: a rigid body that lies against a surface; a joint takes it as a side.
-
-    It has the temperature that ``[held_temperatures.NAME]`` gives; without one, no heat passes.
-    """
-
-    faces: str
 
 
 class SpringSection(_Section):

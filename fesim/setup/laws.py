@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from artefacts.errors import InputError
 from fesim.case.columns import read_columns
-from fesim.case.schema import Case, ConductanceSection, GapSection, JointSection
+from fesim.case.joint_sections import ConductanceSection, GapSection, JointSection
+from fesim.case.schema import Case
 from fesim.joint.conductance import (
     ConductanceTable,
     FixedConductance,
