@@ -20,10 +20,11 @@ test: $(INSTALLED)
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
 # matrices are large (elsewhere they only wait for each other).
 tests = $(1:%=tests/test_%.py)
-NUMERICAL := calibrate_fictitious calibrate_linear compiled_gap condensation curved_cells deformation \
-	driven_deformation elasticity fchs_stream fleet gap heat invariance inverse_filter joint_law \
-	least_squares linear_solver loosening march placement pole_residue reduced_march reduction relaxation \
-	rigid_motions ring_source covered state_file stress verification without_joints
+NUMERICAL := bolts calibrate_fictitious calibrate_linear compiled_gap condensation curved_cells deformation \
+	driven_deformation elasticity element_matrices fchs_stream fleet gap heat invariance inverse_filter joint_law \
+	least_squares linear_solver loosening march modified_newton placement pole_residue reduced_march reduction \
+	relaxation rigid_motions ring_source covered state_file stress temperature_dependence thermal_fields \
+	verification without_joints
 THREADED := condensation elasticity heat linear_solver march
 PLAIN := OPENBLAS_CORETYPE=Prescott NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX512_ICL AVX512_SPR' \
 	NUMBA_CPU_NAME=generic THERMOJOINT_SOLVER=superlu
