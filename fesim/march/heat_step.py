@@ -8,6 +8,9 @@ from scipy.sparse import csr_array
 from artefacts.arrays import Array
 from fesim.solid.condensation import ThermalCondensation
 
+#: Numbers in a cache line.
+LINE = 8
+
 #: Heat flows below this part of the heat held, in each step, are none.
 AT_REST = 1e-6
 
@@ -65,9 +68,20 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
     ndarray, shape (n, k) or (n,)
     """
     if isinstance(matrix, np.ndarray):
-        found = np.matmul(np.atleast_2d(matrix), rows[:, :, None])[:, :, 0]
+        found = np.matmul(_aligned(np.atleast_2d(matrix)), _aligned(rows)[:, :, None])[:, :, 0]
         return np.asarray(found[:, 0] if matrix.ndim == 1 else found)
     return np.asarray((matrix @ rows.T).T)
+
+
+def _aligned(rows: Array) -> Array:
+    """Rows with zeros behind, each beginning at a cache line: else a sum's bits depend on where."""
+    count, size = rows.shape
+    width = -(-size // LINE) * LINE
+    storage = np.zeros(count * width + LINE)
+    first = (-storage.ctypes.data % (8 * LINE)) // 8
+    found = storage[first : first + count * width].reshape(count, width)
+    found[:, :size] = rows
+    return found
 
 
 def heat_balance(
