@@ -11,6 +11,7 @@ from bars import assemble, driven, surface_law, two_bars
 from scipy.spatial import cKDTree
 
 from artefacts.errors import ConvergenceError, InputError
+from benchmarks.robustness import STEPS, marches
 from fesim.case.history import sampled_history, step_history, triangle_history
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
@@ -247,9 +248,20 @@ def test_a_joint_of_high_friction_snaps_to_its_next_equilibrium(coarse_data):
 
 
 def test_in_step_iteration_that_does_not_settle_raises(bars, monkeypatch):
-    monkeypatch.setattr("fesim.march.stepping.MAX_SWEEPS", 1)
+    monkeypatch.setattr("fesim.march.stepping.SEEKING", 1)
+    monkeypatch.setattr("fesim.march.stepping.RELAXING", ())
     with pytest.raises(ConvergenceError, match="in-step iteration"):
         take(bars, step_history(1.0), 1, iterated)
+
+
+def test_pressure_and_heat_flow_that_drive_each_other_come_to_agree():
+    """Marches in which no weight that Aitken's method finds leads to an agreement."""
+    (drawn,) = marches(844, 1)
+    assert drawn.case.march.coupling == "iterated"
+    response = simulate(drawn.case).response
+    assert response.sizes["time"] == STEPS + 1
+    assert float(response["gap_residual"].max()) <= TOLERANCE
+    assert float(np.abs(response["heat_balance"]).max()) <= 1e-8
 
 
 def test_half_and_whole_machine_agree(coarse_data, coarse_setup):

@@ -20,9 +20,11 @@ from fesim.march.track import Track, kernel_track, track_of
 
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
-MAX_SWEEPS = 400
-#: Least and largest weight of a sweep.
+#: Least and largest weight of a sweep, and for how many sweeps they are looked for.
 WEIGHTS = 0.05, 10.0
+SEEKING = 400
+#: Then a sweep goes a fixed part of its way: how far, and for how many sweeps.
+RELAXING = ((0.3, 300), (0.1, 400), (0.03, 800))
 #: From this sweep on, an agreement within what the gap equations leave open is one.
 PATIENCE = 20
 #: Steps of a block: their amplitudes stay in the processor's cache.
@@ -130,13 +132,14 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     Raises
     ------
     ConvergenceError
-        The pressures still change after `MAX_SWEEPS` sweeps.
+        The pressures still change after all sweeps.
     """
     carried = _carried(machine, state)
     value = carried.of(state)
     weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
-    for sweep in range(MAX_SWEEPS):
+    fixed = [part for part, sweeps in RELAXING for _ in range(sweeps)]
+    for sweep in range(SEEKING + len(fixed)):
         step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
@@ -151,12 +154,16 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         # another guess moves them within the tolerance of the gap equations for ever.
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
-        weight, last = _aitken(weight, last, misfit) if slow else weight, misfit
+        if sweep >= SEEKING:
+            weight = fixed[sweep - SEEKING]
+        elif slow:
+            weight = _aitken(weight, last, misfit)
+        last = misfit
         ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
         value = np.clip(value + weight * (after - value), *ends)
     raise ConvergenceError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
-        f'after {MAX_SWEEPS} sweeps; take coupling = "staggered"'
+        f'after {sweep + 1} sweeps; take coupling = "staggered"'
     )
 
 
