@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from artefacts.errors import InputError
+from artefacts.refusal import first_error
 
 T = TypeVar("T")
 
@@ -119,6 +120,6 @@ def validated(
         # As JSON, not as Python objects: there lists are tuples and keys numbers.
         return kind.validate_json(json.dumps(content))
     except ValidationError as error:
-        first = error.errors()[0]
+        first = first_error(error)
         place = ".".join(part for part in map(str, first["loc"]) if part not in members)
         raise InputError(f"{where}: {place}: {first['msg']}; {remedy}") from error

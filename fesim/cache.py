@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from artefacts.files import DAMAGED_ARCHIVE, whole_file
 from artefacts.own_folder import user_cache
+from artefacts.source import source_digest
 
 #: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
 VARIABLE = "THERMOJOINT_CACHE"
@@ -44,7 +45,7 @@ T = TypeVar("T")
 Arrays = dict[str, NDArray[np.float64]]
 
 
-def remembered(kind: type[T], key: str | None, make: Callable[[], T]) -> T:
+def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str = "") -> T:
     """Return a dataclass of arrays and numbers: the one stored under a key, or a new one.
 
     Parameters
@@ -55,10 +56,12 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T]) -> T:
         Says all that it follows from, but for the program; None if nothing is to be kept.
     make : callable
         Makes it.
+    also : str, optional
+        What it follows from besides.
     """
     if key is None:
         return make()
-    name = f"{kind.__name__} {key}"
+    name = f"{kind.__name__} {key} {also}"
     found = load(name)
     if found is not None:
         return kind(
@@ -114,11 +117,8 @@ def program() -> str:
     found = hashlib.sha256()
     for name in _LIBRARIES:
         found.update(f"{name} {version(name)}\n".encode())
-    root = Path(__file__).parents[1]
     for package in _SOURCES:
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(f"{path.relative_to(root).as_posix()}\n".encode())
-            found.update(path.read_bytes())
+        found.update(source_digest(package).encode())
     return found.hexdigest()
 
 

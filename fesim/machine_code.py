@@ -24,6 +24,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 
 from artefacts.own_folder import own_folder
+from artefacts.source import source_digest
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -58,13 +59,9 @@ def _folder(package: str) -> Path | None:
 
 
 def _source(package: str) -> str:
-    """Digest of the modules of a package, and of this one, whose classes it may use."""
-    found = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for name in sorted({package, __name__.partition(".")[0]}):
-        for path in sorted((root / name).rglob("*.py")):
-            found.update(path.read_bytes())
-    return found.hexdigest()[:16]
+    """Digest of a package, and of this one, whose classes it may use."""
+    packages = sorted({package, __name__.partition(".")[0]})
+    return hashlib.sha256("".join(map(source_digest, packages)).encode()).hexdigest()[:16]
 
 
 def _drop_unused(place: Path) -> None:

@@ -65,3 +65,24 @@ class Check:
     def passed(self) -> bool:
         """Whether the error is within the tolerance; never for one that is not a number."""
         return self.relative_error <= self.tolerance
+
+
+def closed_form(
+    group: str,
+    name: str,
+    quantity: str,
+    unit: str,
+    reference: float,
+    computed: float,
+    tolerance: float = 1e-7,
+) -> Check:
+    """Return a check against a closed form; `group` stands before its name."""
+    return Check(
+        name=f"{group}, {name}, {quantity}",
+        quantity=quantity,
+        unit=unit,
+        reference=reference,
+        computed=computed,
+        tolerance=tolerance,
+        source="closed form",
+    )

@@ -9,6 +9,7 @@ way by follows from p = (H/2) erfc(Y/(sqrt 2 sigma)).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,7 +22,7 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
-from verification.check import Check
+from verification.check import Check, closed_form
 
 #: Half of the column, and its width, m.
 HALF, WIDTH = 0.2, 0.05
@@ -31,6 +32,8 @@ ROUGHNESS, HARDNESS = 1.25e-6, 1.961e9
 #: Preload, Pa, and the force on the top, N; the times at which it is none, half and whole, s.
 PRELOAD, FORCE = 2e6, -8000.0
 TIMES = (0.0, 60.0, 120.0)
+
+_check = partial(closed_form, "loads")
 
 
 def column(split: bool) -> Structure:
@@ -172,22 +175,3 @@ def _force_checks(folder: Path) -> Iterator[Check]:
         found = float(then["pressure"].mean())
         # The gap equations are solved to 1e-13 m, some 1e-1 Pa here.
         yield _check(f"{name}: joint", "pressure", "Pa", pressure, found, 1e-6)
-
-
-def _check(
-    name: str,
-    quantity: str,
-    unit: str,
-    reference: float,
-    computed: float,
-    tolerance: float = 1e-7,
-) -> Check:
-    return Check(
-        name=f"loads, {name}, {quantity}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=tolerance,
-        source="closed form",
-    )

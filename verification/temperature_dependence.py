@@ -18,6 +18,7 @@ T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,7 +31,7 @@ from skfem import MeshHex
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
-from verification.check import Check
+from verification.check import Check, closed_form
 from verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -51,6 +52,8 @@ EMISSIVITY, AMBIENT = 0.8, 20.0
 POWER, FILM = 2.0, 40.0
 #: Length of the bar that cools as a whole, m.
 SHORT = 0.001
+
+_check = partial(closed_form, "temperature dependence")
 
 
 def checks() -> Iterator[Check]:
@@ -179,18 +182,4 @@ def _settled(name: str, response: xr.Dataset) -> Check:
         tolerance=1e-8,
         source="none left",
         scale=largest,
-    )
-
-
-def _check(
-    name: str, quantity: str, unit: str, reference: float, computed: float, tolerance: float
-) -> Check:
-    return Check(
-        name=f"temperature dependence, {name}, {quantity}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=tolerance,
-        source="closed form",
     )

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erfc
 
-from verification.check import Check
+from verification.check import Check, closed_form
 from verification.loaded import (
     HALF,
     HARDNESS,
@@ -47,6 +48,8 @@ WAVE = 10.0
 EXPANSION, WARM = 11e-6, 20.0
 POWER = 50.0
 SIDE = 0.2
+
+_check = partial(closed_form, "thermal fields")
 
 
 def pressed_pressure(rise: float) -> float:
@@ -82,9 +85,10 @@ def _decaying_wave(folder: Path) -> Iterator[Check]:
         }
         response = run(bar_case(folder, changes, (40, 1, 1)), folder)
         found = response["temperature"].sel(probe="start").to_numpy()
-        yield _check(f"wave left alone, {thermal}: start", "K", WAVE, float(found[0]), 1e-9)
+        name, begun, ended = f"wave left alone, {thermal}", float(found[0]), float(found[-1])
+        yield _check(f"{name}: start", "temperature", "K", WAVE, begun, 1e-9)
         expected = WAVE * np.exp(-rate * float(response["time"][-1]))
-        yield _check(f"wave left alone, {thermal}: end", "K", expected, float(found[-1]), 2e-3)
+        yield _check(f"{name}: end", "temperature", "K", expected, ended, 2e-3)
 
 
 def _warm_start(folder: Path) -> Iterator[Check]:
@@ -103,7 +107,7 @@ def _warm_start(folder: Path) -> Iterator[Check]:
         expected = pressed_pressure(WARM)
         for name, row in (("start", 0), ("end", -1)):
             title = f"warm bars between walls, {thermal}: {name}"
-            yield _check(title, "Pa", expected, float(pressure[row].mean()), 1e-6, "pressure")
+            yield _check(title, "pressure", "Pa", expected, float(pressure[row].mean()), 1e-6)
 
 
 def _uneven_source(folder: Path) -> Check:
@@ -120,7 +124,7 @@ def _uneven_source(folder: Path) -> Check:
     }
     found = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
     expected = 2.0 * POWER * LENGTH / (3.0 * WIDTH**2 * CONDUCTIVITY)
-    return _check("heat in proportion to x: end", "K", expected, found, 1e-6)
+    return _check("heat in proportion to x: end", "temperature", "K", expected, found, 1e-6)
 
 
 def _uneven_edge(folder: Path) -> Check:
@@ -135,23 +139,4 @@ def _uneven_edge(folder: Path) -> Check:
     plate = bar_case(folder, changes, (32, 32, 1), (SIDE, SIDE, 0.01))
     found = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
     expected = 100.0 / (2.0 * np.cosh(0.5 * np.pi))
-    return _check("edge held at a sine: middle", "K", expected, found, 5e-3)
-
-
-def _check(
-    name: str,
-    unit: str,
-    reference: float,
-    computed: float,
-    tolerance: float,
-    quantity: str = "temperature",
-) -> Check:
-    return Check(
-        name=f"thermal fields, {name}, {quantity}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=tolerance,
-        source="closed form",
-    )
+    return _check("edge held at a sine: middle", "temperature", "K", expected, found, 5e-3)

@@ -16,7 +16,15 @@ from fesim.joint.compiled_gap import largest
 from fesim.joint.loosening import Watched, surely_held
 from fesim.joint.modified_newton import MADE, Anchor, settle_near
 from fesim.machine_code import compiled
-from fesim.march.compiled_step import HeatStep, JointKernel, conduct, drive, settle_by_newton, take
+from fesim.march.compiled_step import (
+    HeatStep,
+    JointKernel,
+    conduct,
+    drive,
+    flow_system,
+    settle_by_newton,
+    take,
+)
 
 #: Joint heat flows are iterated until their equations lack no more than this part of what drives
 #: them. The inverse is made anew after this many iterations, and one more for so many elements: it
@@ -87,7 +95,7 @@ def _flow(joint_influence: Array, beyond: Array, jump: Array, kept: Kept, flow: 
     driving = beyond * jump
     enough = HEAT_TOLERANCE * largest(driving)
     if not kept.conducted.any():
-        _invert_flows(joint_influence, beyond, kept)
+        invert_flows(joint_influence, beyond, kept)
     for attempt in range(2):
         flow[:] = np.dot(kept.flows, driving)
         for _ in range(HEAT_PATIENCE + beyond.size // FOR_EACH):
@@ -96,19 +104,13 @@ def _flow(joint_influence: Array, beyond: Array, jump: Array, kept: Kept, flow: 
                 return
             flow += np.dot(kept.flows, lack)
         if attempt == 0:
-            _invert_flows(joint_influence, beyond, kept)
+            invert_flows(joint_influence, beyond, kept)
 
 
 @compiled
-def _invert_flows(joint_influence: Array, beyond: Array, kept: Kept) -> None:
-    """Make the inverse of the joint heat flows anew."""
-    count = beyond.size
-    system = np.empty((count, count))
-    for e in range(count):
-        for f in range(count):
-            system[e, f] = beyond[e] * joint_influence[e, f]
-        system[e, e] += 1.0
-    kept.flows[:] = np.linalg.inv(system)
+def invert_flows(joint_influence: Array, beyond: Array, kept: Kept) -> None:
+    """Make the inverse of the joint heat flows anew, for conductances times areas (m,), W/K."""
+    kept.flows[:] = np.linalg.inv(flow_system(joint_influence, beyond))
     kept.conducted[:] = beyond
 
 

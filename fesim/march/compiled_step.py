@@ -102,6 +102,18 @@ def conduct(joint: JointKernel, pressure: Array, conducted: Array) -> None:
 
 
 @compiled
+def flow_system(joint_influence: Array, beyond: Array) -> Array:
+    """I + diag(beyond) S (m, m), which joint heat flows solve for what drives them."""
+    count = beyond.size
+    system = np.empty((count, count))
+    for e in range(count):
+        for f in range(count):
+            system[e, f] = beyond[e] * joint_influence[e, f]
+        system[e, e] += 1.0
+    return system
+
+
+@compiled
 def conduct_step(
     heat: HeatStep, joint: JointKernel, amplitudes: Array, inputs: Array, pressure: Array
 ) -> None:
@@ -111,13 +123,9 @@ def conduct_step(
     beyond = np.empty(count)
     conduct(joint, pressure, beyond)
     beyond -= joint.held
-    system, flow = np.empty((count, count)), np.dot(joint.jump, amplitudes)
-    for e in range(count):
-        flow[e] *= beyond[e]
-        for f in range(count):
-            system[e, f] = beyond[e] * heat.joint_influence[e, f]
-        system[e, e] += 1.0
-    amplitudes -= np.dot(heat.influence, np.linalg.solve(system, flow))
+    driving = beyond * np.dot(joint.jump, amplitudes)
+    flow = np.linalg.solve(flow_system(heat.joint_influence, beyond), driving)
+    amplitudes -= np.dot(heat.influence, flow)
 
 
 @compiled

@@ -18,7 +18,7 @@ from fesim.joint.conductance import FixedConductance
 from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED, Watched
 from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
-from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
+from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, invert_flows, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
 from fesim.march.machine import CondensedMachine, State
 
@@ -92,10 +92,7 @@ class StepKernel:
             kept.anchor.tangent[:] = anchor[:6]
             make_anchor(kept.anchor, self.joint.springs, self.joint.compliance)
         if anchor[6].any():
-            kept.conducted[:] = anchor[6]
-            system = anchor[6][:, None] * self.heat.joint_influence
-            system.flat[:: len(system) + 1] += 1.0
-            kept.flows[:] = np.linalg.inv(system)
+            invert_flows(self.heat.joint_influence, np.ascontiguousarray(anchor[6]), kept)
         self.kept.insert(0, kept)
         del self.kept[KEPT:]
         return kept

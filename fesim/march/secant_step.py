@@ -26,8 +26,8 @@ DEPTH = 5
 
 
 @dataclass(frozen=True)
-class HeatStep:
-    """The heat of one step.
+class HeatTaken:
+    """A step of the heat equation that was taken.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ def step_heat(
     temperature: Array,
     inputs: Array,
     joint: Array,
-) -> HeatStep:
+) -> HeatTaken:
     """Take one step of the heat equation; arguments as for `fesim.march.heat_step.heat_step`.
 
     Parameters
@@ -72,7 +72,7 @@ def step_heat(
     if variable is None:
         after, flow = heat_step(thermal, temperature, inputs, joint)
         balance = heat_balance(thermal, temperature, after, inputs, flow)
-        return HeatStep(after, flow, balance, 0.0)
+        return HeatTaken(after, flow, balance, 0.0)
     at, size = temperature, np.inf
     guesses: list[Array] = []
     changes: list[Array] = []
@@ -87,7 +87,7 @@ def step_heat(
             held = lost[variable.held]
             left = float(lost.sum()), held
             balance = heat_balance(thermal, temperature, after, inputs, flow, left)
-            return HeatStep(after, flow, balance, size)
+            return HeatTaken(after, flow, balance, size)
         if not np.isfinite(size):
             break
         guesses, changes = [*guesses[-DEPTH:], at], [*changes[-DEPTH:], change]

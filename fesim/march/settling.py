@@ -56,6 +56,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         There is no equilibrium.
     """
     count, start = machine.contacts, machine.start
+    inputs = undriven(machine) if inputs is None else inputs
     ambient = np.zeros(machine.thermal.inputs.shape[0])
     state = State(
         index=0,
@@ -67,10 +68,6 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         model=machine.thermal.model,
         anchor=np.zeros((7, count)),
     )
-    if inputs is None and machine.assembly is not None:
-        inputs = np.concatenate(
-            [np.zeros(machine.thermal.inputs.shape[1]), machine.assembly.factors]
-        )
     if machine.assembly is not None:
         tight = machine.assembly
         state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
@@ -93,10 +90,7 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
     inputs : ndarray, shape (k + l,), optional
         At time zero; as for `fesim.march.stepping.initial_state`. Default: none.
     """
-    if inputs is None:
-        loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
-        still = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
-        inputs = np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), still])
+    inputs = undriven(machine) if inputs is None else inputs
     state, elastic = initial_state(machine, inputs), machine.elastic
     displacement = elastic.probe_thermal @ machine.strained(state.temperature)
     remainder = np.zeros(3 * machine.contacts)
@@ -125,9 +119,16 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
     )
 
 
-def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array | None) -> Array:
+def undriven(machine: CondensedMachine) -> Array:
+    """Return the inputs (k + l,) of a machine that has no heat and no loads but its bolts."""
+    loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+    factors = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
+    return np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), factors])
+
+
+def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> Array:
     """Return what heat and loads together open, (3 m,), m."""
-    if machine.loads is None or inputs is None:
+    if machine.loads is None:
         return thermal_gap
     return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
 

@@ -28,10 +28,8 @@ class StartField:
     free: Array
     held: csr_array
 
-    def temperature(self, inputs: Array | None) -> Array:
-        """Return the unknowns (n,) under the inputs (k or more) of time zero, by default none."""
-        if inputs is None:
-            return self.free.copy()
+    def temperature(self, inputs: Array) -> Array:
+        """Return the unknowns (n,) under the inputs (k or more) of time zero."""
         found: Array = self.free + self.held @ inputs[: self.held.shape[1]]
         return found
 

@@ -243,26 +243,29 @@ def set_up(case: Case) -> Setup:
     if forces.shape[1]:
         loads = remembered(
             LoadInfluence,
-            None if key is None else f"{key} under {load_patterns(case)}",
+            key,
             lambda: condense_loads(field(), forces, relative),
+            also=f"under {load_patterns(case)}",
         )
     outputs = None
     if asks_for_outputs(case):
         outputs = remembered(
             MechanicalOutputs,
-            None if key is None else f"{key} under {load_patterns(case)} gives {asked(case)}",
+            key,
             lambda: mechanical_outputs(
                 case, structure, spaces, materials, field(), springs, forces
             ),
+            also=f"under {load_patterns(case)} gives {asked(case)}",
         )
     modes = None
     if case.march.thermal == "reduced":
         modes = remembered(
             ThermalModes,
-            None if heat_key is None else f"{heat_key} from {shortest(step)!r} s",
+            heat_key,
             lambda: thermal_modes(
                 heat, operators, condensed, csr_array(vstack([rows, ends])), step, solver, warm
             ),
+            also=f"from {shortest(step)!r} s",
         )
         thermal = project_heat(heat, operators, step, modes)
         elastic = project_elasticity(condensed, modes)

@@ -14,8 +14,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from threadpoolctl import threadpool_limits
-
 from artefacts.files import write_text
 from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
@@ -30,6 +28,7 @@ from fesim.case.schema import (
     secant_sections,
 )
 from fesim.case.thermal_sections import StepInput
+from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
 
@@ -132,8 +131,7 @@ def _calibrated(
 ) -> Path:
     """Calibrate one observer, write it and what the data say of it, and return its file."""
     machine = reduce_machine(known, set_up(known), sensors)
-    # Small dense products: threads would only wait for each other.
-    with threadpool_limits(limits=1):
+    with one_thread():
         calibrated = KINDS[kind](machine, responses)
     path = folder / f"{kind.replace('-', '_')}.h5"
     write_observer(calibrated.model, path)
