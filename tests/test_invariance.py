@@ -80,14 +80,14 @@ def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance
 @given(machines())
 @settings(max_examples=15, deadline=None)
 def test_the_compliance_is_reciprocal_and_gives_way_to_every_load(parts):
-    """Betti before the condensation takes its rounding out; stored energy is positive."""
+    """Betti, to the rounding of two solves that the condensation takes out; energy is positive."""
     made = assembled(parts)
     rows = made.parts.operators.gap.toarray()
     influence = made.field.respond(rows.T, "rows")
     compliance = rows @ influence
     largest = np.abs(compliance).max()
-    np.testing.assert_allclose(compliance, compliance.T, atol=1e-12 * largest)
-    np.testing.assert_allclose(made.machine.elastic.compliance, compliance, atol=1e-12 * largest)
+    np.testing.assert_allclose(compliance, compliance.T, atol=1e-10 * largest)
+    np.testing.assert_allclose(made.machine.elastic.compliance, compliance, atol=1e-10 * largest)
     assert np.linalg.eigvalsh(made.machine.elastic.compliance).min() > 0.0
 
 
