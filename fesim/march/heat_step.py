@@ -67,6 +67,8 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
     -------
     ndarray, shape (n, k) or (n,)
     """
+    if matrix.ndim == 2 and not matrix.shape[0]:  # Nothing is held: no rows need to be aligned.
+        return np.zeros((len(rows), 0))
     if isinstance(matrix, np.ndarray):
         found = np.matmul(_aligned(np.atleast_2d(matrix)), _aligned(rows)[:, :, None])[:, :, 0]
         return np.asarray(found[:, 0] if matrix.ndim == 1 else found)
