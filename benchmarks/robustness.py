@@ -348,7 +348,7 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "# Does the march always find an equilibrium?",
             "",
             f"{count} marches of {STEPS} steps, drawn at random (seed {SEED}): four in five of the "
-            "reference machine with elements of 100 mm, the rest of the bolted flange of the "
+            "equal-heights machine with elements of 100 mm, the rest of the bolted flange of the "
             "examples with its three bodies and three joints. Drawn for each structure: of each "
             "body conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), modulus 50 to "
             "250 GPa, expansion 5 to 25e-6 1/K; one body a hundred times softer to a million times "
