@@ -339,7 +339,7 @@ class JointAware:
         """The linear state and the excess columns after the readings that are used."""
         at, expected = np.flatnonzero(used.believed), used.expected
         length = moment.length if moment.steps else self.model.step
-        gain, excess = self.observer.gain(at, expected.excess, length)
+        gain, excess = self.observer.gain(at, expected.excess, length, expected.memory)
         innovation = readings - self.observer.system.rows @ expected.linear
         return expected.linear + gain @ innovation[at], excess
 

@@ -188,6 +188,7 @@ def correct(
     present: NDArray[np.int64],
     excess: Array,
     weight: float,
+    doubt: float = 1.0,
 ) -> tuple[Array, Array]:
     """Return the gain of some readings, and what the covariance then has more than the steady one.
 
@@ -208,6 +209,8 @@ def correct(
         L before them.
     weight : float
         Factor on the variance of the readings: above 1 where they come more often than in steps.
+    doubt : float, optional
+        Part of what lasts in the readings that counts, as a standard deviation.
 
     Returns
     -------
@@ -233,7 +236,7 @@ def correct(
         return gain, np.hstack([excess, lost])
     seen_excess = rows[present] @ excess
     shifted = excess - gain @ seen_excess
-    doubted = covariance + np.diag(filter_.lasting)
+    doubted = covariance + doubt**2 * np.diag(filter_.lasting)
     told = np.linalg.solve(doubted[np.ix_(present, present)], seen_excess)
     root = np.linalg.cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told)
     inverse = np.linalg.inv(root)

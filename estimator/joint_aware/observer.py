@@ -25,6 +25,9 @@ from estimator.joint_aware.physics import (
 FORGOTTEN = 1e-3
 #: The joint is followed from when the displacement is known to this, m.
 FOLLOWABLE = 1e-6
+#: Part of what lasts in the readings that counts where the past is known: unknown is then the heat
+#: of some minutes, and no field that may have been there for hours.
+DOUBT_OF_HEAT = 0.2
 #: Steps over which the answer of the readings to the heat is kept.
 ANSWER = 60
 
@@ -95,7 +98,7 @@ class Observer:
             linear = self._later(linear, joint, length)
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory)
-                excess = self._forgetting(excess, length)
+                excess = self._forgetting(excess, length, memory)
         return Expected(linear, joint, excess, memory)
 
     def _later(self, linear: Array, joint: JointState, length: float) -> Array:
@@ -112,12 +115,15 @@ class Observer:
         after[dynamic:] = inputs
         return after
 
-    def gain(self, present: NDArray[np.int64], excess: Array, length: float) -> tuple[Array, Array]:
+    def gain(
+        self, present: NDArray[np.int64], excess: Array, length: float, memory: float
+    ) -> tuple[Array, Array]:
         """Gain of the readings that came, and the excess columns after them."""
         weight = max(1.0, self.model.step / length)
         if present.size == len(self.system.rows) and weight == 1.0 and not excess.any():
             return self.usual_gain, excess
-        gain, after = correct(self.model.filter, self.system.rows, present, excess, weight)
+        doubt = DOUBT_OF_HEAT if memory == KNOWN else 1.0
+        gain, after = correct(self.model.filter, self.system.rows, present, excess, weight, doubt)
         return gain, compressed(after, self.model.filter.scale, excess.shape[1])
 
     def innovation_covariance(self, excess: Array) -> Array:
@@ -126,10 +132,10 @@ class Observer:
         own = np.diag(self.model.filter.noise)
         return np.asarray(self.model.filter.innovation + own + told @ told.T)
 
-    def _forgetting(self, excess: Array, length: float) -> Array:
+    def _forgetting(self, excess: Array, length: float, memory: float) -> Array:
         """Excess columns after a step of some length without any reading."""
         nothing = np.arange(0)
-        _, after = self.gain(nothing, excess, self.model.step)
+        _, after = self.gain(nothing, excess, self.model.step, memory)
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
         if walks.any():
             more = np.zeros((len(after), walks.size))
