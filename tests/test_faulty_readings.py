@@ -84,6 +84,18 @@ def test_a_lost_sensor_widens_the_band(estimator, response):
     assert Status.SENSOR_DISTRUSTED in found[-1].status
 
 
+def test_where_the_past_is_known_the_other_sensors_are_believed_more(
+    estimator, response, monkeypatch
+):
+    samples = faulty(response, 0, FAULTS["away"])
+    _, found = estimates(estimator, samples)
+    monkeypatch.setattr("estimator.joint_aware.observer.DOUBT_OF_HEAT", 1.0)
+    _, doubting = estimates(estimator, samples)
+    assert np.all(found[-1].band < 0.5 * doubting[-1].band)
+    bands = np.array([one.band for one in found])
+    assert np.all(np.abs(errors(estimator, response, found)) <= np.maximum(1.0 * MICRO, bands))
+
+
 @pytest.mark.parametrize("jump", [3.0, 5.0])
 def test_while_a_jump_is_not_judged_the_band_holds_the_state_without_it(estimator, response, jump):
     _, healthy = estimates(estimator, list(samples_in(response, SENSORS)))
