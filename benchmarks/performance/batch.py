@@ -106,7 +106,7 @@ def rows(samples: int = SAMPLES, repeats: int = REPEATS) -> Iterator[Row]:
 
 
 #: Cases of the study of displacements that are measured, of the other, and how many it stands for.
-BRIEF, WHOLE, MANY = 400, 100, 10_000
+BRIEF, WHOLE, MANY = 2000, 200, 10_000
 
 
 def displacement_rows(brief: int = BRIEF, whole: int = WHOLE) -> Iterator[Row]:
