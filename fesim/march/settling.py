@@ -88,7 +88,7 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
     machine : CondensedMachine
         What will march.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; as for `fesim.march.stepping.initial_state`. Default: none.
+        At time zero; as for `initial_state`. Default: those of an `undriven` machine.
     """
     inputs = undriven(machine) if inputs is None else inputs
     state, elastic = initial_state(machine, inputs), machine.elastic

@@ -23,8 +23,8 @@ PRESSURE_TOLERANCE = 1e-9
 #: Least and largest weight of a sweep, and for how many sweeps they are looked for.
 WEIGHTS = 0.05, 10.0
 SEEKING = 400
-#: Then a sweep goes a fixed part of its way: how far, and for how many sweeps.
-RELAXING = ((0.3, 300), (0.1, 400), (0.03, 800))
+#: Then each sweep goes a fixed part of its way.
+RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
 #: From this sweep on, an agreement within what the gap equations leave open is one.
 PATIENCE = 20
 #: Steps of a block: their amplitudes stay in the processor's cache.
@@ -138,8 +138,7 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     value = carried.of(state)
     weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
-    fixed = [part for part, sweeps in RELAXING for _ in range(sweeps)]
-    for sweep in range(SEEKING + len(fixed)):
+    for sweep in range(SEEKING + len(RELAXING)):
         step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
@@ -155,7 +154,7 @@ def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
         if sweep >= SEEKING:
-            weight = fixed[sweep - SEEKING]
+            weight = RELAXING[sweep - SEEKING]
         elif slow:
             weight = _aitken(weight, last, misfit)
         last = misfit
