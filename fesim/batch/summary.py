@@ -98,8 +98,10 @@ def figures_of(response: xr.Dataset) -> Figures:
     Those of the contact elements are missing where a structure has none.
     """
     figures: Figures = {}
+    place = response.get_index("axis")
+    displacement = 1e6 * response["displacement"].to_numpy()
     for axis in "xyz":
-        track = 1e6 * response["displacement"].sel(axis=axis).to_numpy()
+        track = displacement[:, place.get_loc(axis)]
         figures[f"displacement_{axis}_peak_um"] = float(track[np.abs(track).argmax()])
         figures[f"displacement_{axis}_final_um"] = float(track[-1])
     pressure = response["pressure"].to_numpy()
@@ -114,9 +116,9 @@ def figures_of(response: xr.Dataset) -> Figures:
         figures["open_share_final"] = float(opened[-1])
         figures["sliding_share_peak"] = float(slid.max())
         figures["sliding_share_final"] = float(slid[-1])
-    figures["temperature_max_K"] = float(response["temperature"].max())
-    figures["gap_residual_m"] = float(response["gap_residual"].max())
-    figures["heat_balance"] = float(np.abs(response["heat_balance"]).max())
+    figures["temperature_max_K"] = float(response["temperature"].to_numpy().max())
+    figures["gap_residual_m"] = float(response["gap_residual"].to_numpy().max())
+    figures["heat_balance"] = float(np.abs(response["heat_balance"].to_numpy()).max())
     if "bolt_force" in response:
         figures["bolt_force_min_N"] = float(response["bolt_force"].min())
         figures["bolt_force_max_N"] = float(response["bolt_force"].max())
