@@ -42,7 +42,7 @@ from fesim.setup.machine import set_up
 #: Steps that are solved one after another, and how different answers may be, of the preload.
 STEPS, SAME = 40, 1e-6
 GRIDS = ((9, 3), (24, 8))
-#: OSQP and proxsuite stop here; in pressures over the preload.
+#: OSQP, proxsuite and Pinocchio stop here; in pressures over the preload.
 ACCURACY = 1e-9
 
 
@@ -77,15 +77,16 @@ def rows() -> Iterator[Row | Skipped]:
         program = made(along, across)
         count = len(program.matrix)
         ours = timed(program, kept_inverse(program))
-        for name, start in {
-            "newton": newton,
-            "daqp": daqp,
-            "osqp": osqp,
-            "proxsuite": proxsuite,
+        for name, (package, start) in {
+            "newton": ("numpy", newton),
+            "daqp": ("daqp", daqp),
+            "osqp": ("osqp", osqp),
+            "proxsuite": ("proxsuite", proxsuite),
+            "pinocchio": ("pin", pinocchio),
         }.items():
             label = f"dense-{name}-{count}"
             if name != "newton" and find_spec(name) is None:
-                yield Skipped(label, f"{name} is not installed; pip install {name}")
+                yield Skipped(label, f"{name} is not installed; pip install {package}")
                 continue
             other = timed(program, start(program))
             yield Row(
@@ -238,5 +239,41 @@ def proxsuite(program: Program) -> Solve:
         # Only now: it would start from a result that it does not have yet.
         solver.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         return np.array(solver.results.x)
+
+    return solve
+
+
+def pinocchio(program: Program) -> Solve:
+    """Proximal ADMM for contact with friction, here without any; warm start (pin 4 or later)."""
+    import pinocchio as library
+
+    count = len(program.matrix)
+    normal = np.arange(2, 3 * count, 3)
+    matrix, vector = np.eye(3 * count), np.zeros(3 * count)
+    matrix[np.ix_(normal, normal)] = program.matrix
+    operator = library.DelassusOperatorDense(matrix)
+    # Only what kind of contact it is counts: one between the ground and some body.
+    model = library.Model()
+    body = model.addJoint(0, library.JointModelFreeFlyer(), library.SE3.Identity(), "body")
+    contacts, data = library.StdVec_ConstraintModel(), library.StdVec_ConstraintData()
+    for _ in range(count):
+        place = library.SE3.Identity()
+        contact = library.PointContactConstraintModel(model, 0, place, body, place)
+        contact.setFriction(0.0)
+        contacts.append(library.ConstraintModel(contact))
+        data.append(contacts[len(contacts) - 1].createData())
+    settings, result = library.ADMMSolverSettings(), library.ADMMSolverResult()
+    settings.absolute_feasibility_tol = settings.absolute_complementarity_tol = ACCURACY
+    settings.relative_feasibility_tol = settings.relative_complementarity_tol = 0.0
+    settings.max_iterations = 100_000
+    settings.warmstart_rho_with_previous_result = True
+    solver = library.ADMMConstraintSolver(3 * count)
+
+    def solve(step: int) -> Array:
+        vector[normal] = program.vectors[step]
+        solver.solve(operator, vector, contacts, data, settings, result)
+        found = np.array(result.retrieveConstraintImpulses())
+        result.setConstraintImpulseGuess(found)
+        return found[normal]
 
     return solve
