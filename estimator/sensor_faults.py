@@ -9,8 +9,9 @@ Everything is judged before a sample is used. A channel is distrusted when it is
 - contradicted: its innovation, given the other channels, is beyond what is to be expected.
 
 It is believed again when all that has been over for `RETURN`; one that was contradicted must have
-come nearer the model than the model is likely to have come to it. Where most channels contradict
-the model, it is the model's state that is wrong (`Verdict.lost`): then all are believed.
+come nearer the model than the model is likely to have come to it, and stay there for `AGREED`.
+Where most channels contradict the model, it is the model's state that is wrong (`Verdict.lost`):
+then all are believed.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ GATE = 5.0
 MODEL_ERROR, MODEL_SHARE = 0.2, 0.01
 #: A distrusted channel is believed again after this long without a fault, s.
 RETURN = 30.0
+#: One that was contradicted, after this long: a jump of the heat brings what is off near the model,
+#: for as long as the other channels take to see that heat.
+AGREED = 300.0
 #: A channel that was off is believed again only if it is off by no more than this part of what it
 #: was, or by so many standard deviations of the model: a model that has lost it wanders. If it has
 #: jumped back by that part or more, it need only be as near as any.
@@ -94,7 +98,7 @@ class Watch(NamedTuple):
     turned : ndarray
         The share of its changes that turn back: a smooth one's none, two thirds of pure noise's.
     off : ndarray
-        How far it was from the model when that contradicted it, K.
+        How far it was from the model when that contradicted it, K; negative since it jumped back.
     """
 
     distrusted: Array
@@ -197,7 +201,8 @@ def judge_sample(
     else:
         faulty = odd | contradicted | (doubted & present & ~near)
     fault = np.where(faulty, time, seen.fault)
-    distrusted = faulty | (doubted & (~present | (time - fault < RETURN)))
+    wait = np.where(np.isfinite(seen.off), AGREED, RETURN)
+    distrusted = faulty | (doubted & (~present | (time - fault < wait)))
     off = np.where(contradicted & ~doubted, np.abs(readings - predicted), seen.off)
     after = seen._replace(
         distrusted=distrusted.astype(float), fault=fault, off=np.where(distrusted, off, np.nan)
@@ -275,8 +280,8 @@ def look(
         kept = (1.0 - 1.0 / LEARNT) ** run
         watch.habit[k] = kept * watch.habit[k] + (1.0 - kept) * watch.repeats[k] / run
         rise, before = reading - watch.last[k], watch.rise[k]
-        if change >= JUMPED_BACK * watch.off[k]:
-            watch.off[k] = np.nan
+        if change >= JUMPED_BACK * abs(watch.off[k]):
+            watch.off[k] = -abs(watch.off[k])
         watch.last[k], watch.changed[k], watch.expected[k] = reading, time, said
         watch.repeats[k] = 0.0
         if not change >= 0.0:

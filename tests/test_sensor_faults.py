@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.sensor_faults import GATE, MODEL_ERROR, RETURN, fresh, judge_sample
+from estimator.sensor_faults import AGREED, GATE, MODEL_ERROR, RETURN, fresh, judge_sample
 
 NOISE = np.full(4, 0.03)
 LIMITS = (np.full(4, -60.0), np.full(4, 200.0))
@@ -72,9 +72,9 @@ def test_a_channel_comes_back_some_time_after_its_last_fault():
 
 
 def test_a_channel_that_is_off_stays_out_where_the_model_without_it_wanders_towards_it():
-    rows, said = healthy(200)
+    rows, said = healthy(400)
     rows[50:, 0] += 5.0
-    said[50:, 0] += np.linspace(0.0, 3.0, 150)
+    said[50:, 0] += np.minimum(np.linspace(0.0, 7.0, 350), 2.0)
     found = believed(followed(rows, said))
     assert not found[50:, 0].any()
     assert found[:, 1:].all()
@@ -82,7 +82,16 @@ def test_a_channel_that_is_off_stays_out_where_the_model_without_it_wanders_towa
     rows[150:, 0] -= 5.5
     said[150:, 0] -= said[150, 0] - rows[150, 0] - 0.8
     found = believed(followed(rows, said))
-    assert found[150 + round(RETURN / STEP) + 1 :, 0].all()
+    assert found[150 + round(AGREED / STEP) + 1 :, 0].all()
+
+
+def test_a_jump_of_the_heat_does_not_clear_a_channel_that_is_off():
+    rows, said = healthy(400)
+    rows[50:, 0] += 5.0
+    # The heat falls: the reading with it, the model without the reading four minutes later.
+    rows[100:, 0] -= 4.8
+    said[220:, 0] -= 4.8
+    assert not believed(followed(rows, said))[50:, 0].any()
 
 
 def test_an_empty_channel_is_not_believed_and_shows_no_fault():
