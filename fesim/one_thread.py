@@ -1,4 +1,4 @@
-"""Linear algebra by one thread: a step of a march is many small dense products."""
+"""Linear algebra by one thread, where more would only be in each other's way."""
 
 from __future__ import annotations
 
@@ -11,8 +11,18 @@ from threadpoolctl import ThreadpoolController
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let the libraries of linear algebra use one thread: more would only wait for each other."""
+    """Let the libraries of linear algebra use one thread: a march is many small dense products."""
     with _controller().limit(limits=1):
+        yield
+
+
+@contextmanager
+def one_dense_thread() -> Iterator[None]:
+    """Let NumPy's own library, OpenBLAS, use one thread, and leave a sparse solver's as they are.
+
+    Its threads wait busily, and take the processor from the sparse factors between two products.
+    """
+    with _controller().select(internal_api="openblas").limit(limits=1):
         yield
 
 
