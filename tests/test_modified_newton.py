@@ -9,7 +9,7 @@ from test_gap import problems, random_problem
 
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import solve_gap
-from fesim.joint.modified_newton import make_anchor, new_anchor, settle_near
+from fesim.joint.modified_newton import ANCHORED, make_anchor, new_anchor, settle_near
 
 #: So tight that nothing but the method is compared, m.
 TIGHT = 1e-16
@@ -81,6 +81,20 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
     if first and second:
         np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(moved, slip, rtol=1e-9, atol=1e-13)
+
+
+def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
+    """The rounding of k0 (g - s), another in every iteration, is no change of a state."""
+    count, law = 12, surface_law(0.6)
+    problem, thermal_gap = random_problem(5, count, 1e-7, 0.6, law=law)
+    slip = 1e-8 * np.random.default_rng(5).normal(size=(2, count))
+    anchor, gap = new_anchor(count), np.vstack([np.zeros((1, count)), slip])
+    for factor in np.linspace(0.0, 1.0, 20):
+        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchor)
+        solved, _, gap, moved = settled(*driven, tolerance=1e-13)
+        assert solved
+        np.testing.assert_array_equal(moved, slip)
+    assert anchor.about[ANCHORED] <= 3
 
 
 def test_a_tolerance_out_of_reach_is_not_reached():

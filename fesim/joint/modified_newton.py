@@ -137,14 +137,21 @@ def _solve_at_anchor(anchor: Anchor, right_side: Array, found: Array) -> None:
 
 @compiled
 def _changed(
-    anchor: Anchor, springs: Array, tangent: Array, lack: Array, found: NDArray[np.int64]
+    anchor: Anchor,
+    springs: Array,
+    tangent: Array,
+    lack: Array,
+    least: float,
+    found: NDArray[np.int64],
 ) -> int:
     """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
     count, number = tangent.shape[1], 0
     for e in range(count):
         first, second = count + e, 2 * count + e
         # A row outside the inverse lacks something only while its element goes from sliding on.
-        differs = anchor.place[first] < 0 and (lack[first] != 0.0 or lack[second] != 0.0)
+        # One that has slipped before has its rounding in every iteration, too.
+        lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
+        differs = anchor.place[first] < 0 and lacks
         for k in range(6):
             scale = CHANGED * (springs[e] if k < 3 else springs[first])
             differs = differs or abs(tangent[k, e] - anchor.tangent[k, e]) > scale
@@ -207,17 +214,20 @@ def _correct(
     columns: Array,
     tangent: Array,
     lack: Array,
+    least: float,
     step: Array,
     shift: Array,
 ) -> bool:
     """Newton's step for what is lacking: y into `step`, F y into `shift`; False: too much changed.
+
+    What a contact element that sticks lacks is left alone up to `least`, a gap in m.
 
     With E = dT - dT_anchor of the changed contact elements (rows P) and A the system at the anchor:
     (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
     """
     count = tangent.shape[1]
     changed = np.empty(anchor.element.size, dtype=np.int64)
-    number = _changed(anchor, springs, tangent, lack, changed)
+    number = _changed(anchor, springs, tangent, lack, least, changed)
     if number < 0:
         return False
     _keep_columns(anchor, springs, columns, changed, number)
@@ -309,14 +319,14 @@ def settle_near(
     _lack(springs, gap, value, np.zeros(unknowns), force)
     flat[:] = free_gap
     _add_product(columns, force, flat)
-    anchors, before, corrected = 0, math.inf, math.inf
+    anchors, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(laws, gap, slip, value, moved, tangent)
         size = _lack(springs, gap, value, force, lack)
         if size == math.inf:
             return False, size, iteration
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
-        if left or size <= 0.1 * LEFT * tolerance:
+        if left or size <= least:
             shift[:] = 0.0
             _add_product(columns, lack, shift)
             residual = largest(shift)
@@ -325,13 +335,13 @@ def settle_near(
                     anchor.about[MADE] = 0
                 return True, residual, iteration
         good = anchor.about[MADE] == 1 and size <= SLOW * before
-        if not good or not _correct(anchor, springs, columns, tangent, lack, step, shift):
+        if not good or not _correct(anchor, springs, columns, tangent, lack, least, step, shift):
             if anchors == MAX_ANCHORS:
                 return False, size, iteration
             anchors += 1
             anchor.tangent[:] = tangent
             make_anchor(anchor, springs, compliance)
-            if not _correct(anchor, springs, columns, tangent, lack, step, shift):
+            if not _correct(anchor, springs, columns, tangent, lack, least, step, shift):
                 return False, size, iteration
         force += step
         flat += shift
