@@ -7,15 +7,22 @@ from hypothesis import strategies as st
 from test_compiled_gap import law_of, powers
 from test_gap import problems, random_problem
 
+from fesim.joint.anchor import ANCHORED, block_anchor, make_anchor, new_anchors
+from fesim.joint.blocks import one_block
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import solve_gap
-from fesim.joint.modified_newton import ANCHORED, make_anchor, new_anchor, settle_near
+from fesim.joint.modified_newton import settle_near
 
 #: So tight that nothing but the method is compared, m.
 TIGHT = 1e-16
 
 
-def settled(problem, laws, thermal_gap, slip, guess, anchor, tolerance=TIGHT):
+def nowhere(count):
+    """The anchor of one block that has not been anywhere."""
+    return new_anchors(np.array([0, count]))
+
+
+def settled(problem, laws, thermal_gap, slip, guess, anchors, tolerance=TIGHT, blocks=None):
     """Whether it is solved, the residual, the gaps and the slip."""
     count = guess.shape[1]
     gap, value = np.array(guess), np.empty((3, count))
@@ -24,11 +31,12 @@ def settled(problem, laws, thermal_gap, slip, guess, anchor, tolerance=TIGHT):
         problem.springs,
         problem.compliance,
         np.ascontiguousarray(problem.compliance.T),
+        blocks or one_block(problem.springs),
         compile_gap(problem, laws).laws,
         problem.exchange @ thermal_gap,
         slip,
         tolerance,
-        anchor,
+        anchors,
         gap,
         value,
         moved,
@@ -46,7 +54,7 @@ def test_it_finds_the_equilibrium_of_the_plain_method(seed, count, size, frictio
     zero = np.zeros((3, count))
     theirs = solve_gap(problem, thermal_gap, zero[1:], zero, TIGHT)
     found, residual, gap, slip = settled(
-        problem, [(law, count)], thermal_gap, zero[1:], zero, new_anchor(count)
+        problem, [(law, count)], thermal_gap, zero[1:], zero, nowhere(count)
     )
     if not found:
         assert size > 1e-7  # what a long step of a march moves
@@ -65,7 +73,7 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
     count, law = 6, surface_law(friction)
     problem, thermal_gap = random_problem(seed, count, 1e-6, friction, law=law)
     zero = np.zeros((3, count))
-    near, far = new_anchor(count), new_anchor(count)
+    near, far = nowhere(count), nowhere(count)
     first, _, gap, slip = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, near)
     rng = np.random.default_rng(seed)
     made = compile_gap(problem, [(law, count)])
@@ -75,8 +83,9 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
         zero,
     )
     normal = elsewhere.traction.tangent
-    far.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
-    make_anchor(far, problem.springs, problem.compliance)
+    anchor = block_anchor(far, 0)
+    anchor.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
+    make_anchor(anchor, problem.springs, problem.compliance)
     second, _, other, moved = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, far)
     if first and second:
         np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)
@@ -88,19 +97,19 @@ def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
     count, law = 12, surface_law(0.6)
     problem, thermal_gap = random_problem(5, count, 1e-7, 0.6, law=law)
     slip = 1e-8 * np.random.default_rng(5).normal(size=(2, count))
-    anchor, gap = new_anchor(count), np.vstack([np.zeros((1, count)), slip])
+    anchors, gap = nowhere(count), np.vstack([np.zeros((1, count)), slip])
     for factor in np.linspace(0.0, 1.0, 20):
-        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchor)
+        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchors)
         solved, _, gap, moved = settled(*driven, tolerance=1e-13)
         assert solved
         np.testing.assert_array_equal(moved, slip)
-    assert anchor.about[ANCHORED] <= 3
+    assert anchors.about[0, ANCHORED] <= 3
 
 
 def test_a_tolerance_out_of_reach_is_not_reached():
     problem, thermal_gap = random_problem(7, 4, 1e-6, 0.6)
     zero = np.zeros((3, 4))
     laws = [(surface_law(0.6), 4)]
-    assert not settled(problem, laws, thermal_gap, zero[1:], zero, new_anchor(4), 0.0)[0]
+    assert not settled(problem, laws, thermal_gap, zero[1:], zero, nowhere(4), 0.0)[0]
     none = np.full_like(thermal_gap, np.nan)
-    assert not settled(problem, laws, none, zero[1:], zero, new_anchor(4))[0]
+    assert not settled(problem, laws, none, zero[1:], zero, nowhere(4))[0]

@@ -29,9 +29,10 @@ from artefacts.errors import ConvergenceError
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
+from fesim.joint.anchor import new_anchors
 from fesim.joint.compiled_gap import solve_in_place
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
-from fesim.joint.modified_newton import new_anchor, settle_near
+from fesim.joint.modified_newton import settle_near
 from fesim.march.kernel import joint_kernel
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import initial_state
@@ -160,7 +161,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     joint = joint_kernel(machine, np.asarray(machine.thermal.jump), np.zeros(count))
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
-    anchor, slip = new_anchor(count), np.zeros((2, count))
+    anchors, slip = new_anchors(joint.blocks.starts), np.zeros((2, count))
     value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
@@ -169,8 +170,8 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         law = joint.laws, free, slip, joint.tolerance
         if kept:
             settle_near(
-                joint.springs, joint.compliance, joint.columns, *law, anchor, gap, value, moved,
-                tangent,
+                joint.springs, joint.compliance, joint.columns, joint.blocks, *law, anchors, gap,
+                value, moved, tangent,
             )  # fmt: skip
         else:
             solve_in_place(joint.springs, joint.compliance, *law, gap, value, moved, tangent)

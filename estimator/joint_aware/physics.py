@@ -222,9 +222,9 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             history[at] = amplitudes
         modes = physics.modes
         return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
-    kept = new_kept(physics.contacts)
+    kept = None if kernel is None else new_kept(kernel)
     while k < len(inputs):
-        if kernel is not None:
+        if kernel is not None and kept is not None:
             now = Moving(amplitudes, *joint)
             record = new_record(len(inputs) - k, now, displacement.shape[1])
             taken, _ = march_steps(step, kernel, kept, inputs[k:], now, record, UNWATCHED)

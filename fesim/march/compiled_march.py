@@ -1,7 +1,7 @@
 """A march of staggered steps in machine code, with inverses that are kept from step to step.
 
 Nothing is factorised anew in a step as long as what is kept serves: for the gap equations that of
-`fesim.joint.modified_newton`, for the joint heat flows an inverse by which they are iterated.
+`fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.
 """
 
 from __future__ import annotations
@@ -12,25 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts.arrays import Array
-from fesim.joint.compiled_gap import largest
+from fesim.joint.anchor import MADE, Anchors, put_tangents
+from fesim.joint.blocks import Blocks
 from fesim.joint.loosening import Watched, surely_held
-from fesim.joint.modified_newton import MADE, Anchor, settle_near
+from fesim.joint.modified_newton import settle_near
 from fesim.machine_code import compiled
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
     conduct,
     drive,
-    flow_system,
     settle_by_newton,
     take,
 )
-
-#: Joint heat flows are iterated until their equations lack no more than this part of what drives
-#: them. The inverse is made anew after this many iterations, and one more for so many elements: it
-#: costs as much as some iterations for each.
-HEAT_TOLERANCE = 1e-13
-HEAT_PATIENCE, FOR_EACH = 8, 16
+from fesim.march.joint_flows import Flows, solve_flows
 
 #: Why a march stopped: it is through; a joint has no equilibrium near; a body may have come loose.
 THROUGH, SNAPS, LOOSE = range(3)
@@ -51,17 +46,14 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
-    anchor : Anchor
-        Of the gap equations.
-    conducted : ndarray, shape (m,)
-        Conductance times area at which the other was made, W/K; zero at first.
-    flows : ndarray, shape (m, m)
-        (I + diag(conducted) S)^-1.
+    anchors : Anchors
+        Of the gap equations, block by block.
+    flows : Flows
+        Of the joint heat flows.
     """
 
-    anchor: Anchor
-    conducted: Array
-    flows: Array
+    anchors: Anchors
+    flows: Flows
 
 
 class Record(NamedTuple):
@@ -90,31 +82,6 @@ class Record(NamedTuple):
 
 
 @compiled
-def _flow(joint_influence: Array, beyond: Array, jump: Array, kept: Kept, flow: Array) -> None:
-    """Solve (I + diag(beyond) S) j = diag(beyond) jump with the kept inverse, into `flow` (m,)."""
-    driving = beyond * jump
-    enough = HEAT_TOLERANCE * largest(driving)
-    if not kept.conducted.any():
-        invert_flows(joint_influence, beyond, kept)
-    for attempt in range(2):
-        flow[:] = np.dot(kept.flows, driving)
-        for _ in range(HEAT_PATIENCE + beyond.size // FOR_EACH):
-            lack = driving - flow - beyond * np.dot(joint_influence, flow)
-            if largest(lack) <= enough:
-                return
-            flow += np.dot(kept.flows, lack)
-        if attempt == 0:
-            invert_flows(joint_influence, beyond, kept)
-
-
-@compiled
-def invert_flows(joint_influence: Array, beyond: Array, kept: Kept) -> None:
-    """Make the inverse of the joint heat flows anew, for conductances times areas (m,), W/K."""
-    kept.flows[:] = np.linalg.inv(flow_system(joint_influence, beyond))
-    kept.conducted[:] = beyond
-
-
-@compiled
 def _settle(
     joint: JointKernel,
     kept: Kept,
@@ -132,11 +99,12 @@ def _settle(
             joint.springs,
             joint.compliance,
             joint.columns,
+            joint.blocks,
             joint.laws,
             free_gap,
             now.slip,
             joint.tolerance,
-            kept.anchor,
+            kept.anchors,
             found,
             value,
             moved,
@@ -146,7 +114,7 @@ def _settle(
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
-    kept.anchor.about[MADE] = 0
+    kept.anchors.about[:, MADE] = 0
     found[:] = now.gap + now.change
     return settle_by_newton(joint, free_gap, now.slip, now.gap, found, value, moved, tangent)
 
@@ -180,7 +148,7 @@ def march_steps(
         drive(heat, amplitudes, inputs[k])
         conduct(joint, now.pressure, conducted)
         jump = np.dot(joint.jump, amplitudes)
-        _flow(heat.joint_influence, conducted - joint.held, jump, kept, flow)
+        solve_flows(heat.joint_influence, conducted - joint.held, jump, kept.flows, flow)
         amplitudes -= np.dot(heat.influence, flow)
         free_gap = np.dot(joint.gap, amplitudes)
         for i in range(joint.loaded.shape[1]):
@@ -206,7 +174,7 @@ def march_steps(
         for i in range(joint.loaded.shape[1]):
             displacement += inputs[k, thermal + i] * joint.loaded[:, i]
         record.displacement[k] = displacement
-        _note(record, k, now, kept, conducted, flow, residual, iterations)
+        _note(record, k, now, joint.blocks, kept, conducted, flow, residual, iterations)
         if not surely_held(watched, now.pressure, tangent):
             return k + 1, LOOSE
     return len(inputs), THROUGH
@@ -217,6 +185,7 @@ def _note(
     record: Record,
     k: int,
     now: Moving,
+    blocks: Blocks,
     kept: Kept,
     conducted: Array,
     flow: Array,
@@ -233,8 +202,5 @@ def _note(
     record.heat_flow[k] = flow
     record.residual[k] = residual
     record.iterations[k] = iterations
-    record.anchor[k, 6] = kept.conducted
-    if kept.anchor.about[MADE] == 1:
-        record.anchor[k, :6] = kept.anchor.tangent
-    else:
-        record.anchor[k, :6] = 0.0
+    record.anchor[k, 6] = kept.flows.conducted
+    put_tangents(kept.anchors, blocks.elements, record.anchor[k, :6])

@@ -13,13 +13,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from artefacts.arrays import Array
+from fesim.joint.anchor import block_anchor, make_anchor, new_anchors, put_tangents
+from fesim.joint.blocks import Blocks, blocks_of, one_block, parts_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED, Watched
-from fesim.joint.modified_newton import MADE, make_anchor, new_anchor
-from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, invert_flows, march_steps
+from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
+from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
 
 #: Marches of one machine whose inverses are kept at a time.
@@ -84,29 +86,33 @@ class StepKernel:
     def _kept_at(self, anchor: Array) -> Kept:
         """Return what is kept of an anchor, made again if it is not."""
         for k, kept in enumerate(self.kept):
-            if np.array_equal(anchor_of(kept), anchor):
+            if np.array_equal(self._anchor(kept), anchor):
                 self.kept.insert(0, self.kept.pop(k))
                 return kept
-        kept = new_kept(self.joint.preload.size)
-        if anchor[:6].any():
-            kept.anchor.tangent[:] = anchor[:6]
-            make_anchor(kept.anchor, self.joint.springs, self.joint.compliance)
+        kept, joint = new_kept(self.joint), self.joint
+        parts = parts_of(joint.blocks, joint.springs, joint.compliance)
+        for block, (elements, springs, compliance) in enumerate(parts):
+            if anchor[:6, elements].any():
+                own = block_anchor(kept.anchors, block)
+                own.tangent[:] = anchor[:6, elements]
+                make_anchor(own, springs, compliance)
         if anchor[6].any():
-            invert_flows(self.heat.joint_influence, np.ascontiguousarray(anchor[6]), kept)
+            invert(self.heat.joint_influence, np.ascontiguousarray(anchor[6]), kept.flows)
         self.kept.insert(0, kept)
         del self.kept[KEPT:]
         return kept
 
+    def _anchor(self, kept: Kept) -> Array:
+        """The anchor (7, m) of what is kept, as in `State`."""
+        found = np.empty((7, kept.flows.conducted.size))
+        put_tangents(kept.anchors, self.joint.blocks.elements, found[:6])
+        found[6] = kept.flows.conducted
+        return found
 
-def anchor_of(kept: Kept) -> Array:
-    """Return the anchor (7, m) of what is kept, as in `State`."""
-    made = float(kept.anchor.about[MADE])
-    return np.vstack([made * kept.anchor.tangent, kept.conducted])
 
-
-def new_kept(count: int) -> Kept:
-    """Return the inverses of a march of `count` contact elements that has not begun."""
-    return Kept(new_anchor(count), np.zeros(count), np.zeros((count, count)))
+def new_kept(joint: JointKernel) -> Kept:
+    """Return the inverses of a march that has not begun."""
+    return Kept(new_anchors(joint.blocks.starts), new_flows(joint.preload.size))
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:
@@ -178,6 +184,7 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
     if solver is None or conductance is None:
         return None
     problem, loads = solver.problem, machine.loads
+    springs, compliance = _own(problem.springs), _own(problem.compliance)
     unloaded = np.zeros((len(problem.springs), 0)), np.zeros((len(elastic.probe_thermal), 0))
     loaded_gap, loaded = unloaded if loads is None else (loads.gap, loads.probes)
     return JointKernel(
@@ -185,9 +192,10 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
         held=_own(held),
         conductance=conductance,
         laws=_own(solver.laws),
-        springs=_own(problem.springs),
-        compliance=_own(problem.compliance),
-        columns=_own(problem.compliance.T),
+        springs=springs,
+        compliance=compliance,
+        columns=_own(compliance.T),
+        blocks=_blocks(machine, springs, compliance),
         gap=_own(problem.exchange @ elastic.thermal_gap),
         loaded_gap=_own(problem.exchange @ loaded_gap),
         preload=_own(machine.preload),
@@ -197,6 +205,14 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
         loaded=_own(loaded),
         tolerance=machine.gap_tolerance,
     )
+
+
+def _blocks(machine: CondensedMachine, springs: Array, compliance: Array) -> Blocks:
+    """What of the contact elements hardly feels each other; all is one where no holds are known."""
+    if machine.holds is None:
+        return one_block(springs)
+    counts = [count for _, count in machine.laws]
+    return blocks_of(springs, compliance, counts, machine.holds.share, machine.holds.supports)
 
 
 def _own(values: Array) -> Array:

@@ -7,6 +7,7 @@ are inputs. Every operator of the march is multiplied by [V, E] once; the march 
 from __future__ import annotations
 
 import hashlib
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.sparse import csr_array, diags_array
 
 from artefacts.arrays import Array
 from fesim.joint.operators import JointOperators
+from fesim.one_thread import one_dense_thread
 from fesim.solid.condensation import (
     ElasticCondensation,
     ThermalCondensation,
@@ -30,6 +32,8 @@ USUAL_POWER, USUAL_RISE = 1000.0, 10.0
 TEMPERATURE_ERROR, GAP_ERROR, DISPLACEMENT_ERROR = 2e-4, 1e-10, 4e-10
 #: Times that the reduced model resolves, s: at least a step of this length, and the steady state.
 SHORTEST, LONGEST = 1.0, 1e6
+#: With so many contact elements dense products are small beside the sparse factors.
+FEW = 200
 
 
 @dataclass(frozen=True)
@@ -104,16 +108,17 @@ def thermal_modes(
             elastic.probe_thermal / DISPLACEMENT_ERROR,
         ]
     )
-    found: ReducedHeat = reduce_heat(
-        heat.capacity.diagonal()[free],
-        csr_array(system[free][:, free]),
-        np.hstack([drives, flows])[free],
-        outputs[:, free],
-        shortest(step),
-        LONGEST,
-        solver,
-        None if start is None else _usual_field(start[free]),
-    )
+    with one_dense_thread() if len(joints.area) <= FEW else nullcontext():
+        found: ReducedHeat = reduce_heat(
+            heat.capacity.diagonal()[free],
+            csr_array(system[free][:, free]),
+            np.hstack([drives, flows])[free],
+            outputs[:, free],
+            shortest(step),
+            LONGEST,
+            solver,
+            None if start is None else _usual_field(start[free]),
+        )
     basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
     basis[free, : found.rates.size] = found.basis
     basis[:, found.rates.size :] = surfaces

@@ -30,7 +30,6 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.start_field import start_field
-from fesim.one_thread import one_dense_thread
 from fesim.setup.bolts import first_forces
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
 from fesim.setup.holds import start_closed, with_friction
@@ -185,7 +184,6 @@ class Setup:
         return self.field.solve(temperature, step.remainder, self.forces @ self.acting(step))
 
 
-@one_dense_thread()
 def set_up(case: Case) -> Setup:
     """Build, check and condense everything a case names.
 

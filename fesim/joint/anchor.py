@@ -1,0 +1,347 @@
+"""A tangent of the gap equations whose inverse is kept, and corrected for what has changed since.
+
+A Newton step solves (I - dT F) y = what is lacking, with dT = T + k0 nonzero only in the pressures
+and in the shears of contact elements that slide (`fesim.joint.compiled_gap`). The inverse is made
+at an anchor and kept. Where a contact element has begun to stick, slide or open since, its three
+rows are corrected exactly (Woodbury's formula); what has merely drifted is left to the iteration.
+
+All that is kept follows from the anchor: a march that goes on from a saved one gives the same bits.
+Blocks of contact elements (`fesim.joint.blocks`) have an anchor each, one behind the other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts.arrays import Array
+from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
+from fesim.machine_code import compiled
+
+#: A contact element whose tangent differs from that of the anchor by this part of its stiffness at
+#: rest is corrected exactly.
+CHANGED = 0.05
+#: Contact elements corrected at once: a part of all of them, at least so few, at most so many.
+SHARE, FEWEST, MOST = 8, 4, 32
+
+#: Places in `Anchor.about`.
+MADE, ROWS, ANCHORED = 0, 1, 2
+
+
+class Anchor(NamedTuple):
+    """The tangent that was inverted, and what is kept of it; storage that is written in place.
+
+    Attributes
+    ----------
+    tangent : ndarray, shape (6, m)
+        Of the law there: entries 00, 10, 20, 11, 12, 22.
+    about : ndarray of int, shape (3,)
+        Whether the inverse is made, how many rows it has, how often it was made.
+    rows, place : ndarray of int, shape (3 m,)
+        Rows of the inverse, and where each row stands in it; -1 where it does not.
+    inverse : ndarray, shape (9 m^2,)
+        (I - dT F)^-1 on these rows, row after row.
+    slot : ndarray of int, shape (m,)
+        Where the columns of a contact element are kept; -1 for nowhere.
+    element : ndarray of int, shape (s,)
+        Whose columns a slot keeps; -1 for nobody's.
+    columns, moved : ndarray, shape (s, 3, 3 m)
+        Three columns of the inverse of each, and F times them.
+    """
+
+    tangent: Array
+    about: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    place: NDArray[np.int64]
+    inverse: Array
+    slot: NDArray[np.int64]
+    element: NDArray[np.int64]
+    columns: Array
+    moved: Array
+
+
+class Anchors(NamedTuple):
+    """The anchors of all blocks: as in `Anchor`, one block behind the other; b blocks.
+
+    Attributes
+    ----------
+    about : ndarray of int, shape (b, 3)
+    starts, slots, squares, kept : ndarray of int, shape (b + 1,)
+        Where each block begins: in contact elements, in slots, in contact elements squared and in
+        slots times contact elements.
+    """
+
+    tangent: Array
+    about: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    place: NDArray[np.int64]
+    inverse: Array
+    slot: NDArray[np.int64]
+    element: NDArray[np.int64]
+    columns: Array
+    moved: Array
+    starts: NDArray[np.int64]
+    slots: NDArray[np.int64]
+    squares: NDArray[np.int64]
+    kept: NDArray[np.int64]
+
+
+def new_anchors(starts: NDArray[np.int64]) -> Anchors:
+    """Return anchors that are nowhere yet, for blocks of contact elements that begin at `starts`.
+
+    The last of `starts` (b + 1,) is the number of contact elements.
+    """
+    counts = np.diff(starts)
+    slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
+    every, kept = int(counts.sum()), _begins(slots * counts)
+    return Anchors(
+        tangent=np.zeros(6 * every),
+        about=np.zeros((counts.size, 3), dtype=np.int64),
+        rows=np.zeros(3 * every, dtype=np.int64),
+        place=np.full(3 * every, -1),
+        inverse=np.empty(9 * int((counts * counts).sum())),
+        slot=np.full(every, -1),
+        element=np.full(int(slots.sum()), -1),
+        columns=np.zeros(9 * kept[-1]),
+        moved=np.zeros(9 * kept[-1]),
+        starts=_begins(counts),
+        slots=_begins(slots),
+        squares=_begins(counts * counts),
+        kept=kept,
+    )
+
+
+def _begins(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+@compiled
+def block_anchor(anchors: Anchors, block: int) -> Anchor:
+    """The anchor of one block, in the storage of all."""
+    first, last = anchors.starts[block], anchors.starts[block + 1]
+    slot, end = anchors.slots[block], anchors.slots[block + 1]
+    kept = slice(9 * anchors.kept[block], 9 * anchors.kept[block + 1])
+    count, slots = last - first, end - slot
+    return Anchor(
+        anchors.tangent[6 * first : 6 * last].reshape(6, count),
+        anchors.about[block],
+        anchors.rows[3 * first : 3 * last],
+        anchors.place[3 * first : 3 * last],
+        anchors.inverse[9 * anchors.squares[block] : 9 * anchors.squares[block + 1]],
+        anchors.slot[first:last],
+        anchors.element[slot:end],
+        anchors.columns[kept].reshape(slots, 3, 3 * count),
+        anchors.moved[kept].reshape(slots, 3, 3 * count),
+    )
+
+
+@compiled
+def put_tangents(anchors: Anchors, elements: NDArray[np.int64], found: Array) -> None:
+    """Put the tangents of the anchors that are made into `found` (6, m), zero for the others.
+
+    `elements` (m,) are the contact elements, block after block.
+    """
+    for block in range(anchors.about.shape[0]):
+        first, last = anchors.starts[block], anchors.starts[block + 1]
+        tangent = anchors.tangent[6 * first : 6 * last].reshape(6, last - first)
+        made = anchors.about[block, MADE] == 1
+        for i in range(6):
+            for k in range(last - first):
+                found[i, elements[first + k]] = tangent[i, k] if made else 0.0
+
+
+@compiled
+def make_anchor(anchor: Anchor, springs: Array, compliance: Array) -> None:
+    """Invert the tangent that stands in an anchor."""
+    size = lacking_rows(springs, anchor.tangent, anchor.rows)
+    anchor.place[:] = -1
+    for k in range(size):
+        anchor.place[anchor.rows[k]] = k
+    matrix = np.empty((size, size))
+    lacking_system(springs, compliance, anchor.tangent, anchor.rows, matrix)
+    anchor.inverse[: size * size] = np.linalg.inv(matrix).ravel()
+    anchor.slot[:] = -1
+    anchor.element[:] = -1
+    anchor.about[MADE], anchor.about[ROWS] = 1, size
+    anchor.about[ANCHORED] += 1
+
+
+@compiled
+def add_product(columns: Array, factors: Array, total: Array) -> None:
+    """Add the sum of the rows of `columns`, each by its factor, to `total`; factors may be zero.
+
+    Four rows at a time: what they add to is read and written once for them.
+    """
+    size, found, rows = total.size, 0, np.empty(4, dtype=np.int64)
+    for j in range(factors.size):
+        if factors[j] == 0.0:
+            continue
+        rows[found] = j
+        found += 1
+        if found == 4:
+            found = 0
+            p, q, r, s = factors[rows[0]], factors[rows[1]], factors[rows[2]], factors[rows[3]]
+            a, b, c, d = columns[rows[0]], columns[rows[1]], columns[rows[2]], columns[rows[3]]
+            for i in range(size):
+                total[i] += p * a[i] + q * b[i] + r * c[i] + s * d[i]
+    for k in range(found):
+        factor, row = factors[rows[k]], columns[rows[k]]
+        for i in range(size):
+            total[i] += factor * row[i]
+
+
+@compiled
+def _solve_at_anchor(anchor: Anchor, right_side: Array, found: Array) -> None:
+    """The rows of the inverse times `right_side`, and zero elsewhere, into `found` (3 m,)."""
+    size = anchor.about[ROWS]
+    own = np.empty(size)
+    for k in range(size):
+        own[k] = right_side[anchor.rows[k]]
+    solved = np.dot(anchor.inverse[: size * size].reshape(size, size), own)
+    found[:] = 0.0
+    for k in range(size):
+        found[anchor.rows[k]] = solved[k]
+
+
+@compiled
+def _changed(
+    anchor: Anchor,
+    springs: Array,
+    tangent: Array,
+    lack: Array,
+    least: float,
+    found: NDArray[np.int64],
+) -> int:
+    """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
+    count, number = tangent.shape[1], 0
+    for e in range(count):
+        first, second = count + e, 2 * count + e
+        # A row outside the inverse lacks something only while its element goes from sliding on.
+        # One that has slipped before has its rounding in every iteration, too.
+        lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
+        differs = anchor.place[first] < 0 and lacks
+        for k in range(6):
+            scale = CHANGED * (springs[e] if k < 3 else springs[first])
+            differs = differs or abs(tangent[k, e] - anchor.tangent[k, e]) > scale
+        if differs:
+            if number == found.size:
+                return -1
+            found[number] = e
+            number += 1
+    return number
+
+
+@compiled
+def _keep_columns(
+    anchor: Anchor, springs: Array, columns: Array, changed: NDArray[np.int64], number: int
+) -> None:
+    """See to it that each of the contact elements has its columns of the inverse in a slot."""
+    count = anchor.slot.size
+    needed = np.zeros(count, dtype=np.bool_)
+    for k in range(number):
+        needed[changed[k]] = True
+    own, free = np.empty(3 * count), 0
+    for k in range(number):
+        e = changed[k]
+        if anchor.slot[e] >= 0:
+            continue
+        while anchor.element[free] >= 0 and needed[anchor.element[free]]:
+            free += 1
+        if anchor.element[free] >= 0:
+            anchor.slot[anchor.element[free]] = -1
+        anchor.slot[e], anchor.element[free] = free, e
+        for i in range(3):
+            row = i * count + e
+            kept, moved = anchor.columns[free, i], anchor.moved[free, i]
+            at = anchor.place[row]
+            if at >= 0:
+                kept[:] = 0.0
+                size = anchor.about[ROWS]
+                for j in range(size):
+                    kept[anchor.rows[j]] = anchor.inverse[j * size + at]
+            else:
+                for j in range(anchor.about[ROWS]):
+                    other = anchor.rows[j]
+                    normal, along, across = lacking(springs, anchor.tangent, other)
+                    f = other % count
+                    own[other] = (
+                        normal * columns[row, f]
+                        + along * columns[row, count + f]
+                        + across * columns[row, 2 * count + f]
+                    )
+                _solve_at_anchor(anchor, own, kept)
+                kept[row] = 1.0
+            moved[:] = 0.0
+            add_product(columns, kept, moved)
+
+
+@compiled
+def correct(
+    anchor: Anchor,
+    springs: Array,
+    columns: Array,
+    tangent: Array,
+    lack: Array,
+    least: float,
+    step: Array,
+    shift: Array,
+) -> bool:
+    """Newton's step for what is lacking: y into `step`, F y into `shift`; False: too much changed.
+
+    What a contact element that sticks lacks is left alone up to `least`, a gap in m.
+
+    With E = dT - dT_anchor of the changed contact elements (rows P) and A the system at the anchor:
+    (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
+    """
+    count = tangent.shape[1]
+    changed = np.empty(anchor.element.size, dtype=np.int64)
+    number = _changed(anchor, springs, tangent, lack, least, changed)
+    if number < 0:
+        return False
+    _keep_columns(anchor, springs, columns, changed, number)
+    _solve_at_anchor(anchor, lack, step)
+    shift[:] = 0.0
+    add_product(columns, step, shift)
+    factors, width = np.zeros(3 * number), 3 * number
+    for k in range(number):
+        for i in range(1, 3):
+            row = i * count + changed[k]
+            if anchor.place[row] < 0:
+                factors[3 * k + i] = lack[row]
+    _combine(anchor, changed, factors, step, shift)
+    if number == 0:
+        return True
+    system = np.empty((width, width))
+    for k in range(number):
+        e = changed[k]
+        for i in range(3):
+            row = i * count + e
+            now, then = lacking(springs, tangent, row), lacking(springs, anchor.tangent, row)
+            first, second, third = now[0] - then[0], now[1] - then[1], now[2] - then[2]
+            factors[3 * k + i] = (
+                first * shift[e] + second * shift[count + e] + third * shift[2 * count + e]
+            )
+            for other in range(number):
+                for j in range(3):
+                    moved = anchor.moved[anchor.slot[changed[other]], j]
+                    system[3 * k + i, 3 * other + j] = -(
+                        first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
+                    )
+            system[3 * k + i, 3 * k + i] += 1.0
+    factors[:] = np.linalg.solve(system, factors)
+    _combine(anchor, changed, factors, step, shift)
+    return True
+
+
+@compiled
+def _combine(
+    anchor: Anchor, changed: NDArray[np.int64], factors: Array, step: Array, shift: Array
+) -> None:
+    """Add the kept columns, each by its factor, to `step`, and F times them to `shift`."""
+    for k in range(factors.size):
+        if factors[k] != 0.0:
+            at = anchor.slot[changed[k // 3]]
+            step += factors[k] * anchor.columns[at, k % 3]
+            shift += factors[k] * anchor.moved[at, k % 3]

@@ -1,0 +1,199 @@
+"""Contact elements in blocks that hardly feel each other, for the gap equations of large machines.
+
+Where bodies stand one on the other, the blocks of F between their joints are small: a joint carries
+what equilibrium asks of it, however the others slide. An inverse for each block costs a small part
+of one for all, is made anew only where its own joint changes, and a sweep over the blocks takes the
+place of a product with the whole inverse (`fesim.joint.modified_newton`). What is accepted is
+judged by the whole of F all the same.
+
+Joints that hold the same bodies side by side, as two rails of a table, can slide against each other
+as a whole; then each feels the other more than itself, and they are one block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from artefacts.arrays import Array
+
+Flags = NDArray[np.bool_]
+
+#: So many contact elements are one block whatever they are: their inverse fits into the cache.
+WHOLE = 96
+#: Joints with a larger coupling than this are in one block: a sweep would leave about as much of
+#: what was lacking, where 0.01 is drift anyway.
+COUPLED = 0.15
+#: Steps of the power method that estimates a coupling.
+POWERS = 8
+
+
+class Blocks(NamedTuple):
+    """Which contact elements are in which block, and what a block needs of the gap equations.
+
+    Attributes
+    ----------
+    elements : ndarray of int, shape (m,)
+        Contact elements, block after block.
+    starts : ndarray of int, shape (b + 1,)
+        Where each block begins in `elements`.
+    squares : ndarray of int, shape (b + 1,)
+        The sums of the squares of the numbers of elements before each block.
+    springs : ndarray, shape (3 m,)
+        k0 of each block, Pa/m.
+    compliance, columns : ndarray, shape (9 squares[-1],)
+        F of each block and its transpose, m/Pa; nothing where there is one block only.
+    """
+
+    elements: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    squares: NDArray[np.int64]
+    springs: Array
+    compliance: Array
+    columns: Array
+
+
+def one_block(springs: Array) -> Blocks:
+    """Return all contact elements as one block, of springs (3 m,)."""
+    count = springs.size // 3
+    return Blocks(
+        elements=np.arange(count),
+        starts=np.array([0, count]),
+        squares=np.array([0, count * count]),
+        springs=springs,
+        compliance=np.empty(0),
+        columns=np.empty(0),
+    )
+
+
+def blocks_of(
+    springs: Array, compliance: Array, counts: Sequence[int], share: Array, supports: Array
+) -> Blocks:
+    """Divide the contact elements.
+
+    Parameters
+    ----------
+    springs : ndarray, shape (3 m,)
+        k0, Pa/m.
+    compliance : ndarray, shape (3 m, 3 m)
+        F, m/Pa.
+    counts : sequence of int
+        How many contact elements each joint has, in their order.
+    share, supports : ndarray, shapes (m, p) and (k, 6 p)
+        What joins the p pieces of the structure: as in `fesim.solid.rigid_motions.Holds`.
+    """
+    total = springs.size // 3
+    if total <= WHOLE or len(counts) < 2:
+        return one_block(springs)
+    joints = np.split(np.arange(total), np.cumsum(counts)[:-1])
+    own = _together(springs, compliance, joints, side_by_side(joints, share, supports))
+    parts = [np.concatenate([joints[j] for j in np.flatnonzero(own == k)]) for k in np.unique(own)]
+    if len(parts) == 1:
+        return one_block(springs)
+    sizes = np.array([part.size for part in parts])
+    rows = [unknowns_of(part, total) for part in parts]
+    diagonal = [compliance[np.ix_(row, row)] for row in rows]
+    return Blocks(
+        elements=np.concatenate(parts),
+        starts=np.concatenate([[0], np.cumsum(sizes)]),
+        squares=np.concatenate([[0], np.cumsum(sizes * sizes)]),
+        springs=np.concatenate([springs[row] for row in rows]),
+        compliance=np.concatenate([block.ravel() for block in diagonal]),
+        columns=np.concatenate([block.T.ravel() for block in diagonal]),
+    )
+
+
+def parts_of(
+    blocks: Blocks, springs: Array, compliance: Array
+) -> Iterator[tuple[NDArray[np.int64], Array, Array]]:
+    """Yield contact elements (n,), springs (3 n,) and F (3 n, 3 n) of one block after the other.
+
+    `springs` and `compliance` are those of all.
+    """
+    if blocks.starts.size == 2:
+        yield blocks.elements, springs, compliance
+        return
+    ends = zip(pairwise(blocks.starts), pairwise(blocks.squares), strict=True)
+    for (first, last), (begin, end) in ends:
+        size = 3 * int(last - first)
+        yield (
+            blocks.elements[first:last],
+            blocks.springs[3 * first : 3 * last],
+            blocks.compliance[9 * begin : 9 * end].reshape(size, size),
+        )
+
+
+def unknowns_of(elements: NDArray[np.int64], total: int) -> NDArray[np.int64]:
+    """Return the rows of all three directions of some of `total` contact elements."""
+    return np.concatenate([elements, total + elements, 2 * total + elements])
+
+
+def coupling(
+    springs: Array, compliance: Array, a: NDArray[np.int64], b: NDArray[np.int64]
+) -> float:
+    """Estimate the 2-norm of k0^1/2 F k0^1/2 between two sets of rows, of joints that stick.
+
+    Within a joint it is at most one.
+    """
+    between = np.sqrt(springs[a])[:, None] * compliance[np.ix_(a, b)] * np.sqrt(springs[b])
+    vector, size = np.cos(np.arange(b.size)), 0.0
+    for _ in range(POWERS):
+        vector /= np.linalg.norm(vector)
+        vector = between.T @ (between @ vector)
+        size = float(np.linalg.norm(vector))
+        if size == 0.0:
+            return 0.0
+    return float(np.sqrt(size))
+
+
+def side_by_side(
+    joints: Sequence[NDArray[np.int64]], share: Array, supports: Array
+) -> NDArray[np.int64]:
+    """Return a number for each joint: joints of one number lie on loops of bodies and ground.
+
+    A joint without which its bodies would not hang together lies on none, and has its own.
+    Parameters as those of `blocks_of`; `joints` are the contact elements of each.
+    """
+    pieces = share.shape[1]
+    touched = np.array([(share[joint] != 0.0).any(axis=0) for joint in joints])
+    links = np.column_stack([touched, np.zeros(len(joints), dtype=np.bool_)])
+    held = (supports.reshape(-1, pieces, 6) != 0.0).any(axis=2)
+    # What holds one piece only, holds it to the ground.
+    ties = np.column_stack([held, held.sum(axis=1) < 2])
+    alone = np.array([_alone(links, ties, joint) for joint in range(len(links))])
+    hanging = _hanging(np.vstack([links[~alone], ties]))
+    return np.where(alone, hanging.size + np.arange(len(links)), hanging[links.argmax(axis=1)])
+
+
+def _alone(links: Flags, ties: Flags, joint: int) -> bool:
+    """Whether nothing but a joint keeps what it touches together."""
+    others = np.delete(links, joint, axis=0)
+    found = _hanging(np.vstack([others, ties]))[links[joint]]
+    return bool(found.size > 1 and np.unique(found).size == found.size)
+
+
+def _hanging(links: Flags) -> NDArray[np.int64]:
+    """The set in which each piece, and the ground, hangs together by links (n, p + 1)."""
+    together = csr_array(links.T.astype(float) @ links.astype(float))
+    return np.asarray(connected_components(together, directed=False)[1], dtype=np.int64)
+
+
+def _together(
+    springs: Array,
+    compliance: Array,
+    joints: Sequence[NDArray[np.int64]],
+    beside: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the number of the block of each joint."""
+    rows = [unknowns_of(joint, springs.size // 3) for joint in joints]
+    graph = np.zeros((len(joints), len(joints)))
+    for i, j in combinations(range(len(joints)), 2):
+        near = beside[i] == beside[j]
+        graph[i, j] = near or coupling(springs, compliance, rows[i], rows[j]) > COUPLED
+    return np.asarray(connected_components(csr_array(graph), directed=False)[1], dtype=np.int64)
