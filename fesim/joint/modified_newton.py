@@ -55,15 +55,18 @@ def _correct_or_move(
     shift: Array,
 ) -> int:
     """`correct`, by an anchor that is moved before if it is stale, or if too much changed."""
-    kept = anchor.about[MADE] == 1 and not stale
-    if kept and correct(anchor, springs, columns, tangent, lack, least, step, shift):
-        return _CORRECTED
-    if not may_move:
-        return _FAILED
-    anchor.tangent[:] = tangent
-    make_anchor(anchor, springs, compliance)
-    served = correct(anchor, springs, columns, tangent, lack, least, step, shift)
-    return _MOVED if served else _FAILED
+    move = stale or anchor.about[MADE] == 0
+    while True:
+        if move:
+            if not may_move:
+                return _FAILED
+            anchor.tangent[:] = tangent
+            make_anchor(anchor, springs, compliance)
+        if correct(anchor, springs, columns, tangent, lack, least, step, shift):
+            return _MOVED if move else _CORRECTED
+        if move:
+            return _FAILED
+        move = True
 
 
 @compiled
