@@ -180,7 +180,7 @@ def settle_near(
     flat[:] = free_gap
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
-    one = blocks.starts.size == 2
+    one, first = blocks.starts.size == 2, block_anchor(anchors, 0)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(laws, gap, slip, value, moved, tangent)
         size = _lack(springs, gap, value, force, lack)
@@ -197,7 +197,7 @@ def settle_near(
                 return True, residual, iteration
         if one:
             outcome = _correct_or_move(
-                block_anchor(anchors, 0),
+                first,
                 springs,
                 compliance,
                 columns,

@@ -22,8 +22,8 @@ TOLERANCE = 1e-13
 #: The inverse is made anew after this many iterations, and one more for so many elements, but after
 #: so many at most: it costs as much as some iterations for each.
 PATIENCE, FOR_EACH, MOST = 8, 16, 40
-#: GMRES knows what is lacking from its own recurrence; then it is looked at, and taken up again.
-LOOKS = 3
+#: GMRES knows what is lacking from its own recurrence; so often it is looked at.
+LOOKS = 4
 
 
 class Flows(NamedTuple):
@@ -79,20 +79,29 @@ def _improve(
     flow: Array,
 ) -> bool:
     """Whether GMRES, preconditioned by an inverse, finds the flows within the patience."""
-    most = min(PATIENCE + beyond.size // FOR_EACH, MOST)
-    basis, along = np.empty((most + 1, beyond.size)), np.empty((most, beyond.size))
-    flow[:] = np.dot(inverse, driving)
+    count = beyond.size
+    most = min(PATIENCE + count // FOR_EACH, MOST)
+    basis, along = np.empty((most + 1, count)), np.empty((most, count))
+    np.dot(inverse, driving, flow)
+    taken, lack = 0, basis[0]
     for _ in range(LOOKS):
-        lack = driving - flow - beyond * np.dot(joint_influence, flow)
+        _apply(joint_influence, beyond, flow, lack)
+        for e in range(count):
+            lack[e] = driving[e] - lack[e]
         if largest(lack) <= enough:
             return True
-        taken, weights = _least(joint_influence, beyond, inverse, lack, enough, basis, along)
-        for k in range(taken):
-            flow += weights[k] * along[k]
         if taken == most:
             break
-    lack = driving - flow - beyond * np.dot(joint_influence, flow)
-    return bool(largest(lack) <= enough)
+        taken = _least(joint_influence, beyond, inverse, enough, basis, along, flow)
+    return False
+
+
+@compiled
+def _apply(joint_influence: Array, beyond: Array, flow: Array, found: Array) -> None:
+    """(I + diag(c) S) j into `found` (m,)."""
+    np.dot(joint_influence, flow, found)
+    for e in range(flow.size):
+        found[e] = flow[e] + beyond[e] * found[e]
 
 
 @compiled
@@ -100,34 +109,36 @@ def _least(
     joint_influence: Array,
     beyond: Array,
     inverse: Array,
-    lack: Array,
     enough: float,
     basis: Array,
     along: Array,
-) -> tuple[int, Array]:
-    """How many directions GMRES took into `along`, and by how much of each least is lacking.
+    flow: Array,
+) -> int:
+    """Bring what is lacking, `basis[0]`, to its least by directions `along`; how many were taken.
 
-    Its residuals' orthonormal `basis` is turned to a triangle by Givens rotations as it grows.
+    The residuals' orthonormal basis is turned to a triangle by Givens rotations as it grows.
     """
-    most = along.shape[0]
-    triangle, turn = np.zeros((most + 1, most)), np.zeros((2, most))
-    left = np.zeros(most + 1)
-    left[0] = math.sqrt(lack @ lack)
-    basis[0] = lack / left[0]
+    most, count = along.shape
+    triangle, turn, left = np.zeros((most + 1, most)), np.empty((2, most)), np.empty(most + 1)
+    left[0] = math.sqrt(np.dot(basis[0], basis[0]))
+    for e in range(count):
+        basis[0, e] /= left[0]
     taken = 0
     while taken < most and abs(left[taken]) > 0.5 * enough:
-        k = taken
-        along[k] = np.dot(inverse, basis[k])
-        found = along[k] + beyond * np.dot(joint_influence, along[k])
+        k, found = taken, basis[taken + 1]
+        np.dot(inverse, basis[k], along[k])
+        _apply(joint_influence, beyond, along[k], found)
         for i in range(k + 1):
-            triangle[i, k] = found @ basis[i]
-            found -= triangle[i, k] * basis[i]
-        size = math.sqrt(found @ found)
+            part = np.dot(found, basis[i])
+            triangle[i, k] = part
+            for e in range(count):
+                found[e] -= part * basis[i, e]
+        size = math.sqrt(np.dot(found, found))
         for i in range(k):
             upper, lower = triangle[i, k], triangle[i + 1, k]
             triangle[i, k] = turn[0, i] * upper + turn[1, i] * lower
             triangle[i + 1, k] = turn[0, i] * lower - turn[1, i] * upper
-        length = math.hypot(triangle[k, k], size)
+        length = math.sqrt(triangle[k, k] * triangle[k, k] + size * size)
         if length == 0.0:
             break
         turn[0, k], turn[1, k] = triangle[k, k] / length, size / length
@@ -137,11 +148,12 @@ def _least(
         taken += 1
         if size == 0.0:
             break
-        basis[taken] = found / size
-    weights = np.zeros(most)
+        for e in range(count):
+            found[e] /= size
     for k in range(taken - 1, -1, -1):
-        total = left[k]
         for j in range(k + 1, taken):
-            total -= triangle[k, j] * weights[j]
-        weights[k] = total / triangle[k, k]
-    return taken, weights
+            left[k] -= triangle[k, j] * left[j]
+        left[k] /= triangle[k, k]
+        for e in range(count):
+            flow[e] += left[k] * along[k, e]
+    return taken
