@@ -30,6 +30,7 @@ from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
 from fesim.joint.anchor import new_anchors
+from fesim.joint.blocks import one_block
 from fesim.joint.compiled_gap import solve_in_place
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
 from fesim.joint.modified_newton import settle_near
@@ -161,7 +162,8 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     joint = joint_kernel(machine, np.asarray(machine.thermal.jump), np.zeros(count))
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
-    anchors, slip = new_anchors(joint.blocks.starts), np.zeros((2, count))
+    blocks, slip = one_block(joint.springs), np.zeros((2, count))
+    anchors = new_anchors(blocks.starts)
     value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
@@ -170,7 +172,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         law = joint.laws, free, slip, joint.tolerance
         if kept:
             settle_near(
-                joint.springs, joint.compliance, joint.columns, joint.blocks, *law, anchors, gap,
+                joint.springs, joint.compliance, joint.columns, blocks, *law, anchors, gap,
                 value, moved, tangent,
             )  # fmt: skip
         else:

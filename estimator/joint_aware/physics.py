@@ -17,6 +17,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from estimator.joint_aware.reduced_machine import Joint, Modes
+from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import Moving, march_steps
@@ -222,7 +223,7 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             history[at] = amplitudes
         modes = physics.modes
         return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
-    kept = None if kernel is None else new_kept(kernel)
+    kept = None if kernel is None else new_kept(one_block(kernel.springs))
     while k < len(inputs):
         if kernel is not None and kept is not None:
             now = Moving(amplitudes, *joint)

@@ -68,7 +68,7 @@ class Anchors(NamedTuple):
     Attributes
     ----------
     about : ndarray of int, shape (b, 3)
-    starts, slots, squares, kept : ndarray of int, shape (b + 1,)
+    begins : ndarray of int, shape (4, b + 1)
         Where each block begins: in contact elements, in slots, in contact elements squared and in
         slots times contact elements.
     """
@@ -82,10 +82,7 @@ class Anchors(NamedTuple):
     element: NDArray[np.int64]
     columns: Array
     moved: Array
-    starts: NDArray[np.int64]
-    slots: NDArray[np.int64]
-    squares: NDArray[np.int64]
-    kept: NDArray[np.int64]
+    begins: NDArray[np.int64]
 
 
 def new_anchors(starts: NDArray[np.int64]) -> Anchors:
@@ -95,7 +92,7 @@ def new_anchors(starts: NDArray[np.int64]) -> Anchors:
     """
     counts = np.diff(starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
-    every, kept = int(counts.sum()), _begins(slots * counts)
+    every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
     return Anchors(
         tangent=np.zeros(6 * every),
         about=np.zeros((counts.size, 3), dtype=np.int64),
@@ -104,12 +101,9 @@ def new_anchors(starts: NDArray[np.int64]) -> Anchors:
         inverse=np.empty(9 * int((counts * counts).sum())),
         slot=np.full(every, -1),
         element=np.full(int(slots.sum()), -1),
-        columns=np.zeros(9 * kept[-1]),
-        moved=np.zeros(9 * kept[-1]),
-        starts=_begins(counts),
-        slots=_begins(slots),
-        squares=_begins(counts * counts),
-        kept=kept,
+        columns=np.zeros(kept),
+        moved=np.zeros(kept),
+        begins=np.array([_begins(one) for one in (counts, slots, counts * counts, slots * counts)]),
     )
 
 
@@ -120,20 +114,19 @@ def _begins(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
 @compiled
 def block_anchor(anchors: Anchors, block: int) -> Anchor:
     """The anchor of one block, in the storage of all."""
-    first, last = anchors.starts[block], anchors.starts[block + 1]
-    slot, end = anchors.slots[block], anchors.slots[block + 1]
-    kept = slice(9 * anchors.kept[block], 9 * anchors.kept[block + 1])
-    count, slots = last - first, end - slot
+    first, slot, square, kept = anchors.begins[:, block]
+    last, end, squared, next_kept = anchors.begins[:, block + 1]
+    count, slots, own = last - first, end - slot, slice(9 * kept, 9 * next_kept)
     return Anchor(
         anchors.tangent[6 * first : 6 * last].reshape(6, count),
         anchors.about[block],
         anchors.rows[3 * first : 3 * last],
         anchors.place[3 * first : 3 * last],
-        anchors.inverse[9 * anchors.squares[block] : 9 * anchors.squares[block + 1]],
+        anchors.inverse[9 * square : 9 * squared],
         anchors.slot[first:last],
         anchors.element[slot:end],
-        anchors.columns[kept].reshape(slots, 3, 3 * count),
-        anchors.moved[kept].reshape(slots, 3, 3 * count),
+        anchors.columns[own].reshape(slots, 3, 3 * count),
+        anchors.moved[own].reshape(slots, 3, 3 * count),
     )
 
 
@@ -144,12 +137,12 @@ def put_tangents(anchors: Anchors, elements: NDArray[np.int64], found: Array) ->
     `elements` (m,) are the contact elements, block after block.
     """
     for block in range(anchors.about.shape[0]):
-        first, last = anchors.starts[block], anchors.starts[block + 1]
-        tangent = anchors.tangent[6 * first : 6 * last].reshape(6, last - first)
-        made = anchors.about[block, MADE] == 1
+        first, last = anchors.begins[0, block], anchors.begins[0, block + 1]
+        at, made = 6 * first, anchors.about[block, MADE] == 1
         for i in range(6):
-            for k in range(last - first):
-                found[i, elements[first + k]] = tangent[i, k] if made else 0.0
+            for k in range(first, last):
+                found[i, elements[k]] = anchors.tangent[at] if made else 0.0
+                at += 1
 
 
 @compiled

@@ -46,12 +46,15 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
+    blocks : Blocks
+        Of contact elements that hardly feel each other; they stay as they are.
     anchors : Anchors
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
     """
 
+    blocks: Blocks
     anchors: Anchors
     flows: Flows
 
@@ -99,7 +102,7 @@ def _settle(
             joint.springs,
             joint.compliance,
             joint.columns,
-            joint.blocks,
+            kept.blocks,
             joint.laws,
             free_gap,
             now.slip,
@@ -174,7 +177,7 @@ def march_steps(
         for i in range(joint.loaded.shape[1]):
             displacement += inputs[k, thermal + i] * joint.loaded[:, i]
         record.displacement[k] = displacement
-        _note(record, k, now, joint.blocks, kept, conducted, flow, residual, iterations)
+        _note(record, k, now, kept, conducted, flow, residual, iterations)
         if not surely_held(watched, now.pressure, tangent):
             return k + 1, LOOSE
     return len(inputs), THROUGH
@@ -185,7 +188,6 @@ def _note(
     record: Record,
     k: int,
     now: Moving,
-    blocks: Blocks,
     kept: Kept,
     conducted: Array,
     flow: Array,
@@ -203,4 +205,4 @@ def _note(
     record.residual[k] = residual
     record.iterations[k] = iterations
     record.anchor[k, 6] = kept.flows.conducted
-    put_tangents(kept.anchors, blocks.elements, record.anchor[k, :6])
+    put_tangents(kept.anchors, kept.blocks.elements, record.anchor[k, :6])

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from artefacts.arrays import Array
-from fesim.joint.blocks import Blocks
 from fesim.joint.compiled_gap import solve_in_place
 from fesim.machine_code import compiled
 
@@ -53,8 +52,6 @@ class JointKernel(NamedTuple):
         As in `fesim.joint.compiled_gap.CompiledGap`.
     springs, compliance, columns : ndarray, shapes (3 m,) and (3 m, 3 m)
         k0, F and F transposed of the gap problem.
-    blocks : Blocks
-        Of contact elements that hardly feel each other.
     gap, loaded_gap : ndarray, shapes (3 m, r) and (3 m, l)
         J0^-1 S_T, and the same of loads: gaps of the joint that sticks at its preload, m.
     preload : ndarray, shape (m,)
@@ -76,7 +73,6 @@ class JointKernel(NamedTuple):
     springs: Array
     compliance: Array
     columns: Array
-    blocks: Blocks
     gap: Array
     loaded_gap: Array
     preload: Array

@@ -41,6 +41,8 @@ class StepKernel:
         Its heat step.
     joint : JointKernel
         Its joints.
+    blocks : Blocks
+        Of contact elements that hardly feel each other.
     watched : Watched
         What sees a body come loose.
     kept : list of Kept
@@ -49,6 +51,7 @@ class StepKernel:
 
     heat: HeatStep
     joint: JointKernel
+    blocks: Blocks
     watched: Watched
     kept: list[Kept] = field(default_factory=list)
 
@@ -89,8 +92,8 @@ class StepKernel:
             if np.array_equal(self._anchor(kept), anchor):
                 self.kept.insert(0, self.kept.pop(k))
                 return kept
-        kept, joint = new_kept(self.joint), self.joint
-        parts = parts_of(joint.blocks, joint.springs, joint.compliance)
+        kept = new_kept(self.blocks)
+        parts = parts_of(self.blocks, self.joint.springs, self.joint.compliance)
         for block, (elements, springs, compliance) in enumerate(parts):
             if anchor[:6, elements].any():
                 own = block_anchor(kept.anchors, block)
@@ -105,14 +108,14 @@ class StepKernel:
     def _anchor(self, kept: Kept) -> Array:
         """The anchor (7, m) of what is kept, as in `State`."""
         found = np.empty((7, kept.flows.conducted.size))
-        put_tangents(kept.anchors, self.joint.blocks.elements, found[:6])
+        put_tangents(kept.anchors, self.blocks.elements, found[:6])
         found[6] = kept.flows.conducted
         return found
 
 
-def new_kept(joint: JointKernel) -> Kept:
+def new_kept(blocks: Blocks) -> Kept:
     """Return the inverses of a march that has not begun."""
-    return Kept(new_anchors(joint.blocks.starts), new_flows(joint.preload.size))
+    return Kept(blocks, new_anchors(blocks.starts), new_flows(blocks.elements.size))
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:
@@ -163,7 +166,7 @@ def _step_kernel(machine: CondensedMachine) -> StepKernel | None:
         joint_influence=_own(thermal.joint_influence),
     )
     watched = UNWATCHED if machine.watch is None else machine.watch.watched
-    return StepKernel(heat, joint, watched)
+    return StepKernel(heat, joint, _blocks(machine, joint), watched)
 
 
 def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKernel | None:
@@ -184,7 +187,6 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
     if solver is None or conductance is None:
         return None
     problem, loads = solver.problem, machine.loads
-    springs, compliance = _own(problem.springs), _own(problem.compliance)
     unloaded = np.zeros((len(problem.springs), 0)), np.zeros((len(elastic.probe_thermal), 0))
     loaded_gap, loaded = unloaded if loads is None else (loads.gap, loads.probes)
     return JointKernel(
@@ -192,10 +194,9 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
         held=_own(held),
         conductance=conductance,
         laws=_own(solver.laws),
-        springs=springs,
-        compliance=compliance,
-        columns=_own(compliance.T),
-        blocks=_blocks(machine, springs, compliance),
+        springs=_own(problem.springs),
+        compliance=_own(problem.compliance),
+        columns=_own(problem.compliance.T),
         gap=_own(problem.exchange @ elastic.thermal_gap),
         loaded_gap=_own(problem.exchange @ loaded_gap),
         preload=_own(machine.preload),
@@ -207,12 +208,12 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
     )
 
 
-def _blocks(machine: CondensedMachine, springs: Array, compliance: Array) -> Blocks:
+def _blocks(machine: CondensedMachine, joint: JointKernel) -> Blocks:
     """What of the contact elements hardly feels each other; all is one where no holds are known."""
     if machine.holds is None:
-        return one_block(springs)
-    counts = [count for _, count in machine.laws]
-    return blocks_of(springs, compliance, counts, machine.holds.share, machine.holds.supports)
+        return one_block(joint.springs)
+    counts, holds = [count for _, count in machine.laws], machine.holds
+    return blocks_of(joint.springs, joint.compliance, counts, holds.share, holds.supports)
 
 
 def _own(values: Array) -> Array:
