@@ -35,6 +35,8 @@ MARCHES = 20
 #: Along and across; the steps that are measured, after so many in which sliding begins.
 GRIDS = ((24, 8), (36, 12))
 SLIDING_FROM, SLIDING_STEPS = 300, 40
+#: Steps of heat, then as many of a fifth of it; those that are measured, after so many.
+PERIOD, DUTY_FROM, DUTY_STEPS = 75, 600, 150
 
 
 def rows() -> Iterator[Row]:
@@ -45,6 +47,7 @@ def rows() -> Iterator[Row]:
     yield from ensemble_rows(case, setup)
     for along, across in GRIDS:
         yield sliding_row(with_contacts(case, along, across))
+    yield duty_row(with_contacts(case, *GRIDS[0]))
 
 
 def plainly(setup: Setup) -> Setup:
@@ -128,11 +131,24 @@ def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:
 
 def sliding_row(case: Case) -> Row:
     """Return the row of a step of a large joint that slides."""
-    setup = set_up(case)
     inputs = driven(case)[1 : SLIDING_FROM + SLIDING_STEPS + 1]
+    return _steps_row("step-{}-contacts", "at heat input 3", case, inputs, SLIDING_FROM)
+
+
+def duty_row(case: Case) -> Row:
+    """Return the row of a step of a large joint that has slipped to and fro."""
+    inputs = driven(case)[1 : DUTY_FROM + DUTY_STEPS + 1]
+    levels = np.where(np.arange(len(inputs)) // PERIOD % 2 == 0, 1.0, 0.2)
+    what = f"at heat input 3 and 0.6 in turn, {PERIOD} steps each"
+    return _steps_row("duty-{}-contacts", what, case, levels[:, None] * inputs, DUTY_FROM)
+
+
+def _steps_row(name: str, what: str, case: Case, inputs: Array, first: int) -> Row:
+    """The row of the mean of all steps after the first ones."""
+    setup = set_up(case)
     machine, plain = setup.machine, plainly(setup).machine
-    state = course(machine, inputs[:SLIDING_FROM]).step(-1).state
-    inputs = inputs[SLIDING_FROM:]
+    state = course(machine, inputs[:first]).step(-1).state
+    inputs, last = inputs[first:], len(inputs)
     for one in (machine, plain):
         course(one, inputs[:1], state)
     begun = perf_counter()
@@ -144,14 +160,14 @@ def sliding_row(case: Case) -> Row:
     off = float(np.abs(ours.displacement - other.displacement).max())
     count = machine.contacts
     return Row(
-        f"step-{count}-contacts",
-        1e3 / SLIDING_STEPS * mine,
-        1e3 / SLIDING_STEPS * theirs,
+        name.format(count),
+        1e3 / len(inputs) * mine,
+        1e3 / len(inputs) * theirs,
         theirs / mine,
         "ms",
-        f"mean of steps {SLIDING_FROM + 1} to {SLIDING_FROM + SLIDING_STEPS} at heat input 3, set "
-        f"up before, in which {slides.sum(axis=1).mean():.0f} of {count} contact elements slide; "
-        f"displacements differ by {off:.1e} m; measured once",
+        f"mean of steps {first + 1} to {last} {what}, set up before, in which "
+        f"{slides.sum(axis=1).mean():.0f} of {count} contact elements slide; displacements differ "
+        f"by {off:.1e} m; measured once",
     )
 
 
