@@ -23,10 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
+from artefacts.arrays import Array, Flags
 from fesim.machine_code import compiled
 
-Flags = NDArray[np.bool_]
 #: From the innovations (n,), K, and the channels that count (indices): what of them no possible
 #: change of the heat explains, K, shape (n,), and its covariance, K2, shape (n, n).
 Explain = Callable[[Array, NDArray[np.int64]], tuple[Array, Array]]

@@ -13,7 +13,7 @@ from fesim.joint.blocks import (
     blocks_of,
     coupling,
     one_block,
-    parts_of,
+    part_of,
     side_by_side,
     unknowns_of,
 )
@@ -53,8 +53,13 @@ for number, elements in enumerate(JOINTS):
 STANDING = np.eye(6, 24)
 
 
+def linear(problem):
+    """Springs, F and its transpose."""
+    return problem.springs, problem.compliance, np.ascontiguousarray(problem.compliance.T)
+
+
 def divided(problem):
-    return blocks_of(problem.springs, problem.compliance, COUNTS, CHAIN, STANDING)
+    return blocks_of(*linear(problem), COUNTS, CHAIN, STANDING)
 
 
 def test_there_are_tests_of_several_blocks():
@@ -72,9 +77,10 @@ def test_joints_that_are_tied_together_are_one_block():
     blocks = divided(problem)
     assert blocks.starts.tolist() == [0, 80, 110]
     np.testing.assert_array_equal(blocks.elements, np.concatenate([JOINTS[k] for k in (0, 2, 1)]))
-    parts = list(parts_of(blocks, problem.springs, problem.compliance))
-    for elements, springs, compliance in parts:
+    for block in range(2):
+        elements, springs, compliance, columns = part_of(blocks, block)
         rows = unknowns_of(elements, TOTAL)
+        np.testing.assert_array_equal(columns, compliance.T)
         np.testing.assert_array_equal(springs, problem.springs[rows])
         np.testing.assert_array_equal(compliance, problem.compliance[np.ix_(rows, rows)])
 
@@ -82,11 +88,11 @@ def test_joints_that_are_tied_together_are_one_block():
 def test_few_contact_elements_are_one_block():
     problem, _ = coupled_problem(1, 1e-6, 0.3)
     few = unknowns_of(np.arange(WHOLE), TOTAL)
-    own = problem.springs[few], problem.compliance[np.ix_(few, few)]
+    compliance = problem.compliance[np.ix_(few, few)]
+    own = problem.springs[few], compliance, np.ascontiguousarray(compliance.T)
     hung = CHAIN[:WHOLE], STANDING
     assert blocks_of(*own, (40, 30, WHOLE - 70), *hung).starts.size == 2
-    everything = problem.springs, problem.compliance
-    assert blocks_of(*everything, (TOTAL,), CHAIN, STANDING).starts.size == 2
+    assert blocks_of(*linear(problem), (TOTAL,), CHAIN, STANDING).starts.size == 2
 
 
 def test_joints_of_a_chain_lie_on_no_loop():
@@ -152,14 +158,18 @@ def test_only_the_anchor_of_a_joint_that_changes_is_moved():
         driven = problem, laws, factor * own, slip, gap, anchors
         solved, _, gap, slip = settled(*driven, tolerance=1e-13, blocks=blocks)
         assert solved
-    assert anchors.about[1, ANCHORED] > 2
-    assert anchors.about[[0, 2], ANCHORED].tolist() == [1, 1]
+    assert anchors.every.about[1, ANCHORED] > 2
+    assert anchors.every.about[[0, 2], ANCHORED].tolist() == [1, 1]
 
 
 def test_one_block_holds_all_rows_in_their_order():
-    blocks = one_block(np.arange(12.0))
+    compliance = np.arange(144.0).reshape(12, 12)
+    columns = np.ascontiguousarray(compliance.T)
+    blocks = one_block(np.arange(12.0), compliance, columns)
     assert blocks.elements.tolist() == [0, 1, 2, 3]
     assert blocks.starts.tolist() == [0, 4]
+    for given, whole in zip(part_of(blocks, 0)[2:], (compliance, columns), strict=True):
+        np.testing.assert_array_equal(given, whole)
 
 
 @pytest.fixture(scope="module")

@@ -27,11 +27,11 @@ def settled(problem, laws, thermal_gap, slip, guess, anchors, tolerance=TIGHT, b
     count = guess.shape[1]
     gap, value = np.array(guess), np.empty((3, count))
     moved, tangent = np.empty((2, count)), np.empty((6, count))
+    columns = np.ascontiguousarray(problem.compliance.T)
     found, residual, _ = settle_near(
         problem.springs,
-        problem.compliance,
-        np.ascontiguousarray(problem.compliance.T),
-        blocks or one_block(problem.springs),
+        columns,
+        blocks or one_block(problem.springs, problem.compliance, columns),
         compile_gap(problem, laws).laws,
         problem.exchange @ thermal_gap,
         slip,
@@ -103,7 +103,7 @@ def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
         solved, _, gap, moved = settled(*driven, tolerance=1e-13)
         assert solved
         np.testing.assert_array_equal(moved, slip)
-    assert anchors.about[0, ANCHORED] <= 3
+    assert anchors.every.about[0, ANCHORED] <= 3
 
 
 def test_a_tolerance_out_of_reach_is_not_reached():

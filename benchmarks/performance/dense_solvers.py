@@ -162,8 +162,8 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     joint = joint_kernel(machine, np.asarray(machine.thermal.jump), np.zeros(count))
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
-    blocks, slip = one_block(joint.springs), np.zeros((2, count))
-    anchors = new_anchors(blocks.starts)
+    blocks = one_block(joint.springs, joint.compliance, joint.columns)
+    anchors, slip = new_anchors(blocks.starts), np.zeros((2, count))
     value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
@@ -172,8 +172,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         law = joint.laws, free, slip, joint.tolerance
         if kept:
             settle_near(
-                joint.springs, joint.compliance, joint.columns, blocks, *law, anchors, gap,
-                value, moved, tangent,
+                joint.springs, joint.columns, blocks, *law, anchors, gap, value, moved, tangent,
             )  # fmt: skip
         else:
             solve_in_place(joint.springs, joint.compliance, *law, gap, value, moved, tangent)

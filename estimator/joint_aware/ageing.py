@@ -21,9 +21,8 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from artefacts.arrays import Array
+from artefacts.arrays import Array, Flags
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.film import Film, convected, film_of
@@ -32,8 +31,6 @@ from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.parameters import joint_with_factors
 from estimator.joint_aware.reduced_machine import Joint
 from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
-
-Flags = NDArray[np.bool_]
 
 #: The copies' parameters are off by this, in the logarithm.
 STEP = 0.03

@@ -223,7 +223,9 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             history[at] = amplitudes
         modes = physics.modes
         return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
-    kept = None if kernel is None else new_kept(one_block(kernel.springs))
+    kept = None
+    if kernel is not None:
+        kept = new_kept(one_block(kernel.springs, kernel.compliance, kernel.columns))
     while k < len(inputs):
         if kernel is not None and kept is not None:
             now = Moving(amplitudes, *joint)

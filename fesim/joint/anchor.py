@@ -63,25 +63,18 @@ class Anchor(NamedTuple):
 
 
 class Anchors(NamedTuple):
-    """The anchors of all blocks: as in `Anchor`, one block behind the other; b blocks.
+    """The anchors of b blocks.
 
     Attributes
     ----------
-    about : ndarray of int, shape (b, 3)
+    every : Anchor
+        The storage of all: its arrays are flat, one block behind the other; `about` is (b, 3).
     begins : ndarray of int, shape (4, b + 1)
         Where each block begins: in contact elements, in slots, in contact elements squared and in
         slots times contact elements.
     """
 
-    tangent: Array
-    about: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    place: NDArray[np.int64]
-    inverse: Array
-    slot: NDArray[np.int64]
-    element: NDArray[np.int64]
-    columns: Array
-    moved: Array
+    every: Anchor
     begins: NDArray[np.int64]
 
 
@@ -93,7 +86,7 @@ def new_anchors(starts: NDArray[np.int64]) -> Anchors:
     counts = np.diff(starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
     every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
-    return Anchors(
+    storage = Anchor(
         tangent=np.zeros(6 * every),
         about=np.zeros((counts.size, 3), dtype=np.int64),
         rows=np.zeros(3 * every, dtype=np.int64),
@@ -103,12 +96,10 @@ def new_anchors(starts: NDArray[np.int64]) -> Anchors:
         element=np.full(int(slots.sum()), -1),
         columns=np.zeros(kept),
         moved=np.zeros(kept),
-        begins=np.array([_begins(one) for one in (counts, slots, counts * counts, slots * counts)]),
     )
-
-
-def _begins(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    begins = np.zeros((4, starts.size), dtype=np.int64)
+    np.cumsum([counts, slots, counts * counts, slots * counts], axis=1, out=begins[:, 1:])
+    return Anchors(storage, begins)
 
 
 @compiled
@@ -118,15 +109,15 @@ def block_anchor(anchors: Anchors, block: int) -> Anchor:
     last, end, squared, next_kept = anchors.begins[:, block + 1]
     count, slots, own = last - first, end - slot, slice(9 * kept, 9 * next_kept)
     return Anchor(
-        anchors.tangent[6 * first : 6 * last].reshape(6, count),
-        anchors.about[block],
-        anchors.rows[3 * first : 3 * last],
-        anchors.place[3 * first : 3 * last],
-        anchors.inverse[9 * square : 9 * squared],
-        anchors.slot[first:last],
-        anchors.element[slot:end],
-        anchors.columns[own].reshape(slots, 3, 3 * count),
-        anchors.moved[own].reshape(slots, 3, 3 * count),
+        anchors.every.tangent[6 * first : 6 * last].reshape(6, count),
+        anchors.every.about[block],
+        anchors.every.rows[3 * first : 3 * last],
+        anchors.every.place[3 * first : 3 * last],
+        anchors.every.inverse[9 * square : 9 * squared],
+        anchors.every.slot[first:last],
+        anchors.every.element[slot:end],
+        anchors.every.columns[own].reshape(slots, 3, 3 * count),
+        anchors.every.moved[own].reshape(slots, 3, 3 * count),
     )
 
 
@@ -136,12 +127,12 @@ def put_tangents(anchors: Anchors, elements: NDArray[np.int64], found: Array) ->
 
     `elements` (m,) are the contact elements, block after block.
     """
-    for block in range(anchors.about.shape[0]):
+    for block in range(anchors.begins.shape[1] - 1):
         first, last = anchors.begins[0, block], anchors.begins[0, block + 1]
-        at, made = 6 * first, anchors.about[block, MADE] == 1
+        at, made = 6 * first, anchors.every.about[block, MADE] == 1
         for i in range(6):
             for k in range(first, last):
-                found[i, elements[k]] = anchors.tangent[at] if made else 0.0
+                found[i, elements[k]] = anchors.every.tangent[at] if made else 0.0
                 at += 1
 
 

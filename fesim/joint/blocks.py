@@ -12,8 +12,8 @@ as a whole; then each feels the other more than itself, and they are one block.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import combinations, pairwise
+from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from artefacts.arrays import Array
-
-Flags = NDArray[np.bool_]
+from artefacts.arrays import Array, Flags
+from fesim.machine_code import compiled
 
 #: So many contact elements are one block whatever they are: their inverse fits into the cache.
 WHOLE = 96
@@ -43,37 +42,34 @@ class Blocks(NamedTuple):
         Contact elements, block after block.
     starts : ndarray of int, shape (b + 1,)
         Where each block begins in `elements`.
-    squares : ndarray of int, shape (b + 1,)
-        The sums of the squares of the numbers of elements before each block.
     springs : ndarray, shape (3 m,)
-        k0 of each block, Pa/m.
-    compliance, columns : ndarray, shape (9 squares[-1],)
-        F of each block and its transpose, m/Pa; nothing where there is one block only.
+        k0, block after block, Pa/m.
+    compliance, columns : ndarray, flat
+        F of each block and its transpose, block after block, m/Pa.
     """
 
     elements: NDArray[np.int64]
     starts: NDArray[np.int64]
-    squares: NDArray[np.int64]
     springs: Array
     compliance: Array
     columns: Array
 
 
-def one_block(springs: Array) -> Blocks:
-    """Return all contact elements as one block, of springs (3 m,)."""
+def one_block(springs: Array, compliance: Array, columns: Array) -> Blocks:
+    """Return all contact elements as one block, of k0 (3 m,), F and its transpose (3 m, 3 m)."""
     count = springs.size // 3
     return Blocks(
-        elements=np.arange(count),
-        starts=np.array([0, count]),
-        squares=np.array([0, count * count]),
-        springs=springs,
-        compliance=np.empty(0),
-        columns=np.empty(0),
+        np.arange(count), np.array([0, count]), springs, compliance.ravel(), columns.ravel()
     )
 
 
 def blocks_of(
-    springs: Array, compliance: Array, counts: Sequence[int], share: Array, supports: Array
+    springs: Array,
+    compliance: Array,
+    columns: Array,
+    counts: Sequence[int],
+    share: Array,
+    supports: Array,
 ) -> Blocks:
     """Divide the contact elements.
 
@@ -81,8 +77,8 @@ def blocks_of(
     ----------
     springs : ndarray, shape (3 m,)
         k0, Pa/m.
-    compliance : ndarray, shape (3 m, 3 m)
-        F, m/Pa.
+    compliance, columns : ndarray, shape (3 m, 3 m)
+        F and its transpose, m/Pa.
     counts : sequence of int
         How many contact elements each joint has, in their order.
     share, supports : ndarray, shapes (m, p) and (k, 6 p)
@@ -90,43 +86,38 @@ def blocks_of(
     """
     total = springs.size // 3
     if total <= WHOLE or len(counts) < 2:
-        return one_block(springs)
+        return one_block(springs, compliance, columns)
     joints = np.split(np.arange(total), np.cumsum(counts)[:-1])
     own = _together(springs, compliance, joints, side_by_side(joints, share, supports))
     parts = [np.concatenate([joints[j] for j in np.flatnonzero(own == k)]) for k in np.unique(own)]
     if len(parts) == 1:
-        return one_block(springs)
+        return one_block(springs, compliance, columns)
     sizes = np.array([part.size for part in parts])
     rows = [unknowns_of(part, total) for part in parts]
     diagonal = [compliance[np.ix_(row, row)] for row in rows]
     return Blocks(
         elements=np.concatenate(parts),
         starts=np.concatenate([[0], np.cumsum(sizes)]),
-        squares=np.concatenate([[0], np.cumsum(sizes * sizes)]),
         springs=np.concatenate([springs[row] for row in rows]),
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
     )
 
 
-def parts_of(
-    blocks: Blocks, springs: Array, compliance: Array
-) -> Iterator[tuple[NDArray[np.int64], Array, Array]]:
-    """Yield contact elements (n,), springs (3 n,) and F (3 n, 3 n) of one block after the other.
-
-    `springs` and `compliance` are those of all.
-    """
-    if blocks.starts.size == 2:
-        yield blocks.elements, springs, compliance
-        return
-    ends = zip(pairwise(blocks.starts), pairwise(blocks.squares), strict=True)
-    for (first, last), (begin, end) in ends:
-        size = 3 * int(last - first)
-        yield (
-            blocks.elements[first:last],
-            blocks.springs[3 * first : 3 * last],
-            blocks.compliance[9 * begin : 9 * end].reshape(size, size),
-        )
+@compiled
+def part_of(blocks: Blocks, block: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Contact elements (n,), springs (3 n,), F and its transpose (3 n, 3 n) of one block."""
+    first, last, square = blocks.starts[block], blocks.starts[block + 1], 0
+    for before in range(block):
+        square += (blocks.starts[before + 1] - blocks.starts[before]) ** 2
+    size = 3 * (last - first)
+    own = slice(9 * square, 9 * square + size * size)
+    return (
+        blocks.elements[first:last],
+        blocks.springs[3 * first : 3 * last],
+        blocks.compliance[own].reshape(size, size),
+        blocks.columns[own].reshape(size, size),
+    )
 
 
 def unknowns_of(elements: NDArray[np.int64], total: int) -> NDArray[np.int64]:

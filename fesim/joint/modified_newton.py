@@ -22,7 +22,7 @@ from fesim.joint.anchor import (
     correct,
     make_anchor,
 )
-from fesim.joint.blocks import Blocks
+from fesim.joint.blocks import Blocks, part_of
 from fesim.joint.compiled_gap import evaluate_in_place, lacking, largest
 from fesim.machine_code import compiled
 
@@ -90,10 +90,8 @@ def _sweep(
     step[:] = 0.0
     shift[:] = 0.0
     for block in range(blocks.starts.size - 1):
-        first, last = blocks.starts[block], blocks.starts[block + 1]
-        elements, size = blocks.elements[first:last], last - first
-        square = slice(9 * blocks.squares[block], 9 * blocks.squares[block + 1])
-        springs = blocks.springs[3 * first : 3 * last]
+        elements, springs, compliance, own_columns = part_of(blocks, block)
+        size = elements.size
         own_tangent, own_lack = np.empty((6, size)), np.empty(3 * size)
         own_step, own_shift, stale = np.empty(3 * size), np.empty(3 * size), False
         for k in range(size):
@@ -103,18 +101,18 @@ def _sweep(
             for i in range(3):
                 row, own = i * count + e, i * size + k
                 stale = stale or abs(lack[row]) > most * springs[own]
-                normal, first_part, second_part = lacking(springs, own_tangent, own)
+                normal, along, across = lacking(springs, own_tangent, own)
                 own_lack[own] = (
                     lack[row]
                     + normal * shift[e]
-                    + first_part * shift[count + e]
-                    + second_part * shift[2 * count + e]
+                    + along * shift[count + e]
+                    + across * shift[2 * count + e]
                 )
         found = _correct_or_move(
             block_anchor(anchors, block),
             springs,
-            blocks.compliance[square].reshape(3 * size, 3 * size),
-            blocks.columns[square].reshape(3 * size, 3 * size),
+            compliance,
+            own_columns,
             own_tangent,
             own_lack,
             least,
@@ -153,7 +151,6 @@ def _lack(springs: Array, gap: Array, value: Array, force: Array, lack: Array) -
 @compiled
 def settle_near(
     springs: Array,
-    compliance: Array,
     columns: Array,
     blocks: Blocks,
     laws: Array,
@@ -180,7 +177,7 @@ def settle_near(
     flat[:] = free_gap
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
-    one, first = blocks.starts.size == 2, block_anchor(anchors, 0)
+    one, first, whole = blocks.starts.size == 2, block_anchor(anchors, 0), part_of(blocks, 0)[2]
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(laws, gap, slip, value, moved, tangent)
         size = _lack(springs, gap, value, force, lack)
@@ -193,13 +190,13 @@ def settle_near(
             residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
                 if iteration > PATIENCE:
-                    anchors.about[:, MADE] = 0
+                    anchors.every.about[:, MADE] = 0
                 return True, residual, iteration
         if one:
             outcome = _correct_or_move(
                 first,
                 springs,
-                compliance,
+                whole,
                 columns,
                 tangent,
                 lack,

@@ -100,7 +100,6 @@ def _settle(
     try:
         solved, residual, iterations = settle_near(
             joint.springs,
-            joint.compliance,
             joint.columns,
             kept.blocks,
             joint.laws,
@@ -117,7 +116,7 @@ def _settle(
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
-    kept.anchors.about[:, MADE] = 0
+    kept.anchors.every.about[:, MADE] = 0
     found[:] = now.gap + now.change
     return settle_by_newton(joint, free_gap, now.slip, now.gap, found, value, moved, tangent)
 

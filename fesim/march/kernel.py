@@ -14,7 +14,7 @@ import numpy as np
 
 from artefacts.arrays import Array
 from fesim.joint.anchor import block_anchor, make_anchor, new_anchors, put_tangents
-from fesim.joint.blocks import Blocks, blocks_of, one_block, parts_of
+from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.law import JointLaw, PowerLawConductance
@@ -93,8 +93,8 @@ class StepKernel:
                 self.kept.insert(0, self.kept.pop(k))
                 return kept
         kept = new_kept(self.blocks)
-        parts = parts_of(self.blocks, self.joint.springs, self.joint.compliance)
-        for block, (elements, springs, compliance) in enumerate(parts):
+        for block in range(self.blocks.starts.size - 1):
+            elements, springs, compliance, _ = part_of(self.blocks, block)
             if anchor[:6, elements].any():
                 own = block_anchor(kept.anchors, block)
                 own.tangent[:] = anchor[:6, elements]
@@ -210,10 +210,11 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
 
 def _blocks(machine: CondensedMachine, joint: JointKernel) -> Blocks:
     """What of the contact elements hardly feels each other; all is one where no holds are known."""
-    if machine.holds is None:
-        return one_block(joint.springs)
-    counts, holds = [count for _, count in machine.laws], machine.holds
-    return blocks_of(joint.springs, joint.compliance, counts, holds.share, holds.supports)
+    linear, holds = (joint.springs, joint.compliance, joint.columns), machine.holds
+    if holds is None:
+        return one_block(*linear)
+    counts = [count for _, count in machine.laws]
+    return blocks_of(*linear, counts, holds.share, holds.supports)
 
 
 def _own(values: Array) -> Array:
