@@ -23,8 +23,6 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.files import write_text
 from benchmarks.hand_placed import MODEL, PLACES, PLANT
 from benchmarks.sensor_count import CALIBRATED, STEP, Plant, candidates_on, drawn, with_sensors
 from estimator.interface import Estimator, follow
@@ -36,6 +34,8 @@ from estimator.joint_aware.parameters import with_factors
 from estimator.joint_aware.physics import conduct, make_physics, settle_joint
 from estimator.joint_aware.physics_fit import fit_physics
 from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
 
 #: Of heat and plant; the constants of `estimator.joint_aware.ageing` were found with another one.
 SEED = 21

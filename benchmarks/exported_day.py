@@ -21,8 +21,6 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from artefacts.arrays import Array
-from artefacts.log_file import read_log
 from calibrate.learning.learn import learn
 from estimator.export.c_source import c_files
 from estimator.export.exporting import export_program
@@ -35,8 +33,10 @@ from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.starting import started
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
-from models.assembly import assemble
-from models.model_file import read_model
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.models.assembly import assemble
+from thermojoint.models.model_file import read_model
 
 DAY, INTERVAL, PERIOD, ON, FOLLOWS = 86400.0, 2.0, 7200.0, 4320.0, 1800.0
 HEAT, NOISE = 2.0, 0.03

@@ -19,7 +19,7 @@ from rich.console import Console
 from calibrate import chain
 from estimator import judge
 from fesim.case.schema import read_case
-from thermojoint.cli.console import show_blocks, show_schemes, show_validation
+from thermojoint.console import show_blocks, show_schemes, show_validation
 from thermojoint.paper import inputs
 from thermojoint.paper.summary import compare_schemes
 

@@ -30,9 +30,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from artefacts.files import write_text
-from artefacts.response import read_response
 from benchmarks.fuzz_inputs import WRITERS, Files, unharmed
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import read_response
 from thermojoint.cli.main import main as thermojoint
 
 HEADER = ["damage", "result", "refused in one line", "failed"]

@@ -295,14 +295,14 @@ def serve(folder: Path) -> None:
     from prometheus_client import CollectorRegistry
 
     from estimator.interface import Channel
-    from live.archive import Archive
-    from live.http import server
-    from live.http.server import open_http, serve_http
-    from live.http.sources import About, Sources
-    from live.hub import Hub
-    from live.publication import Layout, Publication, Quality, as_row
-    from live.settings import HttpServer, Secret
-    from live.store import Batch, Checkpoint, commit, era_of, open_store
+    from thermojoint.live.archive import Archive
+    from thermojoint.live.http import server
+    from thermojoint.live.http.server import open_http, serve_http
+    from thermojoint.live.http.sources import About, Sources
+    from thermojoint.live.hub import Hub
+    from thermojoint.live.publication import Layout, Publication, Quality, as_row
+    from thermojoint.live.settings import HttpServer, Secret
+    from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
 
     server.REQUEST_S = REQUEST_S
     layout = Layout(("x", "y"), (), (Channel("heat_input", "1"),), ("T1_degC",))

@@ -23,17 +23,17 @@ from typing import Any
 
 from asyncua import ua
 
-from live import floor as floors
-from live.arrivals import Arrival, Note
-from live.floor import Floor, Place
-from live.log_lines import EventLog
-from live.machine import at_rest
-from live.metrics import fresh_metrics
-from live.readers import csv_pipe, mqtt, opcua
-from live.samples import Waiting
-from live.served import Served
-from live.settings import MqttSource, WatchdogSection
-from live.writers.opcua import probe_reading
+from thermojoint.live import floor as floors
+from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.floor import Floor, Place
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.machine import at_rest
+from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.readers import csv_pipe, mqtt, opcua
+from thermojoint.live.samples import Waiting
+from thermojoint.live.served import Served
+from thermojoint.live.settings import MqttSource, WatchdogSection
+from thermojoint.live.writers.opcua import probe_reading
 
 START = 1_772_431_200.0
 MACHINE = "mill"
@@ -234,8 +234,8 @@ def check(name: str, model: Served, count: int, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if anything failed."""
-    from live.served import served
-    from live.settings import ModelSection
+    from thermojoint.live.served import served
+    from thermojoint.live.settings import ModelSection
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--model", type=Path, required=True)

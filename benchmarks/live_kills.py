@@ -25,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.errors import InputError
-from live.archive import Archive, History
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.archive import Archive, History
 
 ROOT = Path(__file__).parents[1]
 MACHINE = "mill"

@@ -73,8 +73,8 @@ def free_port() -> int:
 
 def names_of(model: Path) -> tuple[str, ...]:
     """Return what a machine with a model reads in every sample."""
-    from live.served import served
-    from live.settings import ModelSection
+    from thermojoint.live.served import served
+    from thermojoint.live.settings import ModelSection
 
     with tempfile.TemporaryDirectory() as kept:
         found = served(ModelSection(file=model.name), model.parent, Path(kept)).intake

@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from artefacts.files import write_text
-from artefacts.response import columns_of
 from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement import with_roles
@@ -28,8 +26,10 @@ from fesim.case.schema import Case, read_case
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.assembly import assemble
-from models.sensors import readings, rises
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import columns_of
+from thermojoint.models.assembly import assemble
+from thermojoint.models.sensors import readings, rises
 from thermojoint.paper import inputs
 
 #: Hours to report.

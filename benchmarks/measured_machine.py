@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.log import Log
-from artefacts.log_file import read_log
 from calibrate.learning.learn import KINDS, learn
 from estimator.learned.estimator import Learned
 from estimator.learned.judging import run
-from models.learned import LearnedModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.models.learned import LearnedModel
 
 SHARES = (0.4, 0.5, 0.6, 0.7)
 SENSORS = (1, 2, 4, 8, 16)

@@ -23,7 +23,6 @@ from rich.console import Console
 from rich.table import Table
 
 from fesim.case.schema import Case, parse_case
-from fesim.joint.operators import joint_operators
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
 from fesim.setup.loads import heat_sources
@@ -31,6 +30,7 @@ from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import body_materials
 from fesim.simulate import simulate
 from fesim.solid.heat import heat_operators
+from fesim.solid.joint_operators import joint_operators
 from thermojoint.paper.inputs import VALIDATION
 
 #: Name -> largest element edge in general and at the joint, mm.

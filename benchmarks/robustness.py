@@ -26,12 +26,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from artefacts.errors import ThermojointError
-from artefacts.files import write_text
 from fesim.batch.summary import OPEN_BELOW, is_open, preloads
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.artefacts.files import write_text
 
 Data = dict[str, Any]
 Point = tuple[float, float, float]

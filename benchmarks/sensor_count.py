@@ -27,8 +27,6 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.files import write_text
 from benchmarks.hand_placed import MODEL, PLACES, PLANT, machine_data
 from estimator.interface import follow
 from estimator.joint_aware import placement, plant_family
@@ -49,6 +47,8 @@ from estimator.joint_aware.reduced_machine import (
 )
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
 
 #: Step of plants and observers, s; judged plants and their seed.
 STEP, PLANTS, SEED = 10.0, 4, 11

@@ -21,14 +21,14 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.files import write_text
-from artefacts.response import columns_of, read_response
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.noise import NOISE_PEAK_TO_PEAK_K, sensor_noise
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import columns_of, read_response
 
 #: Case to when the fault begins, s.
 CASES = {"step-1.5": (0.0, 600.0), "step-3.0": (60.0, 600.0), "day": (9000.0, 20000.0)}

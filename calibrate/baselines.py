@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import lfilter
 
-from artefacts import steps
-from artefacts.arrays import Array
-from artefacts.response import axes_of, columns_of
 from calibrate.chain import Calibrated
 from calibrate.linear import SLOWEST
 from calibrate.placement import DEVIATION_UNCERTAINTY, with_roles
-from models.baselines import Autoregression, Baselines, Regression, low_passes
-from models.filters.bank import respond_to_line
-from models.parameters import Span
-from models.sensors import ROLES, rises
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import axes_of, columns_of
+from thermojoint.models.baselines import Autoregression, Baselines, Regression, low_passes
+from thermojoint.models.filters.bank import respond_to_line
+from thermojoint.models.parameters import Span
+from thermojoint.models.sensors import ROLES, rises
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from artefacts.errors import ConvergenceError, InputError, ThermojointError
-from artefacts.response import axes_of, probes_of
 from calibrate.driven_deformation import fit_driven_deformation, uncertain_signals
 from calibrate.fictitious import FictitiousCalibration, calibrate_fictitious
 from calibrate.linear import (
@@ -38,10 +36,12 @@ from calibrate.responses import (
     reference_power,
 )
 from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
-from models import blocks
-from models.assembly import assemble
-from models.filters.inverse import unstable_zeros
-from models.parameters import (
+from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
+from thermojoint.artefacts.response import axes_of, probes_of
+from thermojoint.models import blocks
+from thermojoint.models.assembly import assemble
+from thermojoint.models.filters.inverse import unstable_zeros
+from thermojoint.models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -50,7 +50,7 @@ from models.parameters import (
     RingModel,
     Span,
 )
-from models.sensors import JOINT_SENSORS, ROLES, readings
+from thermojoint.models.sensors import JOINT_SENSORS, ROLES, readings
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -17,12 +17,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from artefacts import steps
-from artefacts.errors import InputError
 from calibrate.fit_result import Fit
 from calibrate.least_squares import fit
 from calibrate.source_deformation import eq18_models, eq18_problem
-from models.parameters import DeformationModel
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.parameters import DeformationModel
 
 #: As `source_deformation.RIDGE`. Larger: strengths go on beyond what was calibrated, and must not
 #: undo terms that nearly cancel.

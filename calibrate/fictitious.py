@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.errors import InputError, unknown_name
-from artefacts.response import axes_of
 from calibrate import source_thermal
 from calibrate.fit_result import Fit
 from calibrate.source_deformation import fit_source_deformation, source_displacements
 from calibrate.source_thermal import SourceFit
-from models.parameters import DeformationModel, FictitiousSource, RingModel
-from models.regularisation import choose_regularisation
-from models.sensors import JOINT_SENSORS
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.response import axes_of
+from thermojoint.models.parameters import DeformationModel, FictitiousSource, RingModel
+from thermojoint.models.regularisation import choose_regularisation
+from thermojoint.models.sensors import JOINT_SENSORS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
-from artefacts.errors import InputError
 from calibrate.fit_result import INDISTINCT, Fit, covariance
+from thermojoint.artefacts.errors import InputError
 
 #: A parameter this close to its bound, in ln, counts as at the bound.
 _AT_BOUND = 1e-3

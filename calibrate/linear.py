@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.errors import InputError
-from artefacts.response import axes_of
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, solve_linear
-from models import deformation, ring_source
-from models.parameters import DeformationModel, LinearModel, Relaxation, RingModel
-from models.regularisation import choose_regularisation
-from models.relaxation import relaxation_response
-from models.sensors import JOINT_SENSORS
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import axes_of
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.parameters import DeformationModel, LinearModel, Relaxation, RingModel
+from thermojoint.models.regularisation import choose_regularisation
+from thermojoint.models.relaxation import relaxation_response
+from thermojoint.models.sensors import JOINT_SENSORS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -241,8 +241,8 @@ def calibrate_linear(
     Parameters
     ----------
     response : xarray.Dataset
-        Step response (`artefacts.response`) with probes a, b, T1 and T2. Its level need not be 1;
-        everything is divided by it.
+        Step response (`thermojoint.artefacts.response`) with probes a, b, T1 and T2. Its level need
+        not be 1; everything is divided by it.
     r0 : float
         Radius of the ring of Eq. 2, m.
     fit_displacement : callable

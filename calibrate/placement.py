@@ -25,17 +25,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.arrays import Array
-from artefacts.errors import InputError, ThermojointError
-from artefacts.response import probes_of
 from calibrate.driven_deformation import UNCERTAIN_TIMES
 from calibrate.linear import fit_ring
-from models.assembly import deformation_bank
-from models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
-from models.filters.inverse import inverse_bank
-from models.parameters import DeformationModel
-from models.regularisation import choose_regularisation, steepest_rise
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, ThermojointError
+from thermojoint.artefacts.response import probes_of
+from thermojoint.models.assembly import deformation_bank
+from thermojoint.models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
+from thermojoint.models.filters.inverse import inverse_bank
+from thermojoint.models.parameters import DeformationModel
+from thermojoint.models.regularisation import choose_regularisation, steepest_rise
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from calibrate.chain import Calibrated
 from calibrate.fit_result import report
 from calibrate.source_thermal import compare
-from models.model_file import Provenance
+from thermojoint.models.model_file import Provenance
 
 _MICRO = 1e6
 

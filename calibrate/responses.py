@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.errors import InputError, unknown_name
-from artefacts.response import axes_of, probes_of
 from calibrate.fictitious import check_steps
 from calibrate.source_thermal import make_geometry
-from models.sensors import JOINT_SENSORS, ROLES
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.response import axes_of, probes_of
+from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 
 if TYPE_CHECKING:
     import xarray as xr

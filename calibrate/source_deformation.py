@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.errors import InputError
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit
 from calibrate.linear import deformation_bounds
-from models import deformation
-from models.parameters import DeformationModel
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models import deformation
+from thermojoint.models.parameters import DeformationModel
 
 #: What a term of Eq. 18 as large as δ_NL costs, as an error relative to it (`least_squares`).
 RIDGE = 1e-4

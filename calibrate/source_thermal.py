@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts import steps
-from artefacts.errors import InputError
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, fit_linear
-from models import ring_source
+from thermojoint.artefacts import steps
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models import ring_source
 
 #: Radius of the ring that stands for a fictitious source, m.
 SOURCE_RADIUS = 0.02

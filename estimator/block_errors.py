@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.response import axes_of, columns_of, probes_of
 from estimator.rows import MICRO, Row
 from estimator.superposition import held_heat, superposed
-from models import blocks
-from models.assembly import Assembly, assemble
-from models.parameters import Model
-from models.sensors import readings
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import axes_of, columns_of, probes_of
+from thermojoint.models import blocks
+from thermojoint.models.assembly import Assembly, assemble
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import readings
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from enum import IntFlag, auto
 from typing import NamedTuple, Protocol
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Standard deviation of a reading of the displacement, if nobody says better, m.
 READING_NOISE = 0.5e-6

@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.errors import unknown_name
-from artefacts.response import axes_of, columns_of
 from estimator.baselines.starting import regressions
 from estimator.block_errors import assembled_for, block_errors
 from estimator.fchs.stream import Signals, run
@@ -24,9 +21,12 @@ from estimator.interface import follow
 from estimator.noise import joint_noise
 from estimator.rows import MICRO, Row, figures_of
 from estimator.superposition import superposed
-from models.baselines import Baselines
-from models.parameters import Model
-from models.sensors import readings, rises, roles_in
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import unknown_name
+from thermojoint.artefacts.response import axes_of, columns_of
+from thermojoint.models.baselines import Baselines
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import readings, rises, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -130,7 +130,7 @@ def validate(
     case : str
         Name for the rows.
     response, model, roles, noise
-        As in `models.sensors.readings`.
+        As in `thermojoint.models.sensors.readings`.
     reference : xarray.Dataset, optional
         Response to the reference step. With it the actual δ_NL is the displacement less the
         superposed reference; without it, less the estimated δ_L.

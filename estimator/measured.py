@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
-from artefacts.errors import InputError
-from models.parameters import Model
-from models.sensors import readings, roles_in
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import readings, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr

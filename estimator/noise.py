@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from artefacts.errors import InputError, unknown_name
-from artefacts.response import probes_of
-from models.parameters import Model
-from models.sensors import JOINT_SENSORS, roles_in
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.response import probes_of
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import JOINT_SENSORS, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr

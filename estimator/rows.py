@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: E.g. case, estimator, axis, max_abs_error_um; None where a figure is not known.
 Row = Mapping[str, str | float | None]

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import write_text
-from artefacts.json_file import JsonKind, read_json
 from estimator.fchs.estimator import Fchs
-from models.assembly_file import as_content, from_content
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json
+from thermojoint.models.assembly_file import as_content, from_content
 
 FILE = JsonKind("thermojoint-estimator-state", 2, "state", "saved by the estimator", "start afresh")
 

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array, Flags
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: From the innovations (n,), K, and the channels that count (indices): what of them no possible
 #: change of the heat explains, K, shape (n,), and its covariance, K2, shape (n, n).

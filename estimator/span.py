@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from estimator.interface import Status
-from models.parameters import Span
+from thermojoint.models.parameters import Span
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05

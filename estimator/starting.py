@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.fchs.estimator import Fchs
 from estimator.saved_state import load_state
-from models import assembly_file
-from models.assembly import assemble
-from models.model_file import read_model
-from models.parameters import Model
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models import assembly_file
+from thermojoint.models.assembly import assemble
+from thermojoint.models.model_file import read_model
+from thermojoint.models.parameters import Model
 
 #: Length of a run where none is said, s.
 RUN_LENGTH = 7200.0

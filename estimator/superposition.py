@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError
-from artefacts.steps import step_level
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.steps import step_level
 
 if TYPE_CHECKING:
     import xarray as xr

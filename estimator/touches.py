@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log_file import read_log
-from artefacts.quantities import column_named
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.quantities import column_named
 
 
 def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:

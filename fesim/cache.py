@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.files import DAMAGED_ARCHIVE, whole_file
-from artefacts.own_folder import user_cache
-from artefacts.source import source_digest
+from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
+from thermojoint.artefacts.own_folder import user_cache
+from thermojoint.artefacts.source import source_digest
 
 #: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
 VARIABLE = "THERMOJOINT_CACHE"

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.case.schema import Case
 from fesim.march.machine import Step, load_factors
 from fesim.setup.machine import Setup
@@ -15,6 +13,8 @@ from fesim.setup.outputs import support_names
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.stress import COMPONENTS, principal, von_mises
 from meshes.pairing import PairedJoint
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Names of the stresses of a point, and of its principal stresses.
 COMPONENT_NAMES = tuple("".join(DIRECTIONS[i] for i in pair) for pair in COMPONENTS)

@@ -23,8 +23,8 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 
-from artefacts.own_folder import own_folder
-from artefacts.source import source_digest
+from thermojoint.artefacts.own_folder import own_folder
+from thermojoint.artefacts.source import source_digest
 
 P = ParamSpec("P")
 R = TypeVar("R")

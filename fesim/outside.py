@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
 from fesim.setup.machine import Setup
 from meshes.faces import boundary_faces, triangles_of
+from thermojoint.artefacts.arrays import Array
 
 
 class Triangles(NamedTuple):

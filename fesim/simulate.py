@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from fesim.case.schema import Case, case_from_data, step_count
 from fesim.forces import mechanical_values, outputs_of
 from fesim.march.heat_step import each
@@ -35,6 +33,8 @@ from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,7 +52,7 @@ class Simulation:
     Attributes
     ----------
     response : xarray.Dataset
-        See `artefacts.response`.
+        See `thermojoint.artefacts.response`.
     state : State
         At the end; `simulate` goes on from it with identical results.
     """

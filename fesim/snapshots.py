@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem.io.meshio import to_meshio
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import whole_file
 from fesim.case.schema import first_step_at
 from fesim.march.machine import Step
 from fesim.setup.machine import Setup
 from fesim.solid.stress import corner_stresses, principal, von_mises
 from meshes.structure import Structure
 from meshes.volume_cells import corner_mesh
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
 
 INDEX = "snapshots.pvd"
 

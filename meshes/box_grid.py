@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshHex
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 
 #: A grid of more cells than this is a slip of a unit, not a wish: it would need some 100 GB.
 LARGEST_GRID = 20_000_000

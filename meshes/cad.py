@@ -17,10 +17,10 @@ from typing import Any
 
 import pydantic
 
-from artefacts import toml
-from artefacts.errors import InputError
-from artefacts.files import whole_file
-from artefacts.refusal import dotted_name
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.refusal import dotted_name
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 #: A face may be this far from a point that names it, relative to the size of the part.

@@ -33,10 +33,10 @@ from numpy.typing import NDArray
 from skfem import Mesh
 from skfem.io.meshio import to_meshio
 
-from artefacts.errors import InputError, UnreadableError
-from artefacts.files import whole_file
 from meshes.structure import Probe, Structure
 from meshes.volume_cells import boundary_facets, volume_mesh
+from thermojoint.artefacts.errors import InputError, UnreadableError
+from thermojoint.artefacts.files import whole_file
 
 SUFFIXES = (".vtu", ".msh")
 _READERS = {

@@ -12,12 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import Mesh
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from meshes.pairing import facet_corners, outward_areas, pair_joint
 from meshes.quality import cell_quality, cell_volumes
 from meshes.structure import Structure
 from meshes.units import USUAL_SIZE
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Cells below this quality give poor stresses; the worst are named.
 POOR = 0.1

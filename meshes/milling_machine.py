@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshHex
 
-from artefacts.errors import InputError
 from meshes.box_grid import Box, Refinement, box_mesh, put_side_by_side
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError
 
 _SLACK = 1e-7  # m; facet mid-points are compared with planes
 

@@ -20,9 +20,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from skfem import Mesh
 
-from artefacts.errors import InputError
 from meshes.polygons import Polygon, anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 
 #: A part that leaves its mean plane by more than this fraction of its size is curved.
 FLATNESS = 1e-3

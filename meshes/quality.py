@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from skfem import CellBasis, ElementHex0, ElementTetP0, Mesh
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 
 def cell_quality(mesh: Mesh) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError, shown_point, unknown_name
+from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

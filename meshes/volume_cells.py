@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshHex2, MeshTet, MeshTet2
 from skfem.io.meshio import from_meshio
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 
 #: A structure larger than this (m) is taken for one in mm.
 LARGEST_EXTENT = 50.0

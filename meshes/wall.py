@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshHex2, MeshTet, MeshTet2
 
-from artefacts.errors import InputError
 from meshes.pairing import cyclic_order, facet_corners, outward_areas
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 
 #: Depth of the layer over the mean edge of its facets.
 DEPTH = 0.5

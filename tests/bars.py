@@ -7,7 +7,6 @@ from scipy.sparse import csr_array
 from skfem import MeshHex, MeshTet
 
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
-from fesim.joint.operators import JointOperators, joint_operators
 from fesim.march.machine import CondensedMachine
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import (
@@ -18,6 +17,7 @@ from fesim.solid.condensation import (
 )
 from fesim.solid.elasticity import ElasticOperators, elastic_operators
 from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from meshes.pairing import PairedJoint, pair_joint

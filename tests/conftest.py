@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.parameters import (
+from thermojoint.models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -23,7 +23,7 @@ from models.parameters import (
     RingModel,
     Span,
 )
-from models.regularisation import choose_regularisation
+from thermojoint.models.regularisation import choose_regularisation
 
 # Test processes share the cores: threads of their linear algebra would wait for each other, unless
 # somebody asks for them (`make portable`). The variable is for what is loaded later and for

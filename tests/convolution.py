@@ -16,10 +16,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from artefacts.errors import ConvergenceError
-from models.filters.inverse import regularised_transfer
-from models.filters.pole_residue import Transfer
-from models.parameters import Regularisation, RingModel
+from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.models.filters.inverse import regularised_transfer
+from thermojoint.models.filters.pole_residue import Transfer
+from thermojoint.models.parameters import Regularisation, RingModel
 
 #: Singularities may lie within this angle of the negative real axis, rad; the contour's own
 #: angle is half way from there to the vertical.
@@ -75,7 +75,7 @@ def heat_by_convolution(
     Parameters
     ----------
     rings, regularisations
-        As in `models.filters.inverse.inverse_bank`.
+        As in `thermojoint.models.filters.inverse.inverse_bank`.
     times : ndarray, shape (k,)
         s, increasing, any intervals.
     temperatures : ndarray, shape (k, n)

@@ -10,15 +10,15 @@ import numpy as np
 from live_parts import free_port
 from prometheus_client import CollectorRegistry, Gauge
 
-from live.archive import Archive
-from live.http.server import open_http, serve_http
-from live.http.sources import About, Sources
-from live.hub import Hub
-from live.publication import Layout, Publication, as_row
-from live.settings import HttpServer
-from live.store import Batch, Checkpoint, Event, commit, era_of, open_store
-from live.validity import ranges_of
-from live.watchdog import quality_of
+from thermojoint.live.archive import Archive
+from thermojoint.live.http.server import open_http, serve_http
+from thermojoint.live.http.sources import About, Sources
+from thermojoint.live.hub import Hub
+from thermojoint.live.publication import Layout, Publication, as_row
+from thermojoint.live.settings import HttpServer
+from thermojoint.live.store import Batch, Checkpoint, Event, commit, era_of, open_store
+from thermojoint.live.validity import ranges_of
+from thermojoint.live.watchdog import quality_of
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from live.service import run
-from live.settings import service_from_data
+from thermojoint.live.service import run
+from thermojoint.live.settings import service_from_data
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from artefacts.log import Log
-from artefacts.quantities import column_named
-from models.filters.relaxations import relax_all
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.models.filters.relaxations import relax_all
 
 NAMES = ("n_rpm", "x_um", "z_um", *(f"T{k}_degC" for k in range(1, 7)))
 #: Time constants of the temperatures, s, and how much of heat and of the room each sees.

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
 from estimator.interface import Status, follow
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.assembling import make_observer
@@ -24,6 +23,7 @@ from estimator.joint_aware.saved_state import load_state, save_state
 from estimator.joint_aware.slow_parameters import learnt
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 
 SENSORS = ("s", "b", "T1", "T2")

@@ -10,33 +10,39 @@ ROOT = Path(__file__).parents[1]
 
 #: Package to what it may import, in the order of docs/architecture.md.
 ARROWS = {
-    "artefacts": set(),
-    "meshes": {"artefacts"},
-    "models": {"artefacts"},
-    "fesim": {"artefacts", "meshes"},
-    "verification": {"artefacts", "meshes", "fesim"},
-    "calibrate": {"artefacts", "models"},
-    "estimator": {"artefacts", "models", "fesim"},
-    "standards": {"artefacts"},
-    "compensation": {"artefacts", "models", "fesim", "estimator"},
-    "live": {"artefacts", "models", "fesim", "estimator", "compensation"},
-    "thermojoint": {
-        "artefacts",
-        "meshes",
-        "models",
+    "thermojoint.artefacts": set(),
+    "meshes": {"thermojoint.artefacts"},
+    "thermojoint.models": {"thermojoint.artefacts"},
+    "fesim": {"thermojoint.artefacts", "meshes"},
+    "thermojoint.verification": {"thermojoint.artefacts", "meshes", "fesim"},
+    "calibrate": {"thermojoint.artefacts", "thermojoint.models"},
+    "estimator": {"thermojoint.artefacts", "thermojoint.models", "fesim"},
+    "thermojoint.standards": {"thermojoint.artefacts"},
+    "thermojoint.compensation": {
+        "thermojoint.artefacts",
+        "thermojoint.models",
         "fesim",
-        "verification",
-        "calibrate",
         "estimator",
-        "standards",
-        "compensation",
-        "live",
+    },
+    "thermojoint.live": {
+        "thermojoint.artefacts",
+        "thermojoint.models",
+        "fesim",
+        "estimator",
+        "thermojoint.compensation",
     },
 }
+#: Import packages of the distribution. All else is imported from `thermojoint`.
+TOP = ("calibrate", "estimator", "fesim", "meshes", "thermojoint")
 
 
 def modules(package):
-    return sorted((ROOT / package).rglob("*.py"))
+    return sorted((ROOT / package.replace(".", "/")).rglob("*.py"))
+
+
+def package_of(name):
+    """Package of the table that a module stands in; what is not in the table stands above it."""
+    return next((p for p in ARROWS if f"{name}.".startswith(f"{p}.")), None)
 
 
 def imported(path):
@@ -50,23 +56,31 @@ def imported(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("package", ARROWS)
-def test_a_package_imports_only_what_stands_below_it(package):
-    for path in modules(package):
-        known = {name.split(".")[0] for name in imported(path)} & set(ARROWS)
-        assert known <= ARROWS[package] | {package}, path
-
-
-def test_no_two_modules_import_each_other_at_the_top():
-    """A cycle of modules inside a package is a knot as well."""
+@pytest.fixture(scope="module")
+def below():
+    """Every module to the modules of ours that it imports."""
     files = {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
-        for package in ARROWS
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for package in TOP
         for path in modules(package)
     }
-    below = {
-        name: {other for other in imported(path) if other in files} for name, path in files.items()
+    return {
+        name: {other for other in imported(path) if other in files} - {name}
+        for name, path in files.items()
     }
+
+
+@pytest.mark.parametrize("package", ARROWS)
+def test_a_package_imports_only_what_stands_below_it(package, below):
+    own = {name: found for name, found in below.items() if package_of(name) == package}
+    assert own
+    for name, found in own.items():
+        known = {package_of(other) for other in found - {"thermojoint"}}
+        assert known <= ARROWS[package] | {package}, name
+
+
+def test_no_two_modules_import_each_other_at_the_top(below):
+    """A cycle of modules inside a package is a knot as well."""
     done: set[str] = set()
 
     def visit(name, above):
@@ -80,6 +94,22 @@ def test_no_two_modules_import_each_other_at_the_top():
         visit(name, ())
 
 
+def test_no_two_folders_know_each_other(below):
+    """Of two folders beside each other at most one imports from the other, at every depth."""
+    arrows = {}
+    for name, found in below.items():
+        for other in found:
+            ours, theirs = name.split("."), other.split(".")
+            same = next(
+                (k for k, (a, b) in enumerate(zip(ours, theirs, strict=False)) if a != b), None
+            )
+            if same:  # below the same package; those at the top are in the table
+                ends = ".".join(ours[: same + 1]), ".".join(theirs[: same + 1])
+                arrows.setdefault(ends, f"{name} -> {other}")
+    for (one, other), arrow in arrows.items():
+        assert (other, one) not in arrows, f"{arrow}, and {arrows[other, one]}"
+
+
 def test_the_page_of_the_architecture_names_every_package():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     for package in ARROWS:
@@ -89,5 +119,5 @@ def test_the_page_of_the_architecture_names_every_package():
 def test_the_wheel_and_the_type_checker_take_every_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]
     found = project["setuptools"]["packages"]["find"]["include"]
-    assert set(found) == {f"{package}*" for package in ARROWS}
-    assert set(project["mypy"]["packages"]) == set(ARROWS)
+    assert set(found) == {f"{package}*" for package in TOP}
+    assert set(project["mypy"]["packages"]) == set(TOP)

@@ -18,9 +18,6 @@ import pytest
 import xarray as xr
 from batch_cases import grid, levels, study_in, tally, write_study
 
-from artefacts.errors import InputError
-from artefacts.files import whole_file, write_text
-from artefacts.response import read_response
 from fesim.batch.crew import Report
 from fesim.batch.folder import locked, response_path
 from fesim.batch.local import local_crew
@@ -30,6 +27,9 @@ from fesim.batch.summary import FIGURES
 from fesim.batch.worker import run
 from fesim.joint.gap import TOLERANCE
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file, write_text
+from thermojoint.artefacts.response import read_response
 
 
 class HereCrew:

@@ -7,10 +7,10 @@ from importlib.metadata import PackageNotFoundError
 import pytest
 from batch_cases import levels, study_in, tally, write_study
 
-from artefacts.errors import InputError
-from artefacts.response import read_response
 from fesim.batch.folder import response_path
 from fesim.batch.run import run_batch
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import read_response
 
 distributed = pytest.importorskip("distributed")
 

@@ -8,7 +8,6 @@ from batch_cases import case_text, grid, levels, study_in, write_study
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.batch.paths import known_paths, with_values
 from fesim.batch.queue import Queue
 from fesim.batch.study import (
@@ -23,6 +22,7 @@ from fesim.case.identity import case_id, condensation_key, elasticity_key
 from fesim.case.joint_sections import ConductanceSection
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up, with_laws
+from thermojoint.artefacts.errors import InputError
 
 CUBE = """[latin_hypercube]
 samples = 5

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from batch_cases import levels, study_in, write_study
 
-from artefacts.errors import InputError, UnreadableError
 from fesim.batch import worker
 from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of, is_open, is_sliding
@@ -14,6 +13,7 @@ from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import read_structure
+from thermojoint.artefacts.errors import InputError, UnreadableError
 
 HEAT = "time_s,heat_input\n0,1\n60,2\n"
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from artefacts.errors import ConvergenceError, InputError
 from benchmarks import mesh_convergence
 from benchmarks.against_calculix.compare import Ours, comparable
 from benchmarks.against_calculix.problem import problem_of
@@ -28,8 +27,9 @@ from fesim.joint.law import stiffness_at_rest
 from fesim.setup import machine
 from fesim.setup.parts import make_parts
 from fesim.setup.structure import build_structure
-from models import ring_source
-from models.assembly import assemble
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.models import ring_source
+from thermojoint.models.assembly import assemble
 
 ROW = Row("march-vs-refactor", 0.5, 200.0, 400.0, "s", "a note")
 

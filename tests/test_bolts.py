@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.sparse import diags_array
 
-from artefacts.errors import ConvergenceError, InputError
 from estimator.joint_aware.reduced_machine import check_joints
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
@@ -17,8 +16,9 @@ from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import stress_at, stress_tensors
-from verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
-from verification.loaded import AREA, WEIGHT, column_case, joint
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
+from thermojoint.verification.loaded import AREA, WEIGHT, column_case, joint
 
 TOUCHING = joint(preload_MPa=0.0, initial_opening_um=0.0, reference_pressure_MPa=8.0)
 #: Two bolts beside each other, from the top into the lower half.

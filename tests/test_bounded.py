@@ -11,8 +11,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from artefacts.response import columns_of
 from calibrate import chain
 from calibrate.baselines import bounded_past, fit_baselines
 from calibrate.linear import FADING, SLOWEST
@@ -25,9 +23,11 @@ from fesim.case.schema import case_from_data
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.assembly import assemble
-from models.baselines import read_baselines, write_baselines
-from models.filters.bank import (
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of
+from thermojoint.models.assembly import assemble
+from thermojoint.models.baselines import read_baselines, write_baselines
+from thermojoint.models.filters.bank import (
     leaking,
     respond_to_line,
     respond_to_steps,
@@ -35,7 +35,7 @@ from models.filters.bank import (
     stacked,
     summed,
 )
-from models.sensors import readings, rises
+from thermojoint.models.sensors import readings, rises
 
 AXES = ("x", "y")
 CALIBRATED = 35.0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from step_files import write_step
 
-from artefacts.errors import InputError
 from meshes.cad import mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import inspect
 from meshes.pairing import pair_joint
+from thermojoint.artefacts.errors import InputError
 
 try:
     import gmsh

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
 from benchmarks.against_calculix.compare import comparable
 from benchmarks.against_calculix.deck import (
     Choices,
@@ -21,6 +20,7 @@ from benchmarks.against_calculix.run import available, read_blocks, run_deck
 from benchmarks.against_calculix.structures import bars, machine
 from benchmarks.against_calculix.studies import LINEAR, STEADY, TIGHT, compared
 from meshes.pairing import outward_areas
+from thermojoint.artefacts.errors import InputError
 
 
 @pytest.fixture(scope="module")

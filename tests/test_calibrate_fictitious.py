@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from calibrate.fictitious import (
     calibrate_fictitious,
     deviations_from,
@@ -19,9 +17,11 @@ from calibrate.source_thermal import (
     make_geometry,
     unit_responses,
 )
-from models import deformation, ring_source
-from models.parameters import DeformationModel, RingModel
-from models.regularisation import right_half_plane_zeros
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.parameters import DeformationModel, RingModel
+from thermojoint.models.regularisation import right_half_plane_zeros
 
 RUN = np.arange(1051) * 2.0
 SHORT = RUN[:300]

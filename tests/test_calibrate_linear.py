@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from calibrate.linear import (
     calibrate_linear,
     fit_deformation,
@@ -17,9 +15,11 @@ from calibrate.linear import (
     fit_ring,
     relaxation_response,
 )
-from models import deformation, ring_source
-from models.parameters import DeformationModel, Regularisation, RingModel
-from models.regularisation import (
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.parameters import DeformationModel, Regularisation, RingModel
+from thermojoint.models.regularisation import (
     cancellation,
     choose_regularisation,
     regularisation_function,

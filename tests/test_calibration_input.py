@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from artefacts.errors import ConvergenceError, InputError
-from artefacts.response import make_response, read_response
 from calibrate import chain
 from calibrate.responses import moving_axes
 from estimator import judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
-from models import deformation, ring_source
-from models.model_file import read_model, read_provenance
-from models.parameters import DeformationModel, RingModel
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.artefacts.response import make_response, read_response
 from thermojoint.cli import arguments
 from thermojoint.cli.app import app
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.model_file import read_model, read_provenance
+from thermojoint.models.parameters import DeformationModel, RingModel
 from thermojoint.paper import inputs, reproduce
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.verdict import paper_claim

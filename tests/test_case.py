@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.case.schema import Case, case_from_data, parse_case, read_case, step_count
+from thermojoint.artefacts.errors import InputError
 
 REFERENCE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 PROBES = {

@@ -20,12 +20,12 @@ from in_process import undisturbed
 from reference_case import lasting
 from short_runs import SHORT, quick_bands
 
-from artefacts.response import read_response, write_response
 from estimator.judge import ESTIMATORS
-from models.model_file import Provenance, read_model, write_model
-from thermojoint.cli import console
+from thermojoint import console
+from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
+from thermojoint.models.model_file import Provenance, read_model, write_model
 from thermojoint.paper import inputs, paper_values, reproduce
 from thermojoint.pictures import view
 

@@ -16,9 +16,17 @@ from observed import observed_data, observer, run
 from short_runs import quick_bands
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
-from compensation.loop.controller import AT_REST, Controller, control
-from compensation.loop.linear import (
+from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.readings import run_in
+from estimator.joint_aware.reduced_machine import reduce_machine
+from fesim.case.schema import case_from_data, read_case
+from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.cli.app import app
+from thermojoint.compensation.loop.controller import AT_REST, Controller, control
+from thermojoint.compensation.loop.linear import (
     Channels,
     channels_of,
     frequencies_of,
@@ -27,19 +35,11 @@ from compensation.loop.linear import (
     responses_of,
     state_space,
 )
-from compensation.loop.march import Acting, Plant, added_by, run_loop
-from compensation.loop.schema import loop_from_data, read_loop
-from compensation.loop.tuning import Requirements, feed_forward_gain, tune
-from compensation.offsets.output import followed
-from compensation.offsets.settings import settings_from_data
-from estimator.joint_aware.filter_design import correct
-from estimator.joint_aware.model_file import write_observer
-from estimator.joint_aware.observer import Observer
-from estimator.joint_aware.readings import run_in
-from estimator.joint_aware.reduced_machine import reduce_machine
-from fesim.case.schema import case_from_data, read_case
-from fesim.setup.machine import set_up
-from thermojoint.cli.app import app
+from thermojoint.compensation.loop.march import Acting, Plant, added_by, run_loop
+from thermojoint.compensation.loop.schema import loop_from_data, read_loop
+from thermojoint.compensation.loop.tuning import Requirements, feed_forward_gain, tune
+from thermojoint.compensation.offsets.output import followed
+from thermojoint.compensation.offsets.settings import settings_from_data
 
 pytest.importorskip("control", reason="needs python-control")
 

@@ -12,13 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from artefacts import toml
-from artefacts.errors import InputError
-from compensation.offsets.output import OutputSettings, at_zero, cycle, followed, offsets_of
-from compensation.offsets.preview import Row, preview, read_estimate
-from compensation.offsets.settings import read_settings, settings_from_data
-from compensation.offsets.usable import Trust, usable
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.compensation.offsets.output import (
+    OutputSettings,
+    at_zero,
+    cycle,
+    followed,
+    offsets_of,
+)
+from thermojoint.compensation.offsets.preview import Row, preview, read_estimate
+from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
+from thermojoint.compensation.offsets.usable import Trust, usable
 
 MICRO = 1e-6
 PLAIN = OutputSettings(

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_gap import problems, random_problem, solved
 
-from artefacts.errors import ConvergenceError
 from fesim.case.history import sampled_history
 from fesim.joint import compiled_gap
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw, evaluate, stiffness_at_rest
 from fesim.march.stepping import march, staggered
+from thermojoint.artefacts.errors import ConvergenceError
 
 powers = st.sampled_from([None, 0.5])
 

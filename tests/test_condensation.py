@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars
 
-from artefacts.errors import InputError
 from benchmarks.performance.plain_set_up import plain_condensation
 from fesim.case.history import sampled_history, triangle_history
 from fesim.march.stepping import iterated, march, staggered
 from fesim.solid import linear_solver, substructures
-from verification.plain_march import plain_march
+from thermojoint.artefacts.errors import InputError
+from thermojoint.verification.plain_march import plain_march
 
 STEP, COUNT = 2.0, 25
 

@@ -6,7 +6,6 @@ import pytest
 from skfem import FacetBasis, Functional, LinearForm, MeshHex, MeshHex2, MeshTet, MeshTet2
 from skfem.io.meshio import to_meshio
 
-from artefacts.errors import InputError
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import heat_operators
 from fesim.solid.materials import Material
@@ -14,6 +13,7 @@ from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.exchange import read_structure, write_structure
 from meshes.structure import Probe, Structure
 from meshes.volume_cells import corner_mesh
+from thermojoint.artefacts.errors import InputError
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
 INNER, OUTER, HEIGHT = 0.05, 0.10, 0.03

@@ -9,14 +9,14 @@ import pytest
 from bars import two_bars
 from skfem.io.meshio import to_meshio
 
-from artefacts.errors import InputError
-from artefacts.response import write_response
 from benchmarks.fuzz import mutated, page, verdict
 from benchmarks.fuzz_inputs import WRITERS, bars, unharmed
 from fesim.case.schema import read_case
 from fesim.simulate import simulate
 from fesim.solid.spaces import cells_at
 from meshes.exchange import read_structure
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import write_response
 
 
 @pytest.fixture(scope="module")

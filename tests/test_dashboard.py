@@ -15,8 +15,8 @@ from estimator.joint_aware.reduced_machine import reduce_machine
 from estimator.joint_aware.surface import surface_of, write_surface
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from live.publication import Quality, as_json
-from live.scene import scene_of
+from thermojoint.live.publication import Quality, as_json
+from thermojoint.live.scene import scene_of
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from models import deformation
-from models.parameters import DeformationModel
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models import deformation
+from thermojoint.models.parameters import DeformationModel
 
 RUN = np.arange(0.0, 2101.0, 2.0)
 #: Table 1, x-direction, and Table 3, first column (Attia & Fraser), in µm.

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
 from calibrate.driven_deformation import (
     UNCERTAIN_TIMES,
     driver,
     fit_driven_deformation,
     uncertain_signals,
 )
-from models import deformation
-from models.parameters import DeformationModel
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models import deformation
+from thermojoint.models.parameters import DeformationModel
 
 INTERVAL = 4.0
 TIMES = INTERVAL * np.arange(1, 251)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from skfem import MeshHex2, MeshTet2
 from skfem.io.meshio import to_meshio
 
-from artefacts.errors import InputError
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import read_structure, write_structure
 from meshes.milling_machine import box_milling_machine
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError
 
 BARS = two_bars((2, 2, 1), (3, 2, 2))
 STRUCTURES = {

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 
-from artefacts.errors import InputError
 from estimator.export.c_source import literal
 from estimator.export.exporting import export_program
 from estimator.export.program import REFUSED, Precision
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples
-from models.assembly import assemble
-from models.assembly_file import write_assembly
-from models.filters.phi import divided_differences, phi_functions
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
+from thermojoint.models.filters.phi import divided_differences, phi_functions
 
 DT = 20.0
 

@@ -10,7 +10,6 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 from observed import SENSORS, observed_data, observer, run, step
 
-from artefacts.errors import InputError
 from estimator.export import joint_aware
 from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, write_fmu
@@ -24,6 +23,7 @@ from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 
 NAN = float("nan")

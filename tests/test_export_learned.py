@@ -9,7 +9,6 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 from machine_logs import as_csv, machine_log
 
-from artefacts.errors import InputError
 from calibrate.learning.learn import learn
 from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, write_fmu
@@ -18,9 +17,10 @@ from estimator.export.program import REFUSED, Precision
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
-from models.filters.relaxations import relaxed
-from models.learned import LogEnd, write_learned
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.models.filters.relaxations import relaxed
+from thermojoint.models.learned import LogEnd, write_learned
 
 NAN = float("nan")
 DT = 60.0

@@ -7,8 +7,6 @@ import pytest
 from observed import SENSORS, errors, estimates, observed_data, observer, run, step
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
-from artefacts.response import write_response
 from estimator.interface import Status
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
@@ -16,6 +14,8 @@ from estimator.joint_aware.reduced_machine import reduce_machine
 from estimator.touches import read_touches, with_touches
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
 
 MICRO = 1e-6

@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from estimator.block_errors import block_errors
 from estimator.fchs.estimator import Fchs
 from estimator.fchs.stream import initial_state, run, step, stream
@@ -21,11 +19,13 @@ from estimator.noise import sensor_noise
 from estimator.saved_state import load_state, save_state
 from estimator.starting import started
 from estimator.superposition import superposed
-from models import blocks, deformation, ring_source
-from models.assembly import assemble
-from models.assembly_file import fingerprint, read_assembly, write_assembly
-from models.model_file import Provenance, write_model
-from models.parameters import (
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
+from thermojoint.models import blocks, deformation, ring_source
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import fingerprint, read_assembly, write_assembly
+from thermojoint.models.model_file import Provenance, write_model
+from thermojoint.models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,
@@ -34,8 +34,8 @@ from models.parameters import (
     RingModel,
     Span,
 )
-from models.regularisation import choose_regularisation
-from models.sensors import readings
+from thermojoint.models.regularisation import choose_regularisation
+from thermojoint.models.sensors import readings
 
 DT, LENGTH = 2.0, 2100.0
 TIMES = np.arange(1051) * DT

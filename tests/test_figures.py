@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from estimator.judge import ESTIMATORS
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
-from thermojoint.cli import console
+from thermojoint import console
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
+from thermojoint.paper import printing
 from thermojoint.paper.report import Picture, ReportData, report_html
 from thermojoint.paper.summary import convergence, pressure_share
 from thermojoint.paper.verdict import error_table, paper_claim, verdict
@@ -279,7 +280,7 @@ def test_errors_of_all_estimators_stand_beside_each_other():
         ("step-1.5", "y", (3.08, 0.5688), 0.1),
     ]
     terminal = Console(width=100, record=True, file=io.StringIO())
-    console.show_estimators(terminal, table)
+    printing.show_estimators(terminal, table)
     shown = terminal.export_text()
     for text in ("linear", "fchs", "44", "0.57", "–"):
         assert text in shown

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
 from estimator.fchs.stream import initial_state, step
-from models.assembly import assemble
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.assembly import assemble
 
 DT, COUNT = 2.0, 12
 

@@ -15,9 +15,9 @@ from estimator.export.fmu import Standard, fmi_files, write_fmu
 from estimator.export.program import Precision
 from estimator.fchs.estimator import Fchs
 from estimator.interface import follow
-from models.assembly import assemble
-from models.assembly_file import write_assembly
 from thermojoint.cli.app import app
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu

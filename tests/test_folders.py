@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from artefacts import folders
-from artefacts.errors import InputError
-from artefacts.folders import CONTENTS, check_replaceable, whole_folder
+from thermojoint.artefacts import folders
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.folders import CONTENTS, check_replaceable, whole_folder
 
 
 def fill(path, text, names=("a.txt", "below/b.txt")):
@@ -105,7 +105,7 @@ def test_an_empty_folder_and_a_link_to_one_of_ours_are_filled(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from artefacts import folders
+from thermojoint.artefacts import folders
 
 def end(*arguments, **options):
     os.kill(os.getpid(), signal.SIGKILL)

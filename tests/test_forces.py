@@ -9,7 +9,6 @@ from batch_cases import case_text, grid
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.batch.dataset import open_dataset, store_response
 from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of
@@ -21,7 +20,8 @@ from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import principal, stress_at, stress_tensors, von_mises
-from verification.loaded import STANDING, WEIGHT, column_case, joint
+from thermojoint.artefacts.errors import InputError
+from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
 ASKED = {"forces": True, "stress_probes": ["P"]}
 stresses = st.lists(st.floats(-1e8, 1e8), min_size=6, max_size=6).map(np.array)

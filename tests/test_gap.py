@@ -8,10 +8,10 @@ from bars import surface_law
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import ConvergenceError
 from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
 from fesim.joint.law import evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
+from thermojoint.artefacts.errors import ConvergenceError
 
 CONTACT_AREA = 3.3e-3
 K_N = 11e12

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.case.history import (
     ramp_history,
     read_history,
@@ -13,6 +12,7 @@ from fesim.case.history import (
     step_history,
     triangle_history,
 )
+from thermojoint.artefacts.errors import InputError
 
 levels = st.floats(-10.0, 10.0)
 durations = st.floats(0.1, 1e4)

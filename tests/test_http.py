@@ -24,22 +24,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_parts import free_port
 
-from artefacts.errors import InputError
 from estimator.interface import Channel
-from live.http import gate, server
-from live.http.access import SHORTEST_TOKEN, access_by
-from live.http.bodies import Words, summary
-from live.http.certificate import GOOD_FOR, own_certificate
-from live.http.parameters import moment, read_parameters, whole_number
-from live.http.rates import MOST_CLIENTS, Buckets, client_of
-from live.http.sources import About
-from live.http.stream import stream
-from live.hub import Hub
-from live.publication import Layout, Publication, Quality, as_json
-from live.scene import Scene
-from live.secret import read_secret
-from live.settings import HttpServer, Secret
-from models.model_file import Provenance, write_model
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.http import gate, server
+from thermojoint.live.http.access import SHORTEST_TOKEN, access_by
+from thermojoint.live.http.bodies import Words, summary
+from thermojoint.live.http.certificate import GOOD_FOR, own_certificate
+from thermojoint.live.http.parameters import moment, read_parameters, whole_number
+from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
+from thermojoint.live.http.sources import About
+from thermojoint.live.http.stream import stream
+from thermojoint.live.hub import Hub
+from thermojoint.live.publication import Layout, Publication, Quality, as_json
+from thermojoint.live.scene import Scene
+from thermojoint.live.secret import read_secret
+from thermojoint.live.settings import HttpServer, Secret
+from thermojoint.models.model_file import Provenance, write_model
 
 LAYOUT = Layout(("x", "y"), ("X",), (Channel("heat_spindle", "W"),), ("T1_degC", "T2_degC"))
 ABOUT = About(LAYOUT, "joint-aware", "mill.h5", 1.7e9)

@@ -50,7 +50,8 @@ def ended_in_one_line(process, folder):
 
 
 @pytest.mark.parametrize(
-    "module", ["artefacts.errors", "typer", "numpy.linalg", "scipy.sparse", "numba", "xarray"]
+    "module",
+    ["thermojoint.artefacts.errors", "typer", "numpy.linalg", "scipy.sparse", "numba", "xarray"],
 )
 def test_ctrl_c_during_an_import_is_one_line(module, tmp_path):
     assert ended_in_one_line(simulate(tmp_path, module), tmp_path)

@@ -8,17 +8,17 @@ from convolution import heat_by_convolution, invert_laplace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import ConvergenceError, InputError
-from models import ring_source
-from models.argument_principle import count_right_zeros
-from models.filters.bank import respond_to_line
-from models.filters.inverse import (
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.models import ring_source
+from thermojoint.models.argument_principle import count_right_zeros
+from thermojoint.models.filters.bank import respond_to_line
+from thermojoint.models.filters.inverse import (
     inverse_bank,
     regularised_transfer,
     unstable_zeros,
 )
-from models.parameters import Regularisation, RingModel
-from models.regularisation import choose_regularisation
+from thermojoint.models.parameters import Regularisation, RingModel
+from thermojoint.models.regularisation import choose_regularisation
 
 DT, LENGTH = 2.0, 2100.0
 TABLE_1 = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)

@@ -12,19 +12,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_process import undisturbed
 
-from artefacts.errors import InputError
-from artefacts.log_file import read_log
-from artefacts.response import write_response
 from fesim.case.schema import parse_case
 from fesim.simulate import simulate
-from standards.iso230_3.evaluation import evaluate
-from standards.iso230_3.extremes import extremes
-from standards.iso230_3.parameters import distortion, unsettled
-from standards.iso230_3.period import Period, running
-from standards.iso230_3.protocol import Protocol
-from standards.iso230_3.record import Record, log_record, response_record, with_second, with_tilts
-from standards.iso230_3.report import parameters_json, report_html
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.response import write_response
 from thermojoint.cli import main as cli
+from thermojoint.standards.iso230_3.evaluation import evaluate
+from thermojoint.standards.iso230_3.extremes import extremes
+from thermojoint.standards.iso230_3.parameters import distortion, unsettled
+from thermojoint.standards.iso230_3.period import Period, running
+from thermojoint.standards.iso230_3.protocol import Protocol
+from thermojoint.standards.iso230_3.record import (
+    Record,
+    log_record,
+    response_record,
+    with_second,
+    with_tilts,
+)
+from thermojoint.standards.iso230_3.report import parameters_json, report_html
 
 CASES = files("thermojoint").joinpath("cases")
 NAMES = ("etve", "spindle", "spindle_rear", "spectrum", "linear_axis", "linear_axis_far")

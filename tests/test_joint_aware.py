@@ -11,8 +11,6 @@ import pytest
 from observed import SENSORS, errors, estimates, observed_data, observer, run, step
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
-from artefacts.response import write_response
 from estimator.interface import Status, follow
 from estimator.joint_aware import open_band as open_band_module
 from estimator.joint_aware.assembling import make_observer
@@ -39,6 +37,8 @@ from estimator.joint_aware.saved_state import load_state, save_state
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
 
 MICRO = 1e-6

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.joint.law import (
     BackBurdekinLaw,
     Friction,
@@ -17,6 +16,7 @@ from fesim.joint.law import (
     power_law_conductance,
     stiffness_at_rest,
 )
+from thermojoint.artefacts.errors import InputError
 
 HARDNESS, ROUGHNESS, SLOPE, PRELOAD = 1.961e9, 1.25e-6, 0.14, 4.41e6
 NORMAL = SurfaceNormalLaw(HARDNESS, ROUGHNESS, PRELOAD)

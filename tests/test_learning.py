@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from machine_logs import changed, machine_log, made
 
-from artefacts.errors import InputError
 from calibrate.learning import blocks as sums
 from calibrate.learning import thinning
 from calibrate.learning.learn import learn
@@ -19,8 +18,9 @@ from estimator.learned.judging import judge, run
 from estimator.learned.samples import samples_of
 from estimator.learned.saved_state import load_state, save_state
 from estimator.touches import with_touches
-from models.filters.relaxations import relax_all
-from models.learned import read_learned, write_learned
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.filters.relaxations import relax_all
+from thermojoint.models.learned import read_learned, write_learned
 
 AXES = ["x_um", "z_um"]
 LOG = machine_log()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from artefacts.errors import InputError
 from calibrate.fit_result import covariance, report
 from calibrate.least_squares import (
     Separable,
@@ -16,6 +15,7 @@ from calibrate.least_squares import (
     fit_linear,
     solve_linear,
 )
+from thermojoint.artefacts.errors import InputError
 
 T = np.linspace(0.0, 100.0, 201)
 RATES = np.array([0.3, 0.02])

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.judging import judge
 from estimator.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
@@ -17,6 +16,7 @@ from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.observers import fitted_text
 
 

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, diags_array
 
-from artefacts.errors import ConvergenceError, InputError
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.linear_solver import (
     Factor,
@@ -21,6 +20,7 @@ from fesim.solid.linear_solver import (
 )
 from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 HERE = [
     pytest.param("superlu"),

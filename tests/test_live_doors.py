@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.live_fuzz import DOORS, check
-from live.arrivals import Arrival, Note
-from live.opcua_values import status_of
-from live.publication import Quality
-from live.readers import csv_pipe, mqtt, opcua
-from live.served import served
-from live.settings import ModelSection, MqttSource
-from models.assembly import assemble
-from models.assembly_file import write_assembly
+from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.opcua_values import status_of
+from thermojoint.live.publication import Quality
+from thermojoint.live.readers import csv_pipe, mqtt, opcua
+from thermojoint.live.served import served
+from thermojoint.live.settings import ModelSection, MqttSource
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 NAMES = ("T1_degC", "T2_degC")
 TOPICS = mqtt.topics_of(MqttSource(kind="mqtt", topic="hall/{machine}"), {"mill": NAMES})

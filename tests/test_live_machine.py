@@ -6,20 +6,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from live import floor as floors
-from live.archive import Archive
-from live.arrivals import Arrival
-from live.floor import Floor, Place
-from live.log_lines import EventLog, line_of
-from live.machine import at_rest, restored, silent, taken
-from live.metrics import fresh_metrics
-from live.publication import Quality, as_json, as_row, from_row
-from live.samples import Rule
-from live.served import Served, served
-from live.settings import ModelSection, WatchdogSection
-from live.store import Batch, commit, cut_log, era_of, forget, kept_of, move_log, open_store
-from models.assembly import assemble
-from models.assembly_file import write_assembly
+from thermojoint.live import floor as floors
+from thermojoint.live.archive import Archive
+from thermojoint.live.arrivals import Arrival
+from thermojoint.live.floor import Floor, Place
+from thermojoint.live.log_lines import EventLog, line_of
+from thermojoint.live.machine import at_rest, restored, silent, taken
+from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.publication import Quality, as_json, as_row, from_row
+from thermojoint.live.samples import Rule
+from thermojoint.live.served import Served, served
+from thermojoint.live.settings import ModelSection, WatchdogSection
+from thermojoint.live.store import (
+    Batch,
+    commit,
+    cut_log,
+    era_of,
+    forget,
+    kept_of,
+    move_log,
+    open_store,
+)
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 OFFSETS = """
 rate_um_s = 1000.0

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from live_parts import PATIENCE_S, free_port
 
-from live.archive import Archive
+from thermojoint.live.archive import Archive
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "guide-service.md"

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from live.machine import _waiting
-from live.samples import Rule, Waiting, arrived
+from thermojoint.live.machine import _waiting
+from thermojoint.live.samples import Rule, Waiting, arrived
 
 PLAIN = Rule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
 NAN = math.nan

@@ -16,18 +16,18 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from live_parts import Broker, free_port, message, needs_broker, serving, until
 
-from artefacts.errors import InputError
 from benchmarks import live_kills
 from estimator.interface import follow
 from estimator.starting import started
-from live.archive import Archive
-from live.certificates import own_identity
-from live.publication import Quality
-from live.service import run
-from live.settings import read_service
-from live.users import add_user
-from models.assembly import assemble
-from models.assembly_file import write_assembly
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.archive import Archive
+from thermojoint.live.certificates import own_identity
+from thermojoint.live.publication import Quality
+from thermojoint.live.service import run
+from thermojoint.live.settings import read_service
+from thermojoint.live.users import add_user
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
 START = 1_772_431_200.0

@@ -5,12 +5,20 @@ import stat
 import pytest
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
-from live.certificates import own_identity
-from live.secret import read_secret
-from live.settings import Secret, read_service, service_from_data
-from live.users import MOST_TRIALS, Gate, UserLine, add_user, hashed, is_password, read_users
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.live.certificates import own_identity
+from thermojoint.live.secret import read_secret
+from thermojoint.live.settings import Secret, read_service, service_from_data
+from thermojoint.live.users import (
+    MOST_TRIALS,
+    Gate,
+    UserLine,
+    add_user,
+    hashed,
+    is_password,
+    read_users,
+)
 
 GOOD = {
     "folder": "state",

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bars import two_bars
 
-from artefacts.errors import InputError
 from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
@@ -19,7 +18,8 @@ from fesim.simulate import simulate
 from fesim.solid.forces import BodyForce, SurfaceForce, SurfacePressure, nodal_forces
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
-from verification.loaded import STANDING, WEIGHT, column_case, joint
+from thermojoint.artefacts.errors import InputError
+from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from artefacts import log_file as logs
-from artefacts.errors import InputError
-from artefacts.log import joined
-from artefacts.quantities import column_named
+from thermojoint.artefacts import log_file as logs
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import joined
+from thermojoint.artefacts.quantities import column_named
 
 
 def written(folder, text, name="log.csv"):

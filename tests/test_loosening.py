@@ -10,7 +10,6 @@ from boxes import boxes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import ConvergenceError, InputError
 from fesim.case.schema import case_from_data
 from fesim.joint.law import Traction
 from fesim.joint.loosening import _as_at_rest, _surely_held, watch_of
@@ -19,6 +18,7 @@ from fesim.simulate import simulate
 from fesim.solid.rigid_motions import holds_of
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.cli.app import app
 
 

@@ -10,7 +10,6 @@ import pytest
 from bars import assemble, driven, surface_law, two_bars
 from scipy.spatial import cKDTree
 
-from artefacts.errors import ConvergenceError, InputError
 from benchmarks.robustness import STEPS, marches
 from fesim.case.history import sampled_history, step_history, triangle_history
 from fesim.case.schema import case_from_data
@@ -19,6 +18,7 @@ from fesim.joint.law import evaluate
 from fesim.march.stepping import iterated, march, staggered
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 #: Heat of the whole machine at the reference step, W.
 POWER = 590.0

@@ -7,11 +7,11 @@ import pytest
 from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
-from artefacts.errors import InputError
-from artefacts.log_file import read_log
 from estimator.joint_aware.measured_runs import runs_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import read_log
 from thermojoint.cli.app import app
 
 

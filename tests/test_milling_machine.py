@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skfem import CellBasis, ElementHex0, Functional
 
-from artefacts.errors import InputError
 from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import outward_areas
+from thermojoint.artefacts.errors import InputError
 
 REFERENCE = MillingMachineDimensions()
 NAMES = [field.name for field in fields(MillingMachineDimensions)]

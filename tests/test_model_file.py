@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from models.model_file import Provenance, read_model, read_provenance, write_model
-from models.parameters import (
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.model_file import Provenance, read_model, read_provenance, write_model
+from thermojoint.models.parameters import (
     DeformationModel,
     FictitiousSource,
     LinearModel,

@@ -9,7 +9,6 @@ from bars import two_bars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data, read_case
@@ -25,6 +24,7 @@ from fesim.simulate import simulate
 from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint
 from meshes.wall import face_of, with_wall
+from thermojoint.artefacts.errors import InputError
 
 ROD = Path(__file__).parents[1] / "examples" / "bistable_rod"
 SURFACE = {"along": 1, "roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}
@@ -363,7 +363,7 @@ def test_a_slip_about_walls_is_one_line(walls, message):
 
 
 def test_the_rods_mesh_is_the_one_that_the_script_writes(states):
-    from verification.bistable import rod
+    from thermojoint.verification.bistable import rod
 
     kept = read_structure(ROD / "rod.vtu")
     np.testing.assert_allclose(kept.mesh.p, rod().mesh.p, atol=1e-12)

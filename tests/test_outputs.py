@@ -6,12 +6,12 @@ import pytest
 from in_process import undisturbed
 from reference_case import lasting
 
-from artefacts.errors import InputError
-from artefacts.response import write_response
 from benchmarks.fuzz_inputs import unharmed
 from fesim.batch import folder as batch_folder
-from models.model_file import Provenance, write_model
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import write_response
 from thermojoint.cli import main as cli
+from thermojoint.models.model_file import Provenance, write_model
 
 SHORT = lasting(0.1)
 SAMPLES = "time_s,delta_T_K,T1_K,T2_K\n" + "".join(f"{2 * k},{0.01 * k},0,0\n" for k in range(20))

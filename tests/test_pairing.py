@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from skfem import MeshHex, MeshHex2
 
-from artefacts.errors import InputError
-from fesim.joint.operators import joint_operators
 from fesim.march.heat_step import heat_step
+from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import interpolation, local_coordinates, make_spaces
 from meshes.box_grid import put_side_by_side
 from meshes.milling_machine import box_milling_machine
 from meshes.pairing import pair_joint
 from meshes.polygons import anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 
 
 @st.composite

@@ -9,8 +9,8 @@ from bars import AREA, DEPTH, WIDTH, two_bars
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from meshes.milling_machine import box_milling_machine
+from thermojoint.artefacts.errors import InputError
 from thermojoint.pictures import film, renderer, view
 from thermojoint.pictures.camera import Camera, facing, window_around
 from thermojoint.pictures.colour_scale import colour_scale

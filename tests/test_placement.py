@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
-from artefacts.response import make_response
 from calibrate.placement import (
     APART,
     DEVIATION_UNCERTAINTY,
@@ -15,8 +13,10 @@ from calibrate.placement import (
     sources_for,
     with_roles,
 )
-from models import deformation, ring_source
-from models.parameters import DeformationModel, RingModel
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.parameters import DeformationModel, RingModel
 
 TIMES = 4.0 * np.arange(226)
 LEVELS = (0.5, 1.0, 2.0)

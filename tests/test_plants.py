@@ -18,7 +18,7 @@ from estimator.joint_aware.reduced_machine import along, reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.sensors import ROLES
+from thermojoint.models.sensors import ROLES
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.response import make_response
 from fesim.case.schema import case_from_data, read_case
-from thermojoint.cli import plausibility
+from thermojoint import plausibility
+from thermojoint.artefacts.response import make_response
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = tomllib.loads(

@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artefacts.errors import ConvergenceError, InputError
-from models import deformation, ring_source
-from models.assembly import deformation_bank
-from models.filters.bank import (
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.assembly import deformation_bank
+from thermojoint.models.filters.bank import (
     Bank,
     over_interval,
     respond_to_line,
     respond_to_steps,
     simple_bank,
 )
-from models.filters.phi import phi_functions
-from models.filters.pole_residue import direct_bank, excited_band, fit_strictly_proper
-from models.parameters import DeformationModel, RingModel
+from thermojoint.models.filters.phi import phi_functions
+from thermojoint.models.filters.pole_residue import direct_bank, excited_band, fit_strictly_proper
+from thermojoint.models.parameters import DeformationModel, RingModel
 
 TABLE_1 = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
 EQ_18 = DeformationModel(0.767e-6, 1.2e-6, -1.45e-8, 0.00971, 0.00441, 0.00849, F=1.89e-8, f=0.0199)

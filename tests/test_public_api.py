@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from test_architecture import ARROWS, ROOT, modules
+from test_architecture import ROOT, TOP, modules
 
 import thermojoint
 
@@ -55,7 +55,7 @@ def test_importing_the_package_loads_no_library():
         check=True,
     )
     loaded = {name.split(".")[0] for name in done.stdout.split()}
-    assert not loaded & (LIBRARIES | set(ARROWS) - {"thermojoint"})
+    assert not loaded & (LIBRARIES | set(TOP) - {"thermojoint"})
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error():
@@ -85,7 +85,7 @@ def callables(name):
     return [
         member
         for key, member in inspect.getmembers(thing, inspect.isfunction)
-        if not key.startswith("_") and member.__module__.split(".")[0] in ARROWS
+        if not key.startswith("_") and member.__module__.split(".")[0] in TOP
     ]
 
 
@@ -116,7 +116,7 @@ def functions(tree):
             yield from functions(node)
 
 
-@pytest.mark.parametrize("package", ARROWS)
+@pytest.mark.parametrize("package", TOP)
 def test_a_list_of_parameters_is_that_of_the_signature(package):
     for path in modules(package):
         for node in functions(ast.parse(path.read_text("utf-8"))):
@@ -129,6 +129,49 @@ def test_a_list_of_parameters_is_that_of_the_signature(package):
                 assert len(set(listed)) == len(listed), f"{path}: {node.name}"
 
 
-@pytest.mark.parametrize("package", ARROWS)
+@pytest.mark.parametrize("package", TOP)
 def test_a_package_carries_its_types_to_its_users(package):
     assert (ROOT / package / "py.typed").is_file()
+
+
+#: Packages that 0.1 installed at the top level, under everyday names.
+FORMER = ("artefacts", "compensation", "live", "models", "standards", "verification")
+
+
+def run_beside_modules(folder, names, text, script="script.py"):
+    """Run a script in a folder that holds modules of these names, as a user would."""
+    for name in names:
+        (folder / f"{name}.py").write_text("mine = True\n", "utf-8")
+    path = folder / script
+    path.write_text(text, "utf-8")
+    return subprocess.run(
+        [sys.executable, str(path)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+    )
+
+
+def test_a_users_own_modules_may_have_any_former_name(tmp_path):
+    text = (
+        f"import {', '.join(FORMER)}\nimport thermojoint as tj\n"
+        "assert tj.read_model and tj.simulate and tj.close_loop\n"
+        f"assert all(module.mine for module in ({', '.join(FORMER)}))\n"
+    )
+    done = run_beside_modules(tmp_path, FORMER, text)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(set(TOP) - {"thermojoint"}))
+@pytest.mark.parametrize("how", ["imported before", "on the path", "the script itself"])
+def test_a_users_module_that_hides_a_package_is_named_at_import(tmp_path, name, how):
+    text = f"import {name}\n" * (how == "imported before") + "import thermojoint\n"
+    script = f"{name}.py" if how == "the script itself" else "script.py"
+    done = run_beside_modules(tmp_path, (name,), text, script)
+    assert done.returncode == 1
+    path = tmp_path / f"{name}.py"
+    assert done.stderr.splitlines()[-1] == (
+        f"ImportError: {path} hides the package {name!r} of thermojoint; rename it"
+    )

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from bars import IRON, assemble, level, surface_law, two_bars
 
-from artefacts.errors import ConvergenceError, InputError
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
-from fesim.joint.operators import joint_operators
 from fesim.march.ensemble import march_many
 from fesim.march.kernel import kernel_of, without_kernel
 from fesim.march.machine import CondensedMachine
@@ -33,9 +31,11 @@ from fesim.snapshots import structure_snapshot
 from fesim.solid import reduction
 from fesim.solid.condensation import condense_elasticity, condense_heat
 from fesim.solid.heat import HeatSource, heat_operators
+from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import probe_rows
 from meshes.pairing import pair_joint
-from thermojoint.cli.console import out, show_convergence
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.console import out, show_convergence
 from thermojoint.paper.report import ReportData, report_html
 from thermojoint.paper.summary import convergence
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from artefacts.errors import ConvergenceError
 from fesim.march.reduced import TEMPERATURE_ERROR, thermal_modes
 from fesim.solid import reduction
 from fesim.solid.reduction import ReducedHeat, reduce_heat
 from fesim.solid.spaces import probe_rows
+from thermojoint.artefacts.errors import ConvergenceError
 
 SHORTEST, LONGEST = 1.0, 1e6
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from artefacts.response import make_response, write_response
 from benchmarks.reference_machine import observables, score
 from benchmarks.reference_machine.__main__ import HERE, STUDIES
 from benchmarks.reference_machine.table import INPUTS, Machine, as_markdown, machines_of, scored
 from fesim.batch.folder import response_path
 from fesim.batch.study import read_study
+from thermojoint.artefacts.response import make_response, write_response
 
 LEVELS = {"0.5": 0.5, "1.0": 1.0, "2.0": 2.0, "3.0": 3.0}
 TIMES = np.arange(0.0, 2101.0, 10.0)

@@ -5,10 +5,10 @@ import pytest
 from bars import surface_law
 from test_gap import K_N, random_problem
 
-from artefacts.errors import ConvergenceError
 from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
 from fesim.joint.law import evaluate, stiffness_at_rest
 from fesim.joint.relaxation import relax
+from thermojoint.artefacts.errors import ConvergenceError
 
 
 def test_it_ends_where_newtons_method_does():

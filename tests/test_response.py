@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from artefacts.errors import InputError
-from artefacts.response import make_response, read_response, write_response
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import make_response, read_response, write_response
 
 TIMES = np.array([0.0, 2.0, 4.0])
 

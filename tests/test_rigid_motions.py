@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_pairing import long_sleeve, vee
 
-from artefacts.errors import InputError
 from fesim.solid.rigid_motions import check_held, holds_of
 from meshes.pairing import pair_joint
+from thermojoint.artefacts.errors import InputError
 
 BASE = ((0.0, 0.0, 0.0), (0.4, 0.1, 0.3))
 BLOCK = ((0.1, 0.1, 0.1), (0.2, 0.2, 0.2))

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.special import i0e, ive, j0, kve
 
-from artefacts.errors import InputError
-from models.ring_source import (
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.ring_source import (
     impulse_response,
     steady_value,
     step_response,

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from observed import SENSORS, estimates, observed_data, observer, run, step
 
-from artefacts.errors import InputError
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import reduce_machine
@@ -21,8 +20,9 @@ from estimator.joint_aware.surface import (
 )
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from live.residuals import residuals
-from live.scene import EYE, front_of, scene_of, upright
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.residuals import residuals
+from thermojoint.live.scene import EYE, front_of, scene_of, upright
 
 UP = np.array([0.0, 1.0, 0.0])
 

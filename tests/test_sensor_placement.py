@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 from typer.testing import CliRunner
 
-from artefacts.errors import ConvergenceError, InputError
 from estimator.joint_aware import placement, plant_family
 from estimator.joint_aware.physics import make_physics, simulate_known
 from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.setup.structure import candidate_probes
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.cli.app import app
 
 BOXES = [

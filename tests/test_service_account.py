@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from reference_case import lasting
 
-from artefacts import own_folder as places
-from artefacts.own_folder import own_folder
 from fesim.joint import compiled_gap
+from thermojoint.artefacts import own_folder as places
+from thermojoint.artefacts.own_folder import own_folder
 
 ROOT = Path(__file__).parents[1]
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
 from fesim.case.schema import case_from_data
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
 from fesim.setup.laws import joint_law
@@ -16,6 +15,7 @@ from fesim.setup.parts import make_parts
 from fesim.setup.structure import body_materials, build_structure, candidate_probes
 from fesim.simulate import simulate
 from meshes.pairing import pair_joint
+from thermojoint.artefacts.errors import InputError
 
 PROBES = {
     "a": {"position_mm": [575.0, 600.0, 175.0], "body": "column"},

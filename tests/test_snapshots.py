@@ -11,7 +11,6 @@ from bars import driven
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from fesim.case.history import step_history
 from fesim.case.schema import first_step_at
 from fesim.march.stepping import march, staggered
@@ -22,6 +21,7 @@ from fesim.snapshots import (
     snapshot_writer,
     structure_snapshot,
 )
+from thermojoint.artefacts.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skfem import MeshHex, MeshTet
 
-from artefacts.errors import InputError
 from fesim.case.schema import CandidatesSection
 from fesim.setup.structure import candidate_probes
 from fesim.solid.spaces import cells_at, probe_cells
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError
 
 #: A bar with cells of 100 mm at one end and of 2 mm at the other.
 GRADED = MeshHex.init_tensor(

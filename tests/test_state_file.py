@@ -6,13 +6,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from artefacts.errors import InputError
 from fesim.case.schema import case_from_data
 from fesim.march.machine import State
 from fesim.march.state_file import fingerprint, load_state, save_state
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
+from thermojoint.artefacts.errors import InputError
 
 TIMED = ("temperature", "displacement", "pressure", "conductance", "heat_flow", "opening", "slip")
 EVIDENCE = ("gap_residual", "iterations", "cuts", "heat_balance", "heat_input")

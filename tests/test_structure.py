@@ -7,8 +7,8 @@ import pytest
 from bars import two_bars
 from skfem import MeshHex, MeshQuad, MeshTet
 
-from artefacts.errors import InputError
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError
 
 BARS = two_bars()
 

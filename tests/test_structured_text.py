@@ -27,9 +27,9 @@ from estimator.learned.samples import samples_of
 from estimator.measured import response_samples
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from models.assembly import assemble
-from models.assembly_file import write_assembly
 from thermojoint.cli.app import app
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
 pytestmark = needs_gcc

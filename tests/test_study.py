@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from short_runs import SHORT, quick_bands
 
-from artefacts.errors import InputError
 from calibrate import chain
 from calibrate.placement import (
     APART,
@@ -25,7 +24,8 @@ from estimator.joint_aware.model_file import read_observer
 from fesim.case.schema import MeshSection, case_from_data
 from fesim.case.thermal_sections import HeldTemperatureSection
 from meshes.structure import Probe
-from models.sensors import roles_in
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.sensors import roles_in
 from thermojoint.paper import inputs
 from thermojoint.paper.long_runs import random_day
 from thermojoint.paper.observers import observer_case, observers_beside
@@ -57,14 +57,14 @@ def results(case, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def responses(results):
-    from artefacts.response import read_response
+    from thermojoint.artefacts.response import read_response
 
     return {path.stem: read_response(path) for path in (results / "responses").glob("*.nc")}
 
 
 @pytest.fixture(scope="module")
 def model(results):
-    from models.model_file import read_model
+    from thermojoint.models.model_file import read_model
 
     return read_model(results / "model.json")
 
@@ -193,7 +193,7 @@ def test_the_estimator_sees_temperatures_only(model, responses):
 
 
 def test_regressions_are_judged_where_they_are_given(results, model, responses):
-    from models.baselines import read_baselines
+    from thermojoint.models.baselines import read_baselines
 
     given = {"triangle": responses["triangle"]}
     beside = read_baselines(results / "baselines.json")

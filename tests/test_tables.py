@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from models.model_file import Provenance
-from models.parameters import DeformationModel
-from thermojoint.cli import console
-from thermojoint.paper import paper_values
+from thermojoint.models.model_file import Provenance
+from thermojoint.models.parameters import DeformationModel
+from thermojoint.paper import paper_values, printing
 from thermojoint.paper.tables import NOTE, printed_tables, tables_json
 
 ERRORS = Provenance(
@@ -96,7 +95,7 @@ def test_the_paper_has_no_value_for_a_third_source(hand_made_model):
 
 def test_the_terminal_shows_both_columns_and_says_why_they_differ(hand_made_model):
     terminal = Console(record=True, width=100)
-    console.show_tables(terminal, printed_tables(tables_json(hand_made_model, ERRORS)))
+    printing.show_tables(terminal, printed_tables(tables_json(hand_made_model, ERRORS)))
     text = terminal.export_text()
     assert "3.372" in text
     assert "8.25e-06" in text
@@ -119,5 +118,5 @@ def test_a_value_at_the_bound_of_its_fit_is_marked(hand_made_model):
         ("Source 1, x", "d"),
     ]
     terminal = Console(record=True, width=100)
-    console.show_tables(terminal, printed)
+    printing.show_tables(terminal, printed)
     assert terminal.export_text().count(" * ") == 3 + NOTE.count(" * ")

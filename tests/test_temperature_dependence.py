@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.sparse import diags_array
 
-from artefacts.errors import ConvergenceError, InputError
 from fesim.batch.dataset import open_dataset
 from fesim.batch.study import read_study
 from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.paper.observers import observers_beside
-from verification.temperature_dependence import FALLING, RISING
-from verification.thermal_bar import FOREVER, bar_case, run
+from thermojoint.verification.temperature_dependence import FALLING, RISING
+from thermojoint.verification.thermal_bar import FOREVER, bar_case, run
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "warm_machine" / "machine.toml"
 FLAT = {"rise_K": [0.0], "factor": [1.0]}

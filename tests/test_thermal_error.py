@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
-from artefacts.log import Log
-from artefacts.quantities import column_named
 from benchmarks.thermal_error import __main__ as command
 from benchmarks.thermal_error import drives, freezing, leaderboard, making, plants, tasks
 from benchmarks.thermal_error.faults import FAULTS, SENSOR
 from benchmarks.thermal_error.methods import METHODS, method_named
 from benchmarks.thermal_error.methods.logs import held, responses
 from benchmarks.thermal_error.scoring import NotApplicable, Score, score
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
 
 PAGE = Path(__file__).parents[1] / "docs" / "thermal-error-benchmark.md"
 KEPT = Path(leaderboard.__file__).with_name("leaderboard.json")

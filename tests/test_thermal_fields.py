@@ -8,7 +8,6 @@ from bars import two_bars
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts.errors import InputError
 from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.formula import FUNCTIONS, formula
 from fesim.case.identity import condensation_key
@@ -20,8 +19,9 @@ from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import snapshot_writer
 from meshes.exchange import write_structure
+from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.inputs import check_drivable
-from verification.thermal_bar import bar_case, run
+from thermojoint.verification.thermal_bar import bar_case, run
 
 REFERENCE = Path(__file__).parents[1] / "thermojoint" / "cases" / "reference.toml"
 POINTS = np.array([[0.0, 0.1, 0.2], [0.0, 0.05, -0.1], [0.3, 0.0, 0.1]])

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_process import undisturbed
 
-from artefacts.errors import ConvergenceError
+from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.cli import main as cli
 from thermojoint.cli import verification_run
-from verification.check import Check
-from verification.hot_spot import UNBOUNDED, square_plate_stress
-from verification.report import markdown, results_data, shown
-from verification.suite import Group, Result, run
+from thermojoint.verification.check import Check
+from thermojoint.verification.hot_spot import UNBOUNDED, square_plate_stress
+from thermojoint.verification.report import markdown, results_data, shown
+from thermojoint.verification.suite import Group, Result, run
 
 PAGE = Path(__file__).parents[1] / "docs" / "verification.md"
 FIELDS = ["name", "quantity", "unit", "reference", "computed", "relative_error", "tolerance"]

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from skfem import MeshHex
 
-from artefacts.errors import InputError
 from meshes.exchange import write_structure
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 from thermojoint.pictures import renderer, view
 

@@ -13,21 +13,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from thermojoint.own_packages import check_not_hidden
+
+check_not_hidden()
+
 if TYPE_CHECKING:
-    from artefacts.errors import ConvergenceError, InputError, ThermojointError
-    from artefacts.log import Log
-    from artefacts.log_file import read_log
-    from artefacts.response import make_response, read_response, write_response
     from calibrate.chain import Calibrated
     from calibrate.chain import calibrate_responses as calibrate
     from calibrate.learning.learn import learn
     from calibrate.provenance import provenance_of
-    from compensation.loop.run import Closed, close_loop
-    from compensation.loop.schema import Loop, read_loop
-    from compensation.offsets.preview import preview as preview_offsets
-    from compensation.offsets.preview import read_estimate
-    from compensation.offsets.settings import Settings as OffsetSettings
-    from compensation.offsets.settings import read_settings as read_offset_settings
     from estimator.export.c_source import write_c
     from estimator.export.exporting import export_program
     from estimator.export.fmu import Standard as FmiStandard
@@ -48,11 +42,21 @@ if TYPE_CHECKING:
     from fesim.simulate import Simulation, simulate
     from meshes.exchange import read_structure, write_structure
     from meshes.structure import Structure
-    from models.assembly import Assembly, assemble
-    from models.assembly_file import read_assembly, write_assembly
-    from models.learned import LearnedModel, read_learned, write_learned
-    from models.model_file import Provenance, read_model, read_provenance, write_model
-    from models.parameters import Model
+    from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
+    from thermojoint.artefacts.log import Log
+    from thermojoint.artefacts.log_file import read_log
+    from thermojoint.artefacts.response import make_response, read_response, write_response
+    from thermojoint.compensation.loop.run import Closed, close_loop
+    from thermojoint.compensation.loop.schema import Loop, read_loop
+    from thermojoint.compensation.offsets.preview import preview as preview_offsets
+    from thermojoint.compensation.offsets.preview import read_estimate
+    from thermojoint.compensation.offsets.settings import Settings as OffsetSettings
+    from thermojoint.compensation.offsets.settings import read_settings as read_offset_settings
+    from thermojoint.models.assembly import Assembly, assemble
+    from thermojoint.models.assembly_file import read_assembly, write_assembly
+    from thermojoint.models.learned import LearnedModel, read_learned, write_learned
+    from thermojoint.models.model_file import Provenance, read_model, read_provenance, write_model
+    from thermojoint.models.parameters import Model
 
     __version__: str
 
@@ -126,26 +130,26 @@ __all__ = [
 
 #: Public name to where it stands; kept in step with the imports above by the tests.
 _HOMES = {
-    "Assembly": "models.assembly:Assembly",
+    "Assembly": "thermojoint.models.assembly:Assembly",
     "Calibrated": "calibrate.chain:Calibrated",
     "Case": "fesim.case.schema:Case",
     "Channel": "estimator.interface:Channel",
-    "Closed": "compensation.loop.run:Closed",
-    "ConvergenceError": "artefacts.errors:ConvergenceError",
+    "Closed": "thermojoint.compensation.loop.run:Closed",
+    "ConvergenceError": "thermojoint.artefacts.errors:ConvergenceError",
     "Estimate": "estimator.interface:Estimate",
     "Estimator": "estimator.interface:Estimator",
     "Fchs": "estimator.fchs.estimator:Fchs",
     "FmiStandard": "estimator.export.fmu:Standard",
-    "InputError": "artefacts.errors:InputError",
+    "InputError": "thermojoint.artefacts.errors:InputError",
     "Learned": "estimator.learned.estimator:Learned",
-    "LearnedModel": "models.learned:LearnedModel",
-    "Log": "artefacts.log:Log",
-    "Loop": "compensation.loop.schema:Loop",
-    "Model": "models.parameters:Model",
-    "OffsetSettings": "compensation.offsets.settings:Settings",
+    "LearnedModel": "thermojoint.models.learned:LearnedModel",
+    "Log": "thermojoint.artefacts.log:Log",
+    "Loop": "thermojoint.compensation.loop.schema:Loop",
+    "Model": "thermojoint.models.parameters:Model",
+    "OffsetSettings": "thermojoint.compensation.offsets.settings:Settings",
     "Precision": "estimator.export.program:Precision",
     "Program": "estimator.export.program:Program",
-    "Provenance": "models.model_file:Provenance",
+    "Provenance": "thermojoint.models.model_file:Provenance",
     "RampInput": "fesim.case.thermal_sections:RampInput",
     "SampledInput": "fesim.case.thermal_sections:SampledInput",
     "Setup": "fesim.setup.machine:Setup",
@@ -153,42 +157,42 @@ _HOMES = {
     "Status": "estimator.interface:Status",
     "StepInput": "fesim.case.thermal_sections:StepInput",
     "Structure": "meshes.structure:Structure",
-    "ThermojointError": "artefacts.errors:ThermojointError",
+    "ThermojointError": "thermojoint.artefacts.errors:ThermojointError",
     "TriangleInput": "fesim.case.thermal_sections:TriangleInput",
     "Validated": "estimator.judge:Validated",
-    "assemble": "models.assembly:assemble",
+    "assemble": "thermojoint.models.assembly:assemble",
     "calibrate": "calibrate.chain:calibrate_responses",
     "case_from_data": "fesim.case.schema:case_from_data",
-    "close_loop": "compensation.loop.run:close_loop",
+    "close_loop": "thermojoint.compensation.loop.run:close_loop",
     "export_program": "estimator.export.exporting:export_program",
     "follow": "estimator.interface:follow",
     "learn": "calibrate.learning.learn:learn",
     "load_estimator": "estimator.saved_state:load_state",
-    "make_response": "artefacts.response:make_response",
-    "preview_offsets": "compensation.offsets.preview:preview",
+    "make_response": "thermojoint.artefacts.response:make_response",
+    "preview_offsets": "thermojoint.compensation.offsets.preview:preview",
     "provenance_of": "calibrate.provenance:provenance_of",
-    "read_assembly": "models.assembly_file:read_assembly",
+    "read_assembly": "thermojoint.models.assembly_file:read_assembly",
     "read_case": "fesim.case.schema:read_case",
-    "read_estimate": "compensation.offsets.preview:read_estimate",
-    "read_learned": "models.learned:read_learned",
-    "read_log": "artefacts.log_file:read_log",
-    "read_loop": "compensation.loop.schema:read_loop",
-    "read_model": "models.model_file:read_model",
-    "read_offset_settings": "compensation.offsets.settings:read_settings",
-    "read_provenance": "models.model_file:read_provenance",
-    "read_response": "artefacts.response:read_response",
+    "read_estimate": "thermojoint.compensation.offsets.preview:read_estimate",
+    "read_learned": "thermojoint.models.learned:read_learned",
+    "read_log": "thermojoint.artefacts.log_file:read_log",
+    "read_loop": "thermojoint.compensation.loop.schema:read_loop",
+    "read_model": "thermojoint.models.model_file:read_model",
+    "read_offset_settings": "thermojoint.compensation.offsets.settings:read_settings",
+    "read_provenance": "thermojoint.models.model_file:read_provenance",
+    "read_response": "thermojoint.artefacts.response:read_response",
     "read_structure": "meshes.exchange:read_structure",
     "save_estimator": "estimator.saved_state:save_state",
     "set_up": "fesim.setup.machine:set_up",
     "simulate": "fesim.simulate:simulate",
     "start_estimator": "estimator.starting:started",
     "validate": "estimator.judge:validate_model",
-    "write_assembly": "models.assembly_file:write_assembly",
+    "write_assembly": "thermojoint.models.assembly_file:write_assembly",
     "write_c": "estimator.export.c_source:write_c",
     "write_fmu": "estimator.export.fmu:write_fmu",
-    "write_learned": "models.learned:write_learned",
-    "write_model": "models.model_file:write_model",
-    "write_response": "artefacts.response:write_response",
+    "write_learned": "thermojoint.models.learned:write_learned",
+    "write_model": "thermojoint.models.model_file:write_model",
+    "write_response": "thermojoint.artefacts.response:write_response",
     "write_structure": "meshes.exchange:write_structure",
     "write_structured_text": "estimator.export.structured_text:write_structured_text",
 }

@@ -19,7 +19,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from artefacts.files import whole_file
 from benchmarks.against_calculix.run import PROGRAM, available
 from benchmarks.against_calculix.studies import (
     Comparison,
@@ -27,6 +26,7 @@ from benchmarks.against_calculix.studies import (
     two_bars,
     two_rods,
 )
+from thermojoint.artefacts.files import whole_file
 
 
 def main() -> None:

@@ -11,15 +11,12 @@ import numpy as np
 from skfem import CellBasis
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from benchmarks.against_calculix.deck import Choices, write_deck
 from benchmarks.against_calculix.laws import exponential, with_law
 from benchmarks.against_calculix.problem import Problem, problem_of
 from benchmarks.against_calculix.run import Run, run_deck
 from fesim.case.schema import Case, step_count
 from fesim.joint.law import BackBurdekinLaw, JointLaw
-from fesim.joint.operators import joint_operators
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.stepping import march
 from fesim.setup.loads import heat_sources, thermal_inputs
@@ -27,8 +24,11 @@ from fesim.setup.machine import Setup, set_up
 from fesim.simulate import COUPLINGS
 from fesim.solid.condensation import condense_heat
 from fesim.solid.heat import capacity_form, cell_field, heat_operators
+from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import interpolation, probe_rows
 from meshes.pairing import PairedJoint, pair_joint
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Parts of a contact element in each direction over which a pressure is averaged.
 PARTS = 4

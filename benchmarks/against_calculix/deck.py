@@ -20,8 +20,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import CellBasis
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from benchmarks.against_calculix.elements import (
     connectivity,
     element_of,
@@ -32,6 +30,8 @@ from benchmarks.against_calculix.laws import ExponentialLaw
 from benchmarks.against_calculix.problem import Problem
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.solid.elasticity import DIRECTIONS
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 Table = list[tuple[float, float]]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import CellBasis
 
-from artefacts.errors import InputError
 from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 
 #: Corners of CalculiX's elements in reference coordinates from 0 to 1, in its order.
 HEXAHEDRON = (

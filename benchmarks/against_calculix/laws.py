@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.law import JointLaw
 from fesim.march.machine import CondensedMachine
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

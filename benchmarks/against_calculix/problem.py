@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.errors import InputError
 from fesim.case.schema import Case, step_count
 from fesim.joint.law import JointLaw
 from fesim.setup.laws import joint_law
@@ -15,6 +14,7 @@ from fesim.setup.structure import body_materials, build_structure
 from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint, outward_areas, pair_joint
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True)

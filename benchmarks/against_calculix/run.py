@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError, InputError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 PROGRAM = "ccx"
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from artefacts.errors import ConvergenceError
 from benchmarks.against_calculix.compare import (
     Agreement,
     agreement,
@@ -22,6 +21,7 @@ from benchmarks.against_calculix.problem import problem_of
 from benchmarks.against_calculix.run import Run
 from benchmarks.against_calculix.structures import bars, machine
 from fesim.case.schema import Case
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Linear normal law and linear conductance: CalculiX has both without a table's error.
 LINEAR = {

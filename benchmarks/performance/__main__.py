@@ -15,7 +15,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from artefacts.errors import InputError, ThermojointError, unknown_name
 from benchmarks.performance import (
     batch,
     calculix,
@@ -36,6 +35,7 @@ from benchmarks.performance import (
 from benchmarks.performance.cases import condensations
 from benchmarks.performance.report import cells, marked, missed, write_json, write_markdown
 from benchmarks.performance.timing import Row, Skipped
+from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_name
 
 Group = Callable[[], Iterator[Row | Skipped]]
 

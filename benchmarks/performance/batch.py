@@ -14,14 +14,14 @@ from statistics import mean, median
 from tempfile import TemporaryDirectory
 from time import perf_counter
 
-from artefacts.errors import ConvergenceError
-from artefacts.response import write_response
 from benchmarks.performance.cases import coarse_text, condensations, fresh_condensations
 from benchmarks.performance.timing import Row
 from fesim.batch.local import local_crew
 from fesim.batch.run import run_batch
 from fesim.batch.study import Study, read_study
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.artefacts.response import write_response
 
 SAMPLES, REPEATS = 200, 3
 #: Cases that the loop is measured on, each time.

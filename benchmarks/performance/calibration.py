@@ -14,12 +14,12 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import OptimizeResult, least_squares
 
-from artefacts.response import read_response, write_response
 from benchmarks.performance.cases import REFERENCE, calibrated, calibration_responses, others
 from benchmarks.performance.timing import Row, paired
 from calibrate import chain
 from calibrate.driven_deformation import driver
-from models.ring_source import step_response
+from thermojoint.artefacts.response import read_response, write_response
+from thermojoint.models.ring_source import step_response
 
 REPEATS = 3
 Array = np.ndarray
@@ -104,7 +104,7 @@ def finite_differences() -> Iterator[None]:
     with ExitStack() as stack:
         for name, value in {
             "calibrate.least_squares.least_squares": without_gradient,
-            "models.ring_source.step_response_gradient": response_alone,
+            "thermojoint.models.ring_source.step_response_gradient": response_alone,
             "calibrate.driven_deformation.driver": columns_alone,
         }.items():
             stack.enter_context(patch(name, value))

@@ -14,12 +14,12 @@ from unittest.mock import patch
 
 import xarray as xr
 
-from artefacts.errors import InputError
 from calibrate import chain
 from calibrate.placement import with_roles
 from fesim.cache import VARIABLE
 from fesim.case.schema import Case, parse_case
 from fesim.case.thermal_sections import StepInput
+from thermojoint.artefacts.errors import InputError
 from thermojoint.paper import inputs
 
 REFERENCE = "step-1.0"

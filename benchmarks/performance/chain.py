@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from artefacts.errors import ConvergenceError
 from benchmarks.performance.cases import fresh_condensations
 from benchmarks.performance.timing import Row, paired
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: What `thermojoint reproduce` may take, s.
 ALLOWED = 180.0

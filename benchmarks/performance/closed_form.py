@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from scipy.special import i0, j0, k0
 
 from benchmarks.performance.timing import Row, paired
-from models.ring_source import step_response
+from thermojoint.models.ring_source import step_response
 
 #: Table 1 of the paper: K = 1, a, alpha, r, r0.
 PARAMETERS = (1.0, 3.20, 2.12e-4, 0.19, 0.12)

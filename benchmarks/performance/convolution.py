@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.fchs.stream import run
-from models.assembly import Assembly
-from models.filters.bank import Bank, respond_to_line, respond_to_steps
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.assembly import Assembly
+from thermojoint.models.filters.bank import Bank, respond_to_line, respond_to_steps
 
 
 class Blocks:

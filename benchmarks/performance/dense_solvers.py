@@ -24,8 +24,6 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_matrix, eye_array
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
@@ -40,6 +38,8 @@ from fesim.march.settling import initial_state
 from fesim.march.stepping import march_along, staggered
 from fesim.march.track import joined
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Steps that are solved one after another, and how different answers may be, of the preload.
 STEPS, SAME = 40, 1e-6

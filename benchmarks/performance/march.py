@@ -10,11 +10,9 @@ from statistics import median
 import numpy as np
 from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 
-from artefacts.errors import ConvergenceError
 from benchmarks.performance.cases import reference_case
 from benchmarks.performance.timing import Row, Skipped, seconds
 from fesim.case.schema import Case
-from fesim.joint.operators import joint_operators
 from fesim.march.machine import CondensedMachine
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
@@ -22,9 +20,11 @@ from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import heat_operators
+from fesim.solid.joint_operators import joint_operators
 from fesim.solid.linear_solver import factorise
 from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Steps of a full run, and how many the slow side is measured on.
 STEPS, MEASURED = 1050, 6

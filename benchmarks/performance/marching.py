@@ -12,7 +12,6 @@ from time import perf_counter
 
 import numpy as np
 
-from artefacts.arrays import Array
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.timing import Row, paired
 from fesim.batch.summary import SLIDES_ABOVE
@@ -28,6 +27,7 @@ from fesim.march.track import Track, joined
 from fesim.setup.loads import input_table
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
+from thermojoint.artefacts.arrays import Array
 
 REPEATS = 5
 #: Marches of the ensemble; its levels of heat and its joint laws are all different.

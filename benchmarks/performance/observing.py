@@ -8,7 +8,6 @@ from time import perf_counter_ns
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
 from benchmarks.performance.cases import calibrated, reference_machine
 from benchmarks.performance.streaming import INTERVAL, SHORT, Measured, stream_times
 from benchmarks.performance.timing import Row
@@ -20,8 +19,9 @@ from estimator.joint_aware.readings import run_in, samples_in
 from estimator.joint_aware.reduced_machine import along, reduce_machine
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.assembly import assemble
-from models.sensors import readings, roles_in
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.assembly import assemble
+from thermojoint.models.sensors import readings, roles_in
 from thermojoint.paper.inputs import CALIBRATION
 from thermojoint.paper.observers import observer_case
 

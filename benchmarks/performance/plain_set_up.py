@@ -12,9 +12,7 @@ from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron
 from skfem import BilinearForm, CellBasis, DiscreteField
 from skfem.assembly.form.form import FormExtraParams
 
-from artefacts.arrays import Array
 from fesim.case.schema import Case
-from fesim.joint.operators import JointOperators, joint_operators
 from fesim.march.reduced import ThermalModes, thermal_modes
 from fesim.setup.holds import fixed_surfaces
 from fesim.setup.loads import heat_sources
@@ -24,10 +22,12 @@ from fesim.setup.structure import body_materials, measured_points
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import ElasticOperators, held_unknowns
 from fesim.solid.heat import cell_field, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.linear_solver import checked_solve, factorise
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 
 @BilinearForm

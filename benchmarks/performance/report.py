@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from artefacts.errors import InputError
-from artefacts.files import write_text
 from benchmarks.performance.timing import Row, Skipped
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
 
 BEGIN, END = "<!-- bench: begin -->", "<!-- bench: end -->"
 PACKAGES = ("thermojoint", "numpy", "scipy", "scikit-fem", "numba", "pypardiso", "mkl")

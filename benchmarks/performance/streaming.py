@@ -9,14 +9,14 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from artefacts.arrays import Array
 from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
 from benchmarks.performance.timing import Row, paired
 from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
 from estimator.fchs.stream import initial_state, run, step
-from models.assembly import Assembly, assemble
-from models.sensors import readings, roles_in
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.assembly import Assembly, assemble
+from thermojoint.models.sensors import readings, roles_in
 
 Sample = Callable[[int], object]
 

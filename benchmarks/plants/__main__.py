@@ -22,13 +22,13 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from artefacts.files import write_text
 from benchmarks.plants.drawing import Plant, draw_plant
 from benchmarks.plants.estimating import ESTIMATORS
 from benchmarks.plants.judging import Machines, judge_plant
 from benchmarks.plants.preparing import difference_from_new_set_up, prepared
 from benchmarks.plants.summary import summary_of, table_of
-from models.sensors import ROLES
+from thermojoint.artefacts.files import write_text
+from thermojoint.models.sensors import ROLES
 
 #: Plants that are compared with machines set up anew.
 CHECKED = 3

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.case.schema import Case
+from thermojoint.artefacts.arrays import Array
 
 #: Ranges of absolute values, and of factors on the case's.
 FRICTION, TANGENTIAL_RATIO, FILM = (0.2, 0.8), (0.3, 1.0), (4.0, 10.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Lengths, s.
 RUN, COOL_DOWN, DAY = 35 * 60.0, 4 * 3600.0, 8 * 3600.0

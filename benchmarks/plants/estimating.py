@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from artefacts.arrays import Array
-from artefacts.response import columns_of
 from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
 from estimator.baselines.none import Nothing
@@ -21,7 +19,9 @@ from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.judge import validate
-from models.sensors import rises
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import columns_of
+from thermojoint.models.sensors import rises
 
 REFERENCE = "step-1.0"
 

@@ -11,8 +11,6 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.errors import ThermojointError
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import STEPS, drives
 from benchmarks.plants.estimating import BY_STEPS, ESTIMATORS, Calibrated, Errors
@@ -24,6 +22,8 @@ from benchmarks.plants.responding import (
     told,
 )
 from estimator.joint_aware.reduced_machine import ReducedMachine
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ThermojointError
 
 #: Calibration to the runs that it has.
 CALIBRATIONS = {

@@ -17,7 +17,7 @@ from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from models.sensors import ROLES
+from thermojoint.models.sensors import ROLES
 
 #: Element sizes of the bodies and of the joint, mm.
 MODEL, PLANT = (50.0, 25.0), (40.0, 20.0)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from artefacts.arrays import Array
-from artefacts.response import make_response
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import Drive
 from estimator.joint_aware.misfit import physics_with
 from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.noise import sensor_noise
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import make_response
 
 #: Of temperatures, K peak to peak, and of displacements in calibration, m.
 TEMPERATURE_NOISE, DISPLACEMENT_NOISE = 0.12, 5e-8

@@ -13,9 +13,9 @@ import json
 import os
 from pathlib import Path
 
-from artefacts.files import write_text
 from benchmarks.reference_machine.table import as_json, as_markdown, scored
 from fesim.batch.study import read_study
+from thermojoint.artefacts.files import write_text
 from thermojoint.cli.batch_run import run_study
 
 HERE = Path(__file__).parent

@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from artefacts.response import probes_of
 from estimator.superposition import superposed
-from models.deformation import basis
+from thermojoint.artefacts.response import probes_of
+from thermojoint.models.deformation import basis
 from thermojoint.paper import paper_values
 from thermojoint.paper.summary import pressure_share
 

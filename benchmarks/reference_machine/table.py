@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from artefacts.response import read_response
 from benchmarks.reference_machine.observables import observables_of
 from benchmarks.reference_machine.score import OUT, STATEMENTS, TOLD, WORST, misses, score
 from fesim.batch.folder import response_path
 from fesim.batch.study import Study, StudyCase
+from thermojoint.artefacts.response import read_response
 
 #: Varied alike in every study: no part of what a machine is.
 SHARED = {"heat_input", "probes", "candidates"}

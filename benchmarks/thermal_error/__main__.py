@@ -14,11 +14,11 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from artefacts.errors import ThermojointError
 from benchmarks.thermal_error import leaderboard, making, tasks
 from benchmarks.thermal_error.methods import METHODS, method_named
 from benchmarks.thermal_error.plants import PLANTS
 from benchmarks.thermal_error.scoring import Method, NotApplicable, Score, score
+from thermojoint.artefacts.errors import ThermojointError
 
 BAD_INPUT, DIFFERENT = 2, 1
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Between samples, and steps of the march, s.
 INTERVAL = 10.0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 Columns = dict[str, Array]
 

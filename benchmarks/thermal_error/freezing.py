@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Unit at the end of a column's name to the grid that its values are rounded to.
 GRIDS = {"s": 1.0, "rpm": 0.1, "degC": 0.01, "um": 0.01}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.files import write_text
 from benchmarks.thermal_error.scoring import Score
+from thermojoint.artefacts.files import write_text
 
 #: How the tasks of measured machines begin.
 MEASURED = "measured"

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import write_text
 from benchmarks.thermal_error import drives, freezing
 from benchmarks.thermal_error.faults import FAULTS
 from benchmarks.thermal_error.plants import PLANTS, driven, set_up_plant
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
 
 #: Hash and borders of every file, kept in the repository.
 FROZEN = Path(__file__).with_name("frozen.json")

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from artefacts.arrays import Array
 from benchmarks.thermal_error.drives import AMBIENT_DEGC, INTERVAL, Drive, heat_input
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
+from thermojoint.artefacts.arrays import Array
 
 #: mm: on the source, below it, in the strips, on the table, at the column's foot.
 PLACES = {

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
 from benchmarks.thermal_error.tasks import Task, actual, without_displacement
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 
 #: Column of displacement to what is predicted, m, shape (k,); or (k, 2), where the second column
 #: is half of the width in which the displacement lies with 95 %.

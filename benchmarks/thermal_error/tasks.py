@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.errors import InputError
-from artefacts.log import Log
-from artefacts.log_file import read_log
 from benchmarks.thermal_error.faults import FAULTS
 from benchmarks.thermal_error.making import FAULTY, LEVELS, check
 from benchmarks.thermal_error.plants import PLANTS
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log_file import read_log
 
 #: The measured machine: 23 h of a spindle test at 15 s, CAIVIAC/FL_THERMAL on GitHub,
 #: data/data.xlsx, MIT licence: the first half of its rows, columns renamed, rounded to 4 decimals.

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from artefacts.arrays import Array
 from calibrate.learning.blocks import Blocks, Sums, held_out, weights_of
 from calibrate.learning.selection import Fitted
 from calibrate.learning.structures import SLOW
+from thermojoint.artefacts.arrays import Array
 
 #: Penalties to choose from, of standardised temperatures.
 PENALTIES = tuple(10.0 ** (0.5 * k) for k in range(-10, 3))

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Time over which errors are one error, s.
 INDEPENDENT = 3600.0

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from calibrate.learning.thinning import Table
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: A log tells nothing of relaxations of an hour if it is shorter, s.
 SHORTEST = 3.0 * 3600.0

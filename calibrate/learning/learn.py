@@ -10,16 +10,16 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
 from calibrate.learning import baselines
 from calibrate.learning.blocks import MARGIN, blocks_of
 from calibrate.learning.cleaning import Cleaned, clean
 from calibrate.learning.selection import Fitted, choose, fit
 from calibrate.learning.structures import candidates, design, sizes, structures
 from calibrate.learning.thinning import Table, thinned
-from models.learned import (
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.models.learned import (
     Feature,
     LearnedChannel,
     LearnedFrom,

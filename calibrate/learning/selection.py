@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
 from calibrate.learning.blocks import Blocks, held_out, weights_of
 from calibrate.learning.structures import Structure, index_of
-from models.learned import Feature
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.learned import Feature
 
 #: Weights of the prior that a fit is a mean over, µm².
 PRIORS = (0.1, 1.0)

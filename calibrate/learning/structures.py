@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from calibrate.learning.cleaning import Cleaned
-from models.learned import Feature, features_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.learned import Feature, features_of
 
 #: Relaxations of a temperature beside itself, and of a heat, s.
 SLOW = (3600.0, 7200.0)

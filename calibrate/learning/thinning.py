@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
-from artefacts.quantities import Column
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import Column
 
 #: Shortest interval, s, and most rows: a longer log has longer intervals.
 INTERVAL = 60.0
@@ -59,7 +59,7 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
     Parameters
     ----------
     pieces : iterable of Log
-        In the order of time (`artefacts.log_file.log_pieces`).
+        In the order of time (`thermojoint.artefacts.log_file.log_pieces`).
     names : sequence of str
         Columns to keep, with their units; none for all.
 

@@ -9,14 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.baselines.regression import CHANNELS
 from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
-from models.baselines import Autoregression
-from models.parameters import Span
-from models.sensors import ROLES
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.baselines import Autoregression
+from thermojoint.models.parameters import Span
+from thermojoint.models.sensors import ROLES
 
 #: A sample this near to a step of the autoregression is at it, relative to the interval.
 _AT_STEP = 1e-6

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
-from models.assembly import Assembly
-from models.filters.bank import over_interval
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.assembly import Assembly
+from thermojoint.models.filters.bank import over_interval
 
 
 @dataclass(frozen=True, eq=False)

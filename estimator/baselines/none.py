@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.interface import Channel, Estimate, Status
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
-from models.baselines import Regression, regression_bank
-from models.filters.bank import Bank, over_interval
-from models.parameters import Span
-from models.sensors import ROLES
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.baselines import Regression, regression_bank
+from thermojoint.models.filters.bank import Bank, over_interval
+from thermojoint.models.parameters import Span
+from thermojoint.models.sensors import ROLES
 
 #: Rises of the four sensors above the current ambient.
 CHANNELS = tuple(Channel(role, "K") for role in ROLES)

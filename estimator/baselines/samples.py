@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.interface import Channel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 
 def began(

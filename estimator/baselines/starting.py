@@ -5,7 +5,7 @@ from __future__ import annotations
 from estimator.baselines.autoregression import AutoregressionEstimator
 from estimator.baselines.regression import RegressionEstimator
 from estimator.interface import Estimator
-from models.baselines import Baselines
+from thermojoint.models.baselines import Baselines
 
 
 def regressions(baselines: Baselines, dt_s: float) -> list[Estimator]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from artefacts.folders import write_folder
 from estimator.export.program import Precision, Program, rounded
 from estimator.export.templating import loaded, rendered
+from thermojoint.artefacts.folders import write_folder
 
 if TYPE_CHECKING:
     from jinja2 import Environment

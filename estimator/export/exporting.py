@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from artefacts.errors import InputError
 from estimator.export import fchs, joint_aware, learned
 from estimator.export.program import Contents, Precision, Program, checked_name, program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator
 from estimator.joint_aware.estimator import JointAware
 from estimator.learned.estimator import Learned
+from thermojoint.artefacts.errors import InputError
 
 
 def export_program(

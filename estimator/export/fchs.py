@@ -12,7 +12,7 @@ from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
 from estimator.measured import LARGEST
 from estimator.span import SLACK, with_slack
-from models.assembly_file import fingerprint
+from thermojoint.models.assembly_file import fingerprint
 
 _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 

@@ -11,10 +11,10 @@ import zipfile
 from enum import StrEnum
 from pathlib import Path
 
-from artefacts.errors import InputError
-from artefacts.files import whole_file
 from estimator.export.c_source import c_files, environment
 from estimator.export.program import Program
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
 
 
 class Standard(StrEnum):

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.export import erfc
 from estimator.export.program import (
     Contents,
@@ -32,6 +30,8 @@ from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.trust import possible
 from estimator.sensor_faults import GATE, MODEL_ERROR
 from fesim.march.compiled_step import JointKernel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Bits of the status that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14

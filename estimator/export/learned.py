@@ -14,15 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.quantities import column_named
 from estimator.export.program import Contents, Interface, Operations, Variable, distinct, listed
 from estimator.export.recorded import duty_cycle
 from estimator.interface import Status
 from estimator.learned.estimator import DRIFT_SIZE, REACH, WITHIN, Learned
 from estimator.span import SLACK, with_slack
-from models.learned import LearnedModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.models.learned import LearnedModel
 
 #: Terms of the series of h, which has its digits where x is below 1.
 TERMS = 18
@@ -47,7 +47,7 @@ class Filtered(NamedTuple):
     column : int
         Which reading.
     exponent, reference, scale, tau : float
-        As `models.learned.Feature`.
+        As `thermojoint.models.learned.Feature`.
     """
 
     column: int

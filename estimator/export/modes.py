@@ -1,7 +1,7 @@
 """Banks of exponential states as tables: what an interval does to every mode.
 
-The same recursion as `models.filters.bank.over_interval`, mode by mode and complex, in a form that
-keeps its digits in single precision, too:
+The same recursion as `thermojoint.models.filters.bank.over_interval`, mode by mode and complex, in
+a form that keeps its digits in single precision, too:
 
 - an increment is added to a state, not a state multiplied: x1 = x0 + (φ_0 - 1) x0 + ...;
 - an inverse is written as 1/(s - p) = -1/p + s / (p (s - p)). Its residues, which nearly cancel,
@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from artefacts.errors import InputError
 from estimator.export.program import Operations
-from models.filters.bank import Bank
-from models.filters.phi import divided_differences, phi_functions
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.filters.bank import Bank
+from thermojoint.models.filters.phi import divided_differences, phi_functions
 
 #: Of a compensated sum, of a complex number.
 _KEPT = Operations(additions=8)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from artefacts.errors import InputError
 from estimator.export.recorded import Recorded, check_answerable, even, recorded
 from estimator.interface import Estimator, Status
+from thermojoint.artefacts.errors import InputError
 
 #: What a self-test allows: in double precision relative to the largest displacement, in single m.
 RELATIVE, ABSOLUTE = 1e-12, 1e-8

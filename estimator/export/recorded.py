@@ -9,9 +9,9 @@ from itertools import islice
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.interface import Estimator, Status, follow
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Samples at the nominal interval that a duty cycle begins with; then intervals of so many of it.
 EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.fchs import stream
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
-from models.assembly import Assembly
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.assembly import Assembly
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator.fchs.stream import Signals, propagator
-from models.assembly import Assembly
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.assembly import Assembly
 
 
 @dataclass(frozen=True, eq=False)

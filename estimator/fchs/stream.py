@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.errors import InputError
-from models.assembly import Assembly
-from models.filters.bank import over_interval
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.assembly import Assembly
+from thermojoint.models.filters.bank import over_interval
 
 
 class Signals(NamedTuple):

@@ -22,7 +22,6 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts.arrays import Array, Flags
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.film import Film, convected, film_of
@@ -31,6 +30,7 @@ from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.parameters import joint_with_factors
 from estimator.joint_aware.reduced_machine import Joint
 from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: The copies' parameters are off by this, in the logarithm.
 STEP = 0.03

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.filter_design import (
     LinearSystem,
     Noise,
@@ -19,6 +18,7 @@ from estimator.joint_aware.parameters import factors_of, with_factors
 from estimator.joint_aware.physics_fit import Fit
 from estimator.joint_aware.reduced_machine import Modes, ReducedMachine, diagonal_modes
 from estimator.joint_aware.sticking import sticking_tangent
+from thermojoint.artefacts.arrays import Array
 
 #: A model errs alike in a hundred samples: in the noise of one these errors count so many times.
 LASTS = 10.0

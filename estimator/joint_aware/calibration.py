@@ -9,9 +9,6 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.response import columns_of, probes_of
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.misfit import Run
@@ -22,6 +19,9 @@ from estimator.joint_aware.readings import run_in
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of, probes_of
 
 #: A singular value above this is decided by the data: the prior has less than a tenth of the say.
 DECIDED = 3.0

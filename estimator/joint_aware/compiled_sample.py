@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.observer_state import UNKNOWN, Layout
 from estimator.sensor_faults import GATE, MODEL_ERROR, Watch, look
 from fesim.machine_code import compiled
 from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
+from thermojoint.artefacts.arrays import Array
 
 
 class Filter(NamedTuple):

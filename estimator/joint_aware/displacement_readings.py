@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: How long what was found of the model's error lasts, s.
 MEMORY = 4.0 * 3600.0

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, suspicion
@@ -28,6 +26,8 @@ from estimator.joint_aware.observer_state import (
 )
 from estimator.joint_aware.physics import heat_step
 from estimator.joint_aware.trust import Moment, Trusted, possible, thermometer_noise, trusted
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.reduced_machine import Modes
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

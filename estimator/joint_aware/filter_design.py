@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_discrete_are
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from estimator.joint_aware.reduced_machine import Modes
 from estimator.joint_aware.remainder import Remainder
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 
 @dataclass(frozen=True)

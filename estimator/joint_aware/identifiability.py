@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.misfit import (
     MOST_SAMPLES,
     Problem,
@@ -32,6 +31,7 @@ from estimator.joint_aware.physics import simulate_known
 from estimator.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
 from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import ReducedMachine
+from thermojoint.artefacts.arrays import Array
 
 #: Points of a profile, in standard deviations from the fit, and how often the others are improved.
 POINTS, IMPROVED = (-2.0, -1.0, 0.0, 1.0, 2.0), 2

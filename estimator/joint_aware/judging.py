@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from artefacts.arrays import Array
-from artefacts.response import columns_of
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
 from estimator.rows import MICRO, figures_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import columns_of
 
 
 def followed(

@@ -15,7 +15,7 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 
 
 def read_log(

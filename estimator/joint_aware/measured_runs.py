@@ -8,13 +8,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
-from artefacts.response import make_response
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
 from fesim.solid.elasticity import DIRECTIONS
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.response import make_response
 
 #: Part of the samples that may lack a reading.
 MOST_MISSING = 0.2

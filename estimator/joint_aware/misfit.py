@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.parameters import Parameter, factors_of, with_factors
 from estimator.joint_aware.physics import Physics, make_physics, simulate_known
 from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_basis, on_basis
@@ -27,6 +26,7 @@ from estimator.joint_aware.remainder import (
     relaxed,
     told_by,
 )
+from thermojoint.artefacts.arrays import Array
 
 #: Samples of a run that count, at most.
 MOST_SAMPLES = 120

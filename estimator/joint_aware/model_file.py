@@ -16,9 +16,6 @@ import h5py
 import numpy as np
 import pydantic
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import whole_file
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.joint_aware.observer_model import Band, Calibrated, Kind, ObserverModel
 from estimator.joint_aware.recognition import SCHEMA
@@ -26,6 +23,9 @@ from estimator.joint_aware.reduced_machine import Joint, Modes
 from estimator.joint_aware.remainder import Remainder
 from fesim.case.joint_sections import JointSection
 from fesim.solid.condensation import ElasticCondensation
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
 
 SCHEMA_VERSION = 2
 

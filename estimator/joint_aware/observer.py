@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
 from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, ObserverState
@@ -20,6 +19,7 @@ from estimator.joint_aware.physics import (
     make_physics,
     settle_joint,
 )
+from thermojoint.artefacts.arrays import Array
 
 #: Excess columns that tell the readings less than this part of their noise are nothing any more.
 FORGOTTEN = 1e-3

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from artefacts.arrays import Array
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from estimator.joint_aware.remainder import Remainder
+from thermojoint.artefacts.arrays import Array
 
 #: With its joint, or with the joint linearised at its preload (`linear_joint`).
 Kind = Literal["joint-aware", "kalman-linear"]

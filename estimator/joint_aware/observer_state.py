@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.physics import JointState
 from estimator.joint_aware.suspicion import Suspicion
 from estimator.sensor_faults import Watch
+from thermojoint.artefacts.arrays import Array
 
 #: The joint's slips are those of a run from rest; or they are not known at all, because the
 #: temperatures are not yet; or they are followed since the temperatures are known.

@@ -18,8 +18,6 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from estimator.interface import follow
 from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import WIDTH, JointAware
@@ -43,6 +41,8 @@ from estimator.joint_aware.physics_fit import SEARCH_STEPS, Fit
 from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.joint_aware.remainder import Remainder, make_ridge, relaxed
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Drawn machines; the seed of them and of the histories.
 DRAWS, SEED = 12, 1

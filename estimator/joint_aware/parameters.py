@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.reduced_machine import Joint, ReducedMachine
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

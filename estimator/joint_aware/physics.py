@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
 from estimator.joint_aware.reduced_machine import Joint, Modes
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
@@ -25,6 +24,7 @@ from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settl
 from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import settle_along
+from thermojoint.artefacts.arrays import Array
 
 
 class JointState(NamedTuple):

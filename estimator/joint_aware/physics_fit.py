@@ -18,8 +18,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from estimator.joint_aware.misfit import (
     Problem,
     Run,
@@ -34,6 +32,8 @@ from estimator.joint_aware.misfit import (
 from estimator.joint_aware.parameters import Parameter, active
 from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.joint_aware.remainder import Remainder
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Steps of a run in a search.
 SEARCH_STEPS = 150

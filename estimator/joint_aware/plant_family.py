@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from estimator.joint_aware.assembling import PASTS, answer
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.misfit import Run, errors, fit_linear, make_problem
@@ -24,6 +22,8 @@ from estimator.joint_aware.physics_fit import fit_physics
 from estimator.joint_aware.random_heat import random_levels
 from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
 from estimator.joint_aware.remainder import relaxation_rates, relaxed
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Plants of the family, and its seed.
 PLANTS, SEED = 12, 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: How long a level lasts, s.
 LASTS = (300.0, 2400.0)

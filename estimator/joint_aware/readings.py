@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.response import columns_of
 from estimator.joint_aware.misfit import MOST_SAMPLES, Run
 from estimator.joint_aware.reduced_machine import ReducedMachine
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of
 
 
 def ambient_in(response: xr.Dataset) -> Array:

@@ -12,8 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case
 from fesim.joint.law import JointLaw
@@ -24,6 +22,8 @@ from fesim.setup.structure import body_materials
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import heat_operators
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Relaxation times from the first to the last, s, evenly in their logarithm.
 FASTEST, SLOWEST, COUNT = 8.0, 6000.0, 9

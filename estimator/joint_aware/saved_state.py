@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import write_text
-from artefacts.json_file import JsonKind, read_json
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json
 
 FILE = JsonKind(
     "thermojoint-joint-aware-state",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError, unknown_name
 from estimator.joint_aware.observer_model import ObserverModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from artefacts.arrays import Array
 from estimator.interface import READING_NOISE
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.joint_aware.saved_state import load_state
+from thermojoint.artefacts.arrays import Array
 
 
 def started(

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.law import JointLaw
 from fesim.solid.condensation import ElasticCondensation
+from thermojoint.artefacts.arrays import Array
 
 
 def sticking_tangent(elastic: ElasticCondensation, laws: Sequence[tuple[JointLaw, int]]) -> Array:

@@ -15,9 +15,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import whole_file
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer_model import ObserverModel
@@ -33,6 +30,9 @@ from estimator.joint_aware.reduced_machine import (
 from fesim.case.schema import Case
 from fesim.outside import contacts_of, outside_of
 from fesim.setup.machine import Setup
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
 
 SCHEMA = "thermojoint-surface"
 SCHEMA_VERSION = 1

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from artefacts.arrays import Array
 from estimator.sensor_faults import GATE
+from thermojoint.artefacts.arrays import Array
 
 #: A jump is judged after this long, s, and this many samples.
 DECIDED, SAMPLES = 12.0, 3

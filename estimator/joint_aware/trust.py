@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array, Flags
 from estimator.joint_aware import suspicion
 from estimator.joint_aware.filter_design import compressed
 from estimator.joint_aware.observer import ANSWER, Expected, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.joint_aware.suspicion import Judgement, Suspicion
 from estimator.sensor_faults import GATE, Watch, judge_sample, model_error
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: A reading is impossible further than this beyond the calibrated ones, K; above them also by this
 #: many times their range.

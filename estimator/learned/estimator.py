@@ -19,13 +19,13 @@ from functools import cached_property
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.quantities import column_named
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.span import SLACK
-from models.filters.relaxations import relaxed
-from models.learned import LearnedModel, at_rest, signals
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.models.filters.relaxations import relaxed
+from thermojoint.models.learned import LearnedModel, at_rest, signals
 
 #: Size of the drift in held-out errors, which come from hours beside those that were learned, and
 #: the time in which it forgets, s.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
 from estimator.touches import with_touches
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 
 _MICRO = 1e6
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from artefacts.errors import InputError
-from artefacts.log import Log
-from models.learned import LearnedModel
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.models.learned import LearnedModel
 
 Sample = tuple[float, ...]
 

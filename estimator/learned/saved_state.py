@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.files import write_text
-from artefacts.json_file import JsonKind, read_json
 from estimator.learned.estimator import Learned
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json
 
 FILE = JsonKind(
     "thermojoint-learned-state", 1, "state", "saved by a learned estimator", "start afresh"

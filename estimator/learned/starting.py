@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from artefacts.arrays import Array
 from estimator.interface import READING_NOISE
 from estimator.learned.estimator import Learned
 from estimator.learned.saved_state import load_state
-from models.learned import read_learned
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.learned import read_learned
 
 
 def started(

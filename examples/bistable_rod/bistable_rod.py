@@ -1,7 +1,8 @@
 """Barber's bistable rod: cold it stands 20 µm off a hot wall, with air between.
 
-With its wall at 24 K the rod has three steady states. `verification.bistable` has the rod and its
-balance in closed form; this writes the mesh of `case.toml` and prints what its end may come to.
+With its wall at 24 K the rod has three steady states. `thermojoint.verification.bistable` has the
+rod and its balance in closed form; this writes the mesh of `case.toml` and prints what its end may
+come to.
 
 Run: ``python examples/bistable_rod/bistable_rod.py examples/bistable_rod/rod.vtu``
 """
@@ -10,7 +11,7 @@ import sys
 from pathlib import Path
 
 from meshes.exchange import write_structure
-from verification.bistable import STATES, WALL, rod, steady_states
+from thermojoint.verification.bistable import STATES, WALL, rod, steady_states
 
 if __name__ == "__main__":
     write_structure(rod(), Path(sys.argv[1]))

@@ -14,9 +14,9 @@ from importlib.metadata import PackageNotFoundError, version
 from itertools import count
 from threading import Event
 
-from artefacts.errors import InputError
 from fesim.batch.crew import Report
 from fesim.batch.worker import Outcome, Task, run
+from thermojoint.artefacts.errors import InputError
 
 try:
     from distributed import Client, Future

@@ -18,12 +18,12 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from artefacts.errors import InputError
-from artefacts.response import VARIABLES
 from fesim.batch.study import Study, plain
 from fesim.case.schema import first_step_at, secant_sections
 from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
 from fesim.setup.outputs import support_names
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import VARIABLES
 
 if TYPE_CHECKING:
     import xarray as xr

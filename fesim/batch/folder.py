@@ -27,16 +27,16 @@ from typing import Any
 
 import pandas as pd
 
-from artefacts.errors import InputError
-from artefacts.files import whole_file, write_text
 from fesim.batch.study import Study, plain
 from fesim.batch.summary import COUNTS, FIGURES
 from fesim.batch.worker import Outcome
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file, write_text
 
 Record = dict[str, Any]
 
-#: What a killed process was writing: the temporary names of `artefacts.files.whole_file`, and of
-#: Zarr. The folder itself may hold files of others.
+#: Temporary names of a killed process (`thermojoint.artefacts.files.whole_file`, and Zarr's).
+#: The folder itself may hold files of others.
 _UNFINISHED = (
     ".summary.????????.csv",
     ".summary.????????.parquet",

@@ -10,8 +10,6 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from artefacts.errors import InputError
-from artefacts.response import read_response
 from fesim.batch import dataset as collected
 from fesim.batch import folder as on_disk
 from fesim.batch.crew import Crew, Report
@@ -19,6 +17,8 @@ from fesim.batch.queue import Queue
 from fesim.batch.study import Study, StudyCase
 from fesim.batch.summary import figures_of
 from fesim.batch.worker import Outcome, Task
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import read_response
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,14 +17,14 @@ import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from artefacts import toml
-from artefacts.errors import InputError, unknown_name
-from artefacts.refusal import first_error, keys_at, refusal
 from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.loads import thermal_inputs
 from fesim.setup.parts import make_parts
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.refusal import first_error, keys_at, refusal
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[str, Any]

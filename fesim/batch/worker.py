@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from artefacts.errors import ConvergenceError, InputError, UnreadableError
-from artefacts.response import write_response
 from fesim.batch.study import Keep
 from fesim.batch.summary import Figures, figures_of
 from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import ConvergenceError, InputError, UnreadableError
+from thermojoint.artefacts.response import write_response
 
 if TYPE_CHECKING:
     import xarray as xr

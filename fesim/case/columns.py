@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError, UnreadableError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, UnreadableError
 
 
 def read_columns(

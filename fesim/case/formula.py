@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from artefacts.arrays import Array, OfPosition
-from artefacts.errors import unknown_name
+from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.errors import unknown_name
 
 #: Name of a coordinate to its axis and how many of its unit are 1 m.
 COORDINATES = {

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from fesim.case.columns import read_columns
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 History = Callable[[Array], Array]
 

@@ -9,9 +9,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from artefacts.errors import UnreadableError
 from fesim.case.schema import Case, with_files
 from fesim.solid.linear_solver import default_solver
+from thermojoint.artefacts.errors import UnreadableError
 
 #: What enters only the joint's law (`fesim.setup.machine.with_laws`) or the loads, or is only
 #: recorded.

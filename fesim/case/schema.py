@@ -13,9 +13,6 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import BaseModel, Field, model_validator
 
-from artefacts import toml
-from artefacts.errors import InputError, unknown_name
-from artefacts.refusal import first_error, keys_at, quoting, refusal
 from fesim.case.bolts import BoltSection
 from fesim.case.joint_sections import JointSection, WallSection
 from fesim.case.section import STRICT, Finite, NotNegative, Point, Positive
@@ -30,6 +27,9 @@ from fesim.case.thermal_sections import (
     RadiationSection,
     SourceSection,
 )
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.refusal import first_error, keys_at, quoting, refusal
 
 #: More steps than this in one run are a slip: the response would not fit into any memory.
 MOST_STEPS = 10_000_000

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
 from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array
 
 #: A contact element whose tangent differs from that of the anchor by this part of its stiffness at
 #: rest is corrected exactly.

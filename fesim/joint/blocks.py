@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from artefacts.arrays import Array, Flags
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: So many contact elements are one block whatever they are: their inverse fits into the cache.
 WHOLE = 96

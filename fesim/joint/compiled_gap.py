@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
 from fesim.joint.gap import (
     MAX_FULL_STEPS,
     MAX_ITERATIONS,
@@ -31,6 +30,7 @@ from fesim.joint.gap import (
 from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
 from fesim.joint.opening import OpenLaw
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array
 
 #: Columns of the table of laws, one row for each contact element.
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)

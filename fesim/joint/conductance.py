@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: Stefan-Boltzmann constant, W/(m2 K4).
 STEFAN_BOLTZMANN = 5.670374419e-8

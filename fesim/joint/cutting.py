@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
 from fesim.joint.relaxation import relax
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: The shortest piece, of a step.
 SHORTEST = 2.0**-10

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.joint.law import Traction
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 Law = Callable[[Array, Array], Traction]
 

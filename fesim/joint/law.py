@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 from scipy.special import erfc, erfcinv
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from fesim.joint.conductance import ConductanceTable
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 
 class NormalLaw(Protocol):

@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.joint.law import JointLaw, Traction
 from fesim.machine_code import compiled
 from fesim.solid.rigid_motions import Holds, described
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: A contact element under this share of its preload holds nothing; nor does it along a tangent with
 #: this share of its stiffness.

@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.anchor import (
     MADE,
     Anchor,
@@ -25,6 +24,7 @@ from fesim.joint.anchor import (
 from fesim.joint.blocks import Blocks, part_of
 from fesim.joint.compiled_gap import evaluate_in_place, lacking, largest
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array
 
 #: Iterations of a step, and how often anchors are moved in it, at most.
 MAX_ITERATIONS, MAX_ANCHORS = 40, 4

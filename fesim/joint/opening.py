@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erfcinv
 
-from artefacts.arrays import Array
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
+from thermojoint.artefacts.arrays import Array
 
 #: p/H at which two rough surfaces touch.
 TOUCHING = 1e-6

@@ -19,10 +19,10 @@ from functools import partial
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
 from fesim.joint.law import Traction
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Viscous steps at most, those that failed included.
 MAX_STEPS = 500

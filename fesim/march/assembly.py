@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.march.machine import Assembly, CondensedMachine
 from fesim.march.settling import initial_state, settle_along
 from fesim.solid.bolts import BoltSprings, fastened
 from fesim.solid.outputs import MechanicalOutputs
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 
 @dataclass(frozen=True)

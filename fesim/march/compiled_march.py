@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
 from fesim.joint.anchor import MADE, Anchors, put_tangents
 from fesim.joint.blocks import Blocks
 from fesim.joint.loosening import Watched, surely_held
@@ -26,6 +25,7 @@ from fesim.march.compiled_step import (
     take,
 )
 from fesim.march.joint_flows import Flows, solve_flows
+from thermojoint.artefacts.arrays import Array
 
 #: Why a march stopped: it is through; a joint has no equilibrium near; a body may have come loose.
 THROUGH, SNAPS, LOOSE = range(3)

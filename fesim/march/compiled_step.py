@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.compiled_gap import solve_in_place
 from fesim.machine_code import compiled
+from thermojoint.artefacts.arrays import Array
 
 
 class HeatStep(NamedTuple):

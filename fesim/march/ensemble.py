@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from fesim.joint.law import JointLaw
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import at_rest
 from fesim.march.stepping import Advance, march_along, staggered
 from fesim.one_thread import one_thread
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 Laws = Sequence[tuple[JointLaw, int]]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from artefacts.arrays import Array
 from fesim.solid.condensation import ThermalCondensation
+from thermojoint.artefacts.arrays import Array
 
 #: Numbers in a cache line.
 LINE = 8

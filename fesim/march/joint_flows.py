@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.compiled_gap import largest
 from fesim.machine_code import compiled
 from fesim.march.compiled_step import flow_system
+from thermojoint.artefacts.arrays import Array
 
 #: The flows are iterated until their equations lack no more than this part of what drives them.
 TOLERANCE = 1e-13

@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.anchor import block_anchor, make_anchor, new_anchors, put_tangents
 from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
@@ -23,6 +22,7 @@ from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
 from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
+from thermojoint.artefacts.arrays import Array
 
 #: Marches of one machine whose inverses are kept at a time.
 KEPT = 2

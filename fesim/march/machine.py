@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
 from fesim.solid.rigid_motions import Holds
+from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
     from fesim.joint.loosening import Watch

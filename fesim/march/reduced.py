@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from artefacts.arrays import Array
-from fesim.joint.operators import JointOperators
 from fesim.one_thread import one_dense_thread
 from fesim.solid.condensation import (
     ElasticCondensation,
@@ -23,8 +21,10 @@ from fesim.solid.condensation import (
     heat_sums,
 )
 from fesim.solid.heat import HeatOperators
+from fesim.solid.joint_operators import JointOperators
 from fesim.solid.linear_solver import Factor
 from fesim.solid.reduction import ReducedHeat, reduce_heat
+from thermojoint.artefacts.arrays import Array
 
 #: What the inputs of a march are like: heat in all, W; ambient and held surfaces, K.
 USUAL_POWER, USUAL_RISE = 1000.0, 10.0

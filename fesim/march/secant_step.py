@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.march.heat_step import heat_balance, heat_step
 from fesim.solid.condensation import ThermalCondensation
 from fesim.solid.variable_heat import VariableHeat
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Largest change of a temperature between the last two secant steps, K.
 TOLERANCE = 1e-8

@@ -8,12 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.joint.cutting import cut
 from fesim.joint.gap import Equilibrium
 from fesim.joint.relaxation import relax
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 
 class JointState(Protocol):

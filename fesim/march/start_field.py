@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from artefacts.arrays import Array
 from fesim.march.reduced import ThermalModes, project_start
 from fesim.solid.heat import HeatOperators
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from artefacts.errors import InputError
-from artefacts.files import DAMAGED_ARCHIVE, whole_file
 from fesim.case.identity import with_digests
 from fesim.case.schema import Case
 from fesim.march.machine import State
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 5

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError, ThermojointError
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.secant_step import step_heat
 from fesim.march.settling import initial_state, loaded_gap, settle_along
 from fesim.march.track import Track, kernel_track, track_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.march.heat_step import heat_balances
 from fesim.march.machine import CondensedMachine, State, Step
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 if TYPE_CHECKING:
     from fesim.march.compiled_march import Record

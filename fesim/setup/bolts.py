@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from skfem import FacetBasis
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError, shown_point, unknown_name
 from fesim.case.bolts import BoltEndSection, BoltSection
 from fesim.case.history import History, read_history, step_history
 from fesim.case.schema import Case
 from fesim.solid.bolts import Bolt, Patch
 from fesim.solid.spaces import cells_at, make_spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 
 #: A disc is as many rings of equal area, and points on each: the means of fields of second order
 #: over it are exact.

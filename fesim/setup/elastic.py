@@ -9,14 +9,13 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from artefacts.arrays import Array
 from fesim.case.schema import Case
-from fesim.joint.operators import JointOperators
 from fesim.setup.holds import fixed_surfaces
 from fesim.setup.loads import spring_stiffnesses
 from fesim.setup.outputs import asks_for_outputs
 from fesim.solid.condensation import DisplacementField, displacement_field
 from fesim.solid.elasticity import ElasticPiece, elastic_pieces
+from fesim.solid.joint_operators import JointOperators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import (
@@ -28,6 +27,7 @@ from fesim.solid.substructures import (
     substructures,
 )
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from scipy.spatial import cKDTree
 from skfem import CellBasis, Mesh
 from skfem.io.meshio import from_meshio
 
-from artefacts.arrays import Array, OfPosition
-from artefacts.errors import InputError, UnreadableError, shown_point
 from fesim.case.formula import formula
 from fesim.case.position_table import read_position_table
 from fesim.case.schema import Case
 from fesim.setup.positions import checked
 from fesim.solid.spaces import cells_at, interpolation
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.errors import InputError, UnreadableError, shown_point
 
 WHERE = "initial_temperature"
 #: A node may lie this part of a body's size outside of the snapshot's: the next node's value holds.

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import OfPosition
 from fesim.case.history import History, ramp_history, read_history, step_history, triangle_history
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import (
@@ -25,6 +24,7 @@ from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import OfPosition
 
 
 def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:

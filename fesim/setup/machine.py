@@ -19,7 +19,6 @@ from fesim.case.identity import (
     thermal_key,
 )
 from fesim.case.schema import Case
-from fesim.joint.operators import joint_operators
 from fesim.march.assembly import Bolts, tightened
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.reduced import (
@@ -60,6 +59,7 @@ from fesim.solid.condensation import (
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import by_cell, heat_operators
+from fesim.solid.joint_operators import joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Holds, check_held

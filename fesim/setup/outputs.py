@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from artefacts.arrays import Array
 from fesim.case.schema import Case
 from fesim.setup.holds import fixed_surfaces
 from fesim.setup.loads import spring_stiffnesses
@@ -20,6 +19,7 @@ from fesim.solid.outputs import (
 from fesim.solid.spaces import Spaces, probe_cells
 from fesim.solid.stress import stress_rows
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 
 def asks_for_outputs(case: Case) -> bool:

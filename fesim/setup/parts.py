@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from artefacts.errors import InputError, unknown_name
 from fesim.case.schema import Case, not_reducible
 from fesim.joint.law import JointLaw
 from fesim.setup.bolts import bolts_of, first_forces
@@ -22,6 +21,7 @@ from fesim.solid.bolts import Bolt
 from fesim.solid.rigid_motions import Holds
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError, unknown_name
 
 #: A dense matrix of all joints has (three times this) squared numbers: 2.6 GB.
 MOST_IN_ALL = 6_000

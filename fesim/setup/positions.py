@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from artefacts.arrays import Array, OfPosition
-from artefacts.errors import InputError, shown_point
 from fesim.case.formula import formula
 from fesim.case.position_table import read_position_table
 from fesim.case.thermal_sections import ProfileSection
+from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.errors import InputError, shown_point
 
 
 def profile_of(section: ProfileSection, where: str, least: float = -math.inf) -> OfPosition:

@@ -7,8 +7,6 @@ from dataclasses import fields
 
 import numpy as np
 
-from artefacts.errors import InputError, unknown_name
-from artefacts.toml import as_key
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
 from fesim.solid.materials import Material
 from fesim.solid.spaces import cells_at
@@ -17,6 +15,8 @@ from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.structure import Probe, Structure
 from meshes.units import UNITS
 from meshes.wall import face_of, with_wall
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.toml import as_key
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000

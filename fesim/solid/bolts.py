@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 from skfem import CellBasis
 
-from artefacts.arrays import Array
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.spaces import interpolation
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from artefacts.arrays import Array
-from fesim.joint.operators import JointOperators
 from fesim.solid.elasticity import ElasticOperators
 from fesim.solid.heat import HeatOperators
+from fesim.solid.joint_operators import JointOperators
 from fesim.solid.linear_solver import Factor, checked_solve, factorise
 from fesim.solid.substructures import (
     FactorisedStructure,
@@ -26,6 +25,7 @@ from fesim.solid.substructures import (
     factorised_structure,
     tie_rows,
 )
+from thermojoint.artefacts.arrays import Array
 
 #: The unknowns of the full model: nodal temperatures.
 FULL = "full"

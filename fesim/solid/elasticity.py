@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from artefacts.arrays import Array
 from fesim.solid.element_matrices import cell_gradients, places_of, reference_shapes
 from fesim.solid.heat import by_cell, film_form, surface_basis
 from fesim.solid.linear_solver import symmetric, upper_triangle
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 DIRECTIONS = ("x", "y", "z")
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skfem import Mesh
 from skfem.element import Element
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Cells whose element matrices are made together: more would only take memory.
 AT_ONCE = 1024

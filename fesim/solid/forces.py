@@ -9,11 +9,11 @@ import numpy as np
 from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
-from artefacts.arrays import Array
 from fesim.solid.heat import by_cell, flux_form, surface_basis
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 Vector = tuple[float, float, float]
 

@@ -17,14 +17,14 @@ from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
-from artefacts.arrays import Array, OfPosition
-from artefacts.errors import InputError
 from fesim.solid.input_layout import InputLayout
 from fesim.solid.materials import Material
 from fesim.solid.spaces import interpolation
 from meshes.covered import cover_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array, sparray
 from scipy.sparse.linalg import splu
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError, InputError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 SOLVERS = ("pardiso", "superlu")
 

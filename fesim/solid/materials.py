@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, vstack
 
-from artefacts.arrays import Array
 from fesim.solid.condensation import DisplacementField
 from fesim.solid.heat import film_form, surface_basis
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)

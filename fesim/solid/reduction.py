@@ -21,14 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from artefacts.arrays import Array
-from artefacts.errors import ConvergenceError
 from fesim.solid.linear_solver import (
     Factor,
     checked_solve,
     shifted_factors,
     upper_triangle,
 )
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
 
 #: Numbers of shifts that are tried one after the other.
 SHIFTS = (20, 28, 40)

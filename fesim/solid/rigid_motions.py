@@ -20,12 +20,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
 from fesim.solid.bolts import Bolt
 from fesim.solid.elasticity import DIRECTIONS
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 #: A rigid motion of unit size that moves what could hold it by less than this is not held: normals
 #: that turn by less (rad) are parallel but for the rounding of a mesh file.

@@ -30,8 +30,8 @@ from skfem.element import Element
 from skfem.mapping import Mapping as CellMaps
 from skfem.quadrature import get_quadrature
 
-from artefacts.errors import InputError, shown_point
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError, shown_point
 
 #: A point may lie outside its cell by this much in the cell's own coordinates (0 to 1).
 LOCATE_SLACK = 1e-4

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from skfem import CellBasis
 
-from artefacts.arrays import Array
 from fesim.solid.heat import by_cell
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 
 #: The stresses of a point in the order of their rows, as pairs of directions.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))

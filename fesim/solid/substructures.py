@@ -19,7 +19,6 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, vstack
 
-from artefacts.arrays import Array
 from fesim.solid.elasticity import ElasticPiece, in_rows
 from fesim.solid.linear_solver import (
     RESIDUAL_LIMIT,
@@ -30,6 +29,7 @@ from fesim.solid.linear_solver import (
     symmetric_product,
     upper_triangle,
 )
+from thermojoint.artefacts.arrays import Array
 
 #: Numbers in the right-hand sides that are solved together: 0.2 GB.
 AT_ONCE = 25_000_000

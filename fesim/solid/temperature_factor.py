@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 
 
 @dataclass(frozen=True)

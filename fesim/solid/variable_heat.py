@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.constants import Stefan_Boltzmann, zero_Celsius
 from scipy.sparse import csr_array
 
-from artefacts.arrays import Array
 from fesim.solid.temperature_factor import TemperatureFactor
+from thermojoint.artefacts.arrays import Array
 
 #: Nodal temperatures (n,) and the ambient, above the initial one, K, to nodal values (n,).
 Potential = Callable[[Array, float], Array]

@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from artefacts.errors import InputError
-from artefacts.files import whole_file
-from artefacts.folders import check_replaceable
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.folders import check_replaceable
 from thermojoint.cli.file_kinds import Kind
 
 if TYPE_CHECKING:

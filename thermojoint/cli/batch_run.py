@@ -21,10 +21,10 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from artefacts.errors import InputError
 from fesim.batch.study import Study, StudyCase, brief, read_study, shown
-from thermojoint.cli.console import warn
-from thermojoint.cli.plausibility import of_cases
+from thermojoint.artefacts.errors import InputError
+from thermojoint.console import warn
+from thermojoint.plausibility import of_cases
 
 if TYPE_CHECKING:
     from fesim.batch import run

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
 
 
@@ -32,9 +32,9 @@ def compensate(
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]
     """
-    from compensation.offsets.preview import header, preview, read_estimate, row_of
-    from compensation.offsets.settings import read_settings
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.compensation.offsets.preview import header, preview, read_estimate, row_of
+    from thermojoint.compensation.offsets.settings import read_settings
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
     wanted = read_settings(settings)
@@ -63,15 +63,16 @@ def control(
 
     Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
     """
-    from compensation.loop.schema import files_of, read_loop
     from fesim.case.schema import read_case
+    from thermojoint.compensation.loop.schema import files_of, read_loop
 
     given = read_loop(loop)
     # After the file: a mistake in it is told before the libraries are loaded.
-    from compensation.loop.judging import as_content
-    from compensation.loop.report import report_html, write_content, write_report
-    from compensation.loop.run import close_loop
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.cli import results
+    from thermojoint.compensation.loop.judging import as_content
+    from thermojoint.compensation.loop.report import report_html, write_content, write_report
+    from thermojoint.compensation.loop.run import close_loop
 
     machine = read_case(given.plant.case)
     arguments.check_outputs(
@@ -88,5 +89,5 @@ def control(
         write_report(report_html(closed, content), out)
     if figures:
         write_content(content, figures)
-    console.show_loop(console.out(), content)
+    results.show_loop(console.out(), content)
     console.wrote(out, figures)

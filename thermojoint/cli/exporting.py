@@ -86,7 +86,7 @@ def export(
     """
     from estimator.export.exporting import export_program
     from estimator.export.program import checked_name
-    from thermojoint.cli import console
+    from thermojoint import console
 
     one_file = to in (Target.FMU, Target.FMI2)
     if one_file:
@@ -123,7 +123,7 @@ def _opened(
 ) -> Iterator[tuple[Estimator, Samples | None]]:
     """Give the estimator, and the samples of a log or response if there is one."""
     from estimator.joint_aware.recognition import is_observer
-    from models.learned import is_learned
+    from thermojoint.models.learned import is_learned
 
     if is_learned(model):
         opened = _learned
@@ -152,9 +152,9 @@ def _learned(
 def _fchs(
     model: Path, samples: Path | None, source: TextIO | None, interval: float, run_length: float
 ) -> tuple[Estimator, Samples | None]:
-    from artefacts.response import read_response
     from estimator import measured
     from estimator.starting import started
+    from thermojoint.artefacts.response import read_response
 
     estimator, _ = started(model, interval, run_length)
     if samples is None:
@@ -168,9 +168,9 @@ def _fchs(
 def _joint_aware(
     model: Path, samples: Path | None, source: TextIO | None
 ) -> tuple[Estimator, Samples | None]:
-    from artefacts.response import read_response
     from estimator.joint_aware.estimator import JointAware
     from estimator.joint_aware.model_file import read_observer
+    from thermojoint.artefacts.response import read_response
 
     estimator = JointAware(read_observer(model))
     if samples is None:
@@ -182,7 +182,7 @@ def _joint_aware(
 
 def _show(program: Program) -> None:
     """Print sizes and costs."""
-    from thermojoint.cli import console
+    from thermojoint import console
 
     out = console.out()
     out.print(f"constants  {program.constants} bytes")

@@ -95,7 +95,7 @@ def _is_surface(path: Path) -> bool:
 def _is_march_state(path: Path) -> bool:
     import numpy as np
 
-    from artefacts.files import DAMAGED_ARCHIVE
+    from thermojoint.artefacts.files import DAMAGED_ARCHIVE
 
     with (
         suppress(*DAMAGED_ARCHIVE, KeyError, TypeError),

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from artefacts.toml import as_key, as_text
 from meshes.inspection import Inspection
+from thermojoint.artefacts.toml import as_key, as_text
 
 _ANY_WIDTH = 100_000
 Row = tuple[str, ...]

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from artefacts.arrays import Array
     from estimator.joint_aware.ageing import AgeingJointAware
     from estimator.joint_aware.estimator import JointAware
     from fesim.case.schema import Case
+    from thermojoint.artefacts.arrays import Array
 
 Sample = tuple[float, ...]
 
@@ -51,8 +51,8 @@ def calibrate(
     case: Path | None, responses: Sequence[Path], out: Path, report_file: Path | None
 ) -> None:
     """Fit the machine of a case to its responses, and write the observer made of it."""
-    from artefacts.response import read_response
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.response import read_response
 
     machine = _machine(case, responses, out, report_file)
     if len(set(responses)) < len(responses):
@@ -71,7 +71,7 @@ def learn(
     out: Path,
 ) -> None:
     """Fit the machine of a case to the runs of a measured log."""
-    from artefacts.log_file import read_log
+    from thermojoint.artefacts.log_file import read_log
 
     machine = _machine(case, logs, out, None)
     log = read_log(logs, renamed)
@@ -83,7 +83,7 @@ def learn(
 def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Path | None) -> Case:
     """Read the case, and check what is to be written."""
     from fesim.case.schema import read_case
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
 
     if case is None:
         raise InputError("--kind joint-aware: needs the machine; add --case MACHINE.toml")
@@ -103,11 +103,12 @@ def _fitted(
     machine: Case, read: Mapping[str, xr.Dataset], out: Path, report_file: Path | None
 ) -> None:
     """Calibrate, write and show."""
-    from artefacts.files import write_text
     from estimator.joint_aware.calibration import calibrate_joint_aware, report
     from estimator.joint_aware.calibration_report import whole_report
     from estimator.joint_aware.model_file import write_observer
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.cli import results
 
     with console.progress_bars() as progress:
         progress("calibrating", 0, 1)
@@ -117,7 +118,7 @@ def _fitted(
     write_observer(calibrated.model, out)
     if report_file:
         write_text(report_file, json.dumps(told, indent=2, allow_nan=False) + "\n")
-    console.show_physics(console.out(), told)
+    results.show_physics(console.out(), told)
     console.wrote(out)
 
 
@@ -173,12 +174,13 @@ def validate(
     out: Path | None,
 ) -> None:
     """Judge an observer by responses, by its band, too."""
-    from artefacts.files import write_text
     from estimator import noise
     from estimator.joint_aware.estimator import JointAware
     from estimator.joint_aware.judging import judge
     from estimator.joint_aware.model_file import read_observer
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.cli import results
 
     estimator = JointAware(read_observer(model))
     rows = []
@@ -191,5 +193,5 @@ def validate(
         rows += judge(case, response, estimator, added)[0]
     if out:
         write_text(out, json.dumps({"rows": rows}, indent=2) + "\n")
-    console.show_bands(console.out(), rows)
+    results.show_bands(console.out(), rows)
     console.wrote(out)

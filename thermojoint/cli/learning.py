@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, TextIO, cast
 
 import typer
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
-    from artefacts.arrays import Array
     from estimator.learned.estimator import Learned
     from estimator.learned.samples import Sample
-    from models.learned import LearnedModel
+    from thermojoint.artefacts.arrays import Array
+    from thermojoint.models.learned import LearnedModel
 
 
 class LearnedKind(StrEnum):
@@ -73,11 +73,11 @@ def learn(
     Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
     --case machine.toml --out model.h5[/bold]
     """
-    from artefacts.log_file import log_pieces
     from calibrate.learning.learn import Kind
     from calibrate.learning.learn import learn as learned
-    from models.learned import write_learned
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.artefacts.log_file import log_pieces
+    from thermojoint.models.learned import write_learned
 
     renamed = _renamed(column, mapping)
     if kind is LearnedKind.JOINT_AWARE:
@@ -96,8 +96,8 @@ def learn(
 
 
 def _renamed(column: Sequence[str] | None, mapping: Path | None) -> dict[str, str]:
-    from artefacts.log_file import read_mapping
-    from artefacts.quantities import column_named
+    from thermojoint.artefacts.log_file import read_mapping
+    from thermojoint.artefacts.quantities import column_named
 
     found = read_mapping(mapping) if mapping else {}
     for text in column or ():
@@ -114,7 +114,7 @@ def _show(model: LearnedModel) -> None:
     """Print what was found, what was chosen, and how its error compares."""
     from rich.table import Table
 
-    from thermojoint.cli import console
+    from thermojoint import console
 
     told = model.learned_from
     for fault in told.faults:
@@ -154,10 +154,10 @@ def opened(
     reading_noise_um: float | None,
 ) -> tuple[Learned, Array, Iterable[Sample]]:
     """Return the estimator, the state to go on from, and the samples of a log."""
-    from artefacts.log_file import ROWS, pieces_in
     from estimator.learned.samples import samples_of
     from estimator.learned.starting import started
     from estimator.touches import read_touches, with_touches
+    from thermojoint.artefacts.log_file import ROWS, pieces_in
 
     if source is None:
         raise InputError(f"{where}: a response; a learned model takes a log (CSV)")
@@ -175,9 +175,9 @@ def opened(
 
 def estimate(opened: tuple[Learned, Array, Iterable[Sample]], out: Path, save: Path | None) -> None:
     """Write one row for each sample: displacements as the log names them, bands, status."""
-    from artefacts.quantities import column_named
     from estimator.interface import follow
     from estimator.learned.saved_state import save_state
+    from thermojoint.artefacts.quantities import column_named
 
     estimator, state, samples = opened
     columns = [one for name in estimator.axes if (one := column_named(name))]
@@ -207,11 +207,11 @@ def estimate(opened: tuple[Learned, Array, Iterable[Sample]], out: Path, save: P
 
 def validate(model: Path, logs: Sequence[Path], out: Path | None) -> None:
     """Judge a learned model by logs that it has not seen."""
-    from artefacts.files import write_text
-    from artefacts.log_file import read_log
     from estimator.learned.judging import judge
     from estimator.learned.starting import started
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.artefacts.log_file import read_log
 
     estimator, _ = started(model)
     if len({path.stem for path in logs}) < len(logs):
@@ -229,7 +229,7 @@ def validate(model: Path, logs: Sequence[Path], out: Path | None) -> None:
 def _show_rows(rows: Sequence[Mapping[str, str | float]]) -> None:
     from rich.table import Table
 
-    from thermojoint.cli import console
+    from thermojoint import console
 
     table = Table(title="errors from temperatures, speed and load alone, um")
     columns = {

@@ -65,7 +65,7 @@ def main() -> None:
 
 def _mendable(error: BaseException) -> str:
     """Say in one line what the user can mend; nothing if it is the program that is wrong."""
-    from artefacts.errors import ThermojointError
+    from thermojoint.artefacts.errors import ThermojointError
 
     if isinstance(error, ThermojointError):
         return str(error)

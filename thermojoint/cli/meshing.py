@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
 from thermojoint.pictures.show import Show, Up
 
@@ -51,7 +51,8 @@ def mesh(
     from meshes.cad import mesh_cad, read_names
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as look_over
-    from thermojoint.cli import console, inspection_report
+    from thermojoint import console
+    from thermojoint.cli import inspection_report
 
     arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
     if not 0.0 < size < math.inf:
@@ -79,14 +80,15 @@ def inspect(
 
     Example: [bold]thermojoint inspect part.msh --unit mm --out part.png --case part.toml[/bold]
     """
-    from artefacts.files import write_text
     from fesim.case.schema import read_case
     from fesim.setup.parts import check_names
     from fesim.setup.structure import build_structure
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as look_over
     from meshes.units import UNITS
-    from thermojoint.cli import console, inspection_report, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.cli import inspection_report
 
     outputs = {
         "--out": (out, file_kinds.PICTURE),
@@ -170,7 +172,7 @@ def view(
 
     Example: [bold]thermojoint view machine.toml --film --out machine.mp4[/bold]
     """
-    from thermojoint.cli import console
+    from thermojoint import console
     from thermojoint.pictures.view import draw, draw_film
 
     arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [source])

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds, joint_aware, learning
 
 if TYPE_CHECKING:
-    from artefacts.arrays import Array
     from estimator.interface import Estimator
     from estimator.measured import Sample
+    from thermojoint.artefacts.arrays import Array
 
 
 class Kind(StrEnum):
@@ -82,13 +82,14 @@ def calibrate(
     Example: [bold]thermojoint calibrate --kind joint-aware --case machine.toml --reference r1.nc
     --input 0.5=r05.nc --input 2=r2.nc --out model.h5[/bold]
     """
-    from artefacts.response import read_response
     from calibrate import chain
     from calibrate.baselines import baselines_of
     from calibrate.provenance import provenance_of
-    from models.baselines import write_baselines
-    from models.model_file import write_model
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.response import read_response
+    from thermojoint.models.baselines import write_baselines
+    from thermojoint.models.model_file import write_model
+    from thermojoint.paper import printing
     from thermojoint.paper.tables import printed_tables, tables_json
 
     pairs = [arguments.level_and_file(text) for text in given or []]
@@ -122,7 +123,7 @@ def calibrate(
     if baselines and regressions:
         write_baselines(regressions, baselines)
     content = tables_json(calibrated.model, provenance)
-    console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
+    printing.show_tables(console.out(), printed_tables(content, provenance.at_bound))
     console.wrote(out)
 
 
@@ -136,8 +137,9 @@ def tables(
 
     Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
     """
-    from models.model_file import read_model, read_provenance
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.models.model_file import read_model, read_provenance
+    from thermojoint.paper import printing
     from thermojoint.paper.tables import printed_tables, tables_json
 
     provenance = read_provenance(model)
@@ -145,7 +147,7 @@ def tables(
     if as_json:
         print(json.dumps(content, indent=2, allow_nan=False))
     else:
-        console.show_tables(console.out(), printed_tables(content, provenance.at_bound))
+        printing.show_tables(console.out(), printed_tables(content, provenance.at_bound))
 
 
 def estimate(
@@ -207,13 +209,13 @@ def estimate(
 
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
-    from artefacts.response import read_response
     from estimator import measured
     from estimator.joint_aware.recognition import is_observer
     from estimator.saved_state import save_state
     from estimator.starting import model_in, started
-    from models.learned import is_learned
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.response import read_response
+    from thermojoint.models.learned import is_learned
 
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
@@ -304,10 +306,10 @@ def assemble(
 
     Example: [bold]thermojoint assemble model.json --interval-s 1 --out estimator.json[/bold]
     """
-    from models.assembly import assemble as assemble_model
-    from models.assembly_file import write_assembly
-    from models.model_file import read_model
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.models.assembly import assemble as assemble_model
+    from thermojoint.models.assembly_file import write_assembly
+    from thermojoint.models.model_file import read_model
 
     arguments.check_outputs({"--out": (out, file_kinds.ASSEMBLY)}, [model])
     dt = arguments.positive("--interval-s", interval)
@@ -342,14 +344,15 @@ def validate(
 
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
     """
-    from artefacts.files import write_text
-    from artefacts.response import read_response
     from estimator import judge, noise
     from estimator.joint_aware.recognition import is_observer
-    from models.baselines import read_baselines
-    from models.learned import is_learned
-    from models.model_file import read_model
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.artefacts.response import read_response
+    from thermojoint.models.baselines import read_baselines
+    from thermojoint.models.learned import is_learned
+    from thermojoint.models.model_file import read_model
+    from thermojoint.paper import printing
     from thermojoint.paper.summary import compare_schemes
 
     inputs = [model, baselines, reference, *responses]
@@ -377,10 +380,10 @@ def validate(
     found = judge.validate_model(table, base, given, baselines=beside)
     if out:
         write_text(out, json.dumps(found.figures(), indent=2) + "\n")
-    console.show_validation(console.out(), found.rows)
+    printing.show_validation(console.out(), found.rows)
     schemes = compare_schemes(found.rows, found.as_printed, found.vectors)
-    console.show_schemes(console.out(), schemes)
-    console.show_blocks(console.out(), found.blocks)
+    printing.show_schemes(console.out(), schemes)
+    printing.show_blocks(console.out(), found.blocks)
     console.wrote(out)
 
 
@@ -397,7 +400,7 @@ def reproduce(
     Example: [bold]thermojoint reproduce --case my_machine.toml --out my_results[/bold]
     """
     from fesim.case.schema import read_case
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
 
     arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from artefacts.toml import as_key, as_text
+from thermojoint.artefacts.toml import as_key, as_text
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ def place(
 
     Example: [bold]thermojoint place machine.toml --keep s --keep b --out sensors.toml[/bold]
     """
-    from artefacts.errors import InputError
-    from artefacts.files import write_text
     from fesim.case.schema import read_case
+    from thermojoint.artefacts.errors import InputError
+    from thermojoint.artefacts.files import write_text
 
     machine = read_case(case)
     from estimator.joint_aware.placement import place_sensors
@@ -43,7 +43,8 @@ def place(
     from estimator.joint_aware.reduced_machine import reduce_machine
     from fesim.setup.machine import set_up
     from fesim.setup.structure import candidate_probes
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.cli import results
 
     arguments.check_outputs(
         {"--out": (out, file_kinds.SENSORS)}, [case, *arguments.files_of(machine)]
@@ -62,7 +63,7 @@ def place(
     with console.progress_bars() as report:
         found = place_sensors(reduced, count, kept, report=report)
     write_text(out, written(found, machine, setup.probes))
-    console.show_placement(console.out(), found, reduced.axes)
+    results.show_placement(console.out(), found, reduced.axes)
     console.wrote(out)
 
 

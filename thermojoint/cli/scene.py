@@ -29,7 +29,7 @@ def scene(
     from estimator.joint_aware.surface import surface_of, write_surface
     from fesim.case.schema import read_case
     from fesim.setup.machine import set_up
-    from thermojoint.cli import console
+    from thermojoint import console
     from thermojoint.pictures.scenes import up_direction
 
     found = read_observer(model)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 
 
 class Role(StrEnum):
@@ -37,7 +37,7 @@ def serve(
 
     Example: [bold]thermojoint serve service.toml --add-user panel < password.txt[/bold]
     """
-    from live.settings import read_service
+    from thermojoint.live.settings import read_service
 
     given = read_service(service)
     if add_user is not None:
@@ -48,8 +48,8 @@ def serve(
     import asyncio
     import signal
 
-    from live.log_lines import log_to
-    from live.service import run
+    from thermojoint.live.log_lines import log_to
+    from thermojoint.live.service import run
 
     async def until_stopped() -> None:
         stop = asyncio.Event()
@@ -76,8 +76,8 @@ def _add_user(base: Path, users: str | None, name: str, role: Role) -> None:
     import getpass
     import sys
 
-    from live.users import add_user
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.live.users import add_user
 
     if users is None:
         raise InputError("--add-user: the service has no file of users; add users to [opcua]")

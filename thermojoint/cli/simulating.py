@@ -38,14 +38,16 @@ def simulate(
 
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
-    from artefacts.folders import whole_folder
-    from artefacts.response import write_response
     from fesim.case.schema import read_case
     from fesim.march.state_file import load_state, save_state
     from fesim.setup.machine import set_up
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
-    from thermojoint.cli import console, plausibility
+    from thermojoint import console, plausibility
+    from thermojoint.artefacts.folders import whole_folder
+    from thermojoint.artefacts.response import write_response
+    from thermojoint.cli import results
+    from thermojoint.paper import printing
     from thermojoint.paper.summary import convergence, covered_areas
 
     given = read_case(case)
@@ -79,8 +81,8 @@ def simulate(
         write_response(finished.response, out)
         if save:
             save_state(finished.state, given, save)
-    console.show_results(console.out(), finished.response)
-    console.show_convergence(console.out(), {out.name: convergence(finished.response)})
+    results.show_results(console.out(), finished.response)
+    printing.show_convergence(console.out(), {out.name: convergence(finished.response)})
     if covered := covered_areas(finished.response):
         parts = ", ".join(f"{1e4 * area:.4g} cm2 of {name!r}" for name, area in covered.items())
         console.say(f"joints cover {parts} of the meshed part: no convection there")
@@ -110,7 +112,8 @@ def batch(
 
     Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
     """
-    from thermojoint.cli import batch_run, console
+    from thermojoint import console
+    from thermojoint.cli import batch_run
 
     batch_run.check_workers(workers, scheduler)
     finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
@@ -132,7 +135,8 @@ def verify(
 
     Example: [bold]thermojoint verify --out verify.json[/bold]
     """
-    from thermojoint.cli import console, verification_run
+    from thermojoint import console
+    from thermojoint.cli import verification_run
 
     arguments.check_outputs(
         {
@@ -141,9 +145,9 @@ def verify(
         }
     )
     with console.progress_bars() as report:
-        results = verification_run.run_all(report)
-    verification_run.show(console.out(), results)
-    verification_run.write(results, out, markdown)
+        compared = verification_run.run_all(report)
+    verification_run.show(console.out(), compared)
+    verification_run.write(compared, out, markdown)
     console.wrote(out, markdown)
-    if not all(result.passed for result in results):
+    if not all(result.passed for result in compared):
         raise typer.Exit(OUT_OF_TOLERANCE)

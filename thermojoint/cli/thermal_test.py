@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from artefacts.errors import InputError
-from standards.iso230_3.protocol import Protocol
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.standards.iso230_3.protocol import Protocol
 
 if TYPE_CHECKING:
-    from standards.iso230_3.record import Record
+    from thermojoint.standards.iso230_3.record import Record
 
 
 def iso230_3(
@@ -62,10 +62,11 @@ def iso230_3(
     Example: [bold]thermojoint iso230-3 etve.nc --test etve --out etve.html --parameters
     etve.json[/bold]
     """
-    from standards.iso230_3 import record as records
-    from standards.iso230_3 import report
-    from standards.iso230_3.evaluation import evaluate
-    from thermojoint.cli import console
+    from thermojoint import console
+    from thermojoint.cli import results
+    from thermojoint.standards.iso230_3 import record as records
+    from thermojoint.standards.iso230_3 import report
+    from thermojoint.standards.iso230_3.evaluation import evaluate
 
     arguments.check_outputs(
         {
@@ -96,7 +97,7 @@ def iso230_3(
     content = report.parameters_json(found, given.name)
     if parameters:
         report.write_parameters(content, parameters)
-    console.show_test(console.out(), test.heading, content)
+    results.show_test(console.out(), test.heading, content)
     console.wrote(out, parameters)
 
 
@@ -107,15 +108,15 @@ def _record(
     temperatures: list[str] | None,
     speed: str | None,
 ) -> Record:
-    from standards.iso230_3.record import log_record, response_record
+    from thermojoint.standards.iso230_3.record import log_record, response_record
 
     if path.suffix == ".nc":
-        from artefacts.response import read_response
+        from thermojoint.artefacts.response import read_response
 
         if renamed or speed:
             raise InputError(f"{path}: --column and --speed go with a log; leave them out")
         return response_record(read_response(path), channels, temperatures)
-    from artefacts.log_file import read_log
+    from thermojoint.artefacts.log_file import read_log
 
     return log_record(read_log([path], renamed), channels, temperatures, speed)
 

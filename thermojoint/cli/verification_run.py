@@ -9,10 +9,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from artefacts.files import write_text
-from thermojoint.cli.console import Report
-from verification.report import markdown, results_data, shown
-from verification.suite import GROUPS, Result, run
+from thermojoint.artefacts.files import write_text
+from thermojoint.console import Report
+from thermojoint.verification.report import markdown, results_data, shown
+from thermojoint.verification.suite import GROUPS, Result, run
 
 
 def run_all(report: Report) -> list[Result]:

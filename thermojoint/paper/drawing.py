@@ -14,8 +14,8 @@ from estimator.noise import joint_noise
 from estimator.superposition import superposed
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup
-from models.parameters import Model
-from models.sensors import roles_in
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import roles_in
 from thermojoint.paper.inputs import (
     CASES,
     EXTRAPOLATION,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError
 from calibrate.responses import check_boxes
 from fesim.case.history import read_history
 from fesim.case.schema import Case, step_count
@@ -15,7 +14,8 @@ from fesim.case.thermal_sections import StepInput, TriangleInput
 from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
-from models.sensors import ROLES
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.sensors import ROLES
 
 if TYPE_CHECKING:
     import xarray as xr

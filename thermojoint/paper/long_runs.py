@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.files import write_text
-from artefacts.response import probes_of
 from estimator.judge import Validated
 from estimator.rows import Row
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import AmbientSection, SampledInput
 from fesim.setup.machine import Setup
 from fesim.simulate import simulate
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import probes_of
 from thermojoint.paper.inputs import COOL_DOWN, DAY, Report
 
 if TYPE_CHECKING:

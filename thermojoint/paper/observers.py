@@ -14,7 +14,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from artefacts.files import write_text
 from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.linear_joint import calibrate_linear_joint
@@ -31,6 +30,7 @@ from fesim.case.thermal_sections import StepInput
 from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
+from thermojoint.artefacts.files import write_text
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from artefacts.errors import InputError
-from artefacts.files import write_text
 from estimator.rows import Row
-from thermojoint.cli.console import number, rounded
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.console import number, rounded
 from thermojoint.paper import paper_values
 from thermojoint.paper.summary import (
     STILL,

@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from artefacts.files import write_text
-from artefacts.folders import whole_folder
-from artefacts.response import write_response
 from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement import with_roles
@@ -23,12 +20,15 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.judge import Validated
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
-from models.baselines import Baselines, write_baselines
-from models.model_file import Provenance, write_model
-from models.parameters import Model
-from models.sensors import ROLES
-from thermojoint.cli import console
-from thermojoint.paper import inputs
+from thermojoint import console
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.folders import whole_folder
+from thermojoint.artefacts.response import write_response
+from thermojoint.models.baselines import Baselines, write_baselines
+from thermojoint.models.model_file import Provenance, write_model
+from thermojoint.models.parameters import Model
+from thermojoint.models.sensors import ROLES
+from thermojoint.paper import inputs, printing
 from thermojoint.paper.drawing import draw, error_figures, paper_figures
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
@@ -55,7 +55,8 @@ JUDGES = 2
 def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     """Run the chain on `case`, fill the folder `out` and print what came out.
 
-    The folder is all old until everything is there, and then all new (`artefacts.folders`).
+    The folder is all old until everything is there, and then all new
+    (`thermojoint.artefacts.folders`).
 
     Parameters
     ----------
@@ -186,13 +187,13 @@ def _judged(
 
 def show(terminal: Console, data: ReportData) -> None:
     """Print the tables of a report."""
-    console.show_tables(terminal, data.tables)
-    console.show_estimators(terminal, error_table(data.validation))
-    console.show_schemes(terminal, data.schemes)
-    console.show_blocks(terminal, data.blocks)
-    console.show_convergence(terminal, data.convergence)
+    printing.show_tables(terminal, data.tables)
+    printing.show_estimators(terminal, error_table(data.validation))
+    printing.show_schemes(terminal, data.schemes)
+    printing.show_blocks(terminal, data.blocks)
+    printing.show_convergence(terminal, data.convergence)
     if data.share is not None:
-        console.show_share(terminal, data.share)
+        printing.show_share(terminal, data.share)
     if data.placement:
         terminal.print(data.placement)
     if data.validation:

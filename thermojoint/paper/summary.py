@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.verdict import largest_error
 
 if TYPE_CHECKING:

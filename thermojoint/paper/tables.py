@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
-from models.model_file import Provenance
-from models.parameters import DeformationModel, Model
+from thermojoint.models.model_file import Provenance
+from thermojoint.models.parameters import DeformationModel, Model
 from thermojoint.paper import paper_values
 
 _MICRO = 1e6
@@ -155,7 +155,7 @@ def printed_tables(
     tables : mapping
         See `tables_json`.
     at_bound : mapping
-        See `models.model_file.Provenance`.
+        See `thermojoint.models.model_file.Provenance`.
     """
     return (
         _table1(tables["table1"], at_bound),

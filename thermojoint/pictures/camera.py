@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 Vector = tuple[float, float, float]
 #: Left, right, bottom and top of a picture in the plane of projection, m.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.colors import BoundaryNorm, Colormap

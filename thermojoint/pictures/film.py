@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from artefacts.errors import InputError
-from artefacts.files import whole_file
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
 from thermojoint.pictures.renderer import Pixels, painted, rendered
 from thermojoint.pictures.scenes import Scene, finished
 from thermojoint.pictures.stills import sheet

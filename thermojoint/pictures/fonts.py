@@ -19,7 +19,7 @@ def find_place() -> None:
     if "MPLCONFIGDIR" in os.environ or all(_can_be_made(place / "matplotlib") for place in usual):
         return
     # Here, not above: it takes longer than the look.
-    from artefacts.own_folder import own_folder
+    from thermojoint.artefacts.own_folder import own_folder
 
     if folder := own_folder("matplotlib"):
         os.environ["MPLCONFIGDIR"] = str(folder)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array
 
 #: Tried in this order: directions from the point to the label's middle.
 _DIRECTIONS = np.array(

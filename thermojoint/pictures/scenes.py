@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Mesh
 
-from artefacts.errors import unknown_name
 from meshes.faces import boundary_faces
 from meshes.structure import Structure
+from thermojoint.artefacts.errors import unknown_name
 from thermojoint.pictures.camera import Array, Camera, Vector, Window, window_around
 from thermojoint.pictures.colour_scale import ColourScale, colour_scale
 

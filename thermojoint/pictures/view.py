@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from artefacts.errors import InputError
-from artefacts.response import read_response
 from fesim.case.schema import Case, first_step_at, read_case, step_count
 from fesim.march.machine import Step
 from fesim.setup.loads import source_power, thermal_inputs
@@ -18,8 +16,9 @@ from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import build_structure
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
-from thermojoint.cli.console import Report, warn
-from thermojoint.cli.plausibility import of_case
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import read_response
+from thermojoint.console import Report, warn
 from thermojoint.pictures.camera import Vector
 from thermojoint.pictures.field_scenes import (
     Fields,
@@ -50,6 +49,7 @@ from thermojoint.pictures.scenes import (
 )
 from thermojoint.pictures.show import Show, Up
 from thermojoint.pictures.structure_scene import structure_scene
+from thermojoint.plausibility import of_case
 
 if TYPE_CHECKING:
     import xarray as xr

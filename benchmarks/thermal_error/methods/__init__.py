@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pkgutil import resolve_name
 
-from artefacts.errors import InputError
 from benchmarks.thermal_error.scoring import Method
+from thermojoint.artefacts.errors import InputError
 
 #: Name to module:function, loaded when it is asked for.
 METHODS = {

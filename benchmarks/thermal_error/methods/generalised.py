@@ -6,14 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.log import Log
 from benchmarks.thermal_error.methods.logs import held, responses, sensor_rises
 from benchmarks.thermal_error.scoring import NotApplicable
 from calibrate.chain import calibrate_responses
 from estimator.fchs.stream import Signals, run
-from models.assembly import Assembly, assemble
-from models.sensors import ROLES
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log import Log
+from thermojoint.models.assembly import Assembly, assemble
+from thermojoint.models.sensors import ROLES
 
 #: From the fictitious sources, at the contact elements nearest to T1 and T2, to those sensors, m.
 DISTANCES = ((0.0274, 0.2402), (0.2346, 0.0301))

@@ -6,14 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.errors import InputError
-from artefacts.log import Log
 from benchmarks.thermal_error.scoring import NotApplicable
 from calibrate.learning.learn import learn
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 
 
 def learned(training: Log, test: Log) -> dict[str, Array]:

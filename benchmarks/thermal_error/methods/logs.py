@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from artefacts.arrays import Array
-from artefacts.log import Log
-from artefacts.response import make_response
 from benchmarks.thermal_error.drives import heat_input
 from benchmarks.thermal_error.plants import PLACES
 from benchmarks.thermal_error.scoring import NotApplicable
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.response import make_response
 
 AMBIENT = "ambient"
 #: Heat of each source at the reference step, W.

@@ -6,8 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from artefacts.arrays import Array
-from artefacts.log import Log
 from benchmarks.thermal_error.methods.logs import responses, sensor_rises
 from benchmarks.thermal_error.plants import AXES, model_case
 from estimator.interface import follow
@@ -15,6 +13,8 @@ from estimator.joint_aware.calibration import calibrate_machine
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log import Log
 
 SENSORS = ("a", "b", "T1", "T2")
 

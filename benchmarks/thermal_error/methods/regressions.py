@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from artefacts.arrays import Array
-from artefacts.log import Log
 from benchmarks.thermal_error.methods.logs import displacements, temperatures
 from calibrate.baselines import fit_autoregression
-from models.baselines import Autoregression
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.log import Log
+from thermojoint.models.baselines import Autoregression
 
 Predictions = dict[str, Array]
 

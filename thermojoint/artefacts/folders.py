@@ -1,0 +1,204 @@
+"""Folders that are replaced whole or not at all.
+
+::
+
+    results/                      what a reader sees: all old or all new
+      contents.json               which of the files are this program's
+    .results.x7k2m_3q/            beside it, while a run lasts
+      unfinished                  locked by the run; the name of the folder it is for
+      new/                        the folder that is built; after the swap, the old one
+      old/                        the old one, where the two can only be swapped in two steps
+
+A killed run leaves the folder beside; the next one takes it away, and puts ``old`` back if the kill
+came between the two steps.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import glob
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+
+#: Lists the files of a folder that this program wrote. All others are somebody's own.
+CONTENTS = "contents.json"
+SCHEMA = "thermojoint-contents"
+
+_MARK = "unfinished"
+#: renameat2(2): paths as they are, and the flag that swaps two of them at one stroke.
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+def check_replaceable(path: Path) -> None:
+    """Refuse a folder that `whole_folder` would not replace.
+
+    Raises
+    ------
+    InputError
+        It is a file, a place where another file system is mounted, or holds files and none of them
+        is this program's.
+    """
+    place = Path(path).resolve()
+    if not place.exists():
+        return
+    if not place.is_dir():
+        raise InputError(f"{path}: is a file; give a folder")
+    if place.is_mount():
+        raise InputError(f"{path}: is a mount, which cannot be replaced; give a folder below it")
+    if any(place.iterdir()) and _contents(place) is None:
+        raise InputError(
+            f"{path}: holds files of another origin (no {CONTENTS} of this program); give a new "
+            "folder"
+        )
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Give an empty folder beside `path`; put it in its place only if the block succeeds.
+
+    Until then the old folder is there, and after it the new one, also if the process is killed in
+    between. Files in the old folder that this program did not write are carried over.
+
+    Parameters
+    ----------
+    path : Path
+        The final name; the folders above it are made if they are missing.
+
+    Yields
+    ------
+    Path
+        Where to write.
+
+    Raises
+    ------
+    InputError
+        The folder that is there must not be replaced (`check_replaceable`), or cannot be.
+    """
+    place = Path(path).resolve()
+    place.parent.mkdir(parents=True, exist_ok=True)
+    _clear_up_after_killed(place)
+    check_replaceable(path)
+    work = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+    try:
+        with (work / _MARK).open("w", encoding="utf-8") as mark:
+            with suppress(OSError):  # some file systems have no locks
+                fcntl.flock(mark, fcntl.LOCK_EX)
+            mark.write(place.name)
+            mark.flush()
+            new = work / "new"
+            new.mkdir()
+            yield new
+            names = [one.relative_to(new).as_posix() for one in new.rglob("*") if one.is_file()]
+            listed = {"schema": SCHEMA, "schema_version": 1, "files": sorted(names)}
+            write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
+            _put_in_place(path, place, work)
+    finally:
+        _settle(work, place)
+
+
+def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Write texts by their names into a folder that is all old or all new; return where they are.
+
+    Raises
+    ------
+    InputError
+        As `whole_folder`.
+    """
+    with whole_folder(path) as part:
+        for name, text in texts.items():
+            write_text(part / name, text)
+    return [path / name for name in texts]
+
+
+def _contents(folder: Path) -> set[str] | None:
+    """Return which files of a folder this program wrote; None if it wrote none."""
+    try:
+        found = json.loads((folder / CONTENTS).read_text(encoding="utf-8"))
+        return {CONTENTS, *found["files"]} if found["schema"] == SCHEMA else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _put_in_place(path: Path, place: Path, work: Path) -> None:
+    new = work / "new"
+    try:
+        if place.exists():
+            _carry_over(place, new)
+            shutil.copymode(place, new)
+            _swap(place, work)
+        else:
+            new.rename(place)
+    except OSError as error:
+        kept = Path(tempfile.mkdtemp(prefix=f"{place.name}-new-", dir=place.parent))
+        new.rename(kept)
+        raise InputError(
+            f"{path}: cannot be replaced ({error.strerror or error}); the new one is in {kept}"
+        ) from error
+
+
+def _carry_over(old: Path, new: Path) -> None:
+    """Give `new` what in `old` is somebody's own; under ``NAME.old`` if the name is taken."""
+    ours = _contents(old) or set()
+    for above, folders, files in os.walk(old):
+        links = [name for name in folders if (Path(above) / name).is_symlink()]
+        for name in [*files, *links]:
+            one = Path(above) / name
+            relative = one.relative_to(old)
+            if relative.as_posix() in ours:
+                continue
+            at = new / relative
+            while at.is_symlink() or at.exists():
+                at = at.with_name(at.name + ".old")
+            at.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(one, at, follow_symlinks=False)
+            except OSError:
+                shutil.copy2(one, at, follow_symlinks=False)
+        if not folders and not files:
+            (new / Path(above).relative_to(old)).mkdir(parents=True, exist_ok=True)
+
+
+def _swap(place: Path, work: Path) -> None:
+    try:
+        _exchange(place, work / "new")
+    except OSError:  # another system or file system: there is a moment without the folder
+        place.rename(work / "old")
+        (work / "new").rename(place)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap two folders at one stroke; OSError where the system cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, TypeError) as error:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from error
+    paths = os.fsencode(one), os.fsencode(other)
+    if rename(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], ctypes.c_uint(_RENAME_EXCHANGE)):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), str(one))
+
+
+def _settle(work: Path, place: Path) -> None:
+    """Take the folder beside away; whatever happened, `place` is a whole folder, or was none."""
+    if (work / "old").exists() and not place.exists():
+        (work / "old").rename(place)
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _clear_up_after_killed(place: Path) -> None:
+    for work in place.parent.glob(f".{glob.escape(place.name)}.????????"):
+        with suppress(OSError), (work / _MARK).open("r+", encoding="utf-8") as mark:
+            # A run that still lasts holds the lock.
+            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if mark.read() == place.name:
+                _settle(work, place)

@@ -1,0 +1,131 @@
+"""A log of a machine: time, temperatures, displacements, speed and load in SI.
+
+`thermojoint.artefacts.log_file` reads one from CSV.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.quantities import Column
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Samples of a machine, in SI.
+
+    Attributes
+    ----------
+    times : ndarray, shape (k,)
+        s, increasing within every run; of a clock with a date, since 1970.
+    columns : tuple of Column
+        What was measured.
+    values : ndarray, shape (k, columns)
+        In SI, absolute temperatures in K; NaN where a reading is missing.
+    starts : tuple of int
+        First sample of each run. Files follow each other in one run while the clock goes on;
+        where it begins anew, so does a run, and nothing is known of the time between.
+    """
+
+    times: Array
+    columns: tuple[Column, ...]
+    values: Array
+    starts: tuple[int, ...] = (0,)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(column.name for column in self.columns)
+
+    def of(self, quantity: str) -> tuple[str, ...]:
+        """Return the names of the columns of a quantity.
+
+        Parameters
+        ----------
+        quantity : str
+            E.g. ``temperature``, ``length``, ``speed``.
+        """
+        return tuple(column.name for column in self.columns if column.quantity == quantity)
+
+    def at(self, name: str) -> Array:
+        """Return a column in SI, shape (k,).
+
+        Parameters
+        ----------
+        name : str
+            With or without its unit.
+        """
+        return np.asarray(self.values[:, self.index(name)])
+
+    def index(self, name: str) -> int:
+        """Return where a column stands.
+
+        Parameters
+        ----------
+        name : str
+            With or without its unit.
+
+        Raises
+        ------
+        InputError
+            There is none, or two have the name without its unit.
+        """
+        for known in (self.names, tuple(column.base for column in self.columns)):
+            if known.count(name) == 1:
+                return known.index(name)
+        raise unknown_name("column", name, self.names, "log")
+
+    def runs(self) -> Iterator[Log]:
+        """Yield every run as a log of its own."""
+        for first, end in zip(self.starts, (*self.starts[1:], len(self.times)), strict=True):
+            yield self.part(slice(first, end))
+
+    def part(self, samples: slice) -> Log:
+        """Return some consecutive samples of a log.
+
+        Parameters
+        ----------
+        samples : slice
+            Which, without a step.
+        """
+        first, end, _ = samples.indices(len(self.times))
+        inside = tuple(start - first for start in self.starts if first < start < end)
+        return replace(
+            self, times=self.times[first:end], values=self.values[first:end], starts=(0, *inside)
+        )
+
+
+def joined(pieces: Iterable[Log]) -> Log:
+    """Return one log of pieces in the order of time; a clock that begins anew begins a run.
+
+    Raises
+    ------
+    InputError
+        There is none, or one has other columns than the first.
+    """
+    kept: list[Log] = []
+    starts: list[int] = []
+    rows = 0
+    for piece in pieces:
+        if kept and piece.columns != kept[0].columns:
+            other = sorted({*piece.names} ^ {*kept[0].names}) or ["in another order"]
+            raise InputError(
+                f"log: a file has other columns than the first ({', '.join(other)}); rename them"
+            )
+        first = not kept or not piece.times[0] > kept[-1].times[-1]
+        starts += [rows + start for start in piece.starts[0 if first else 1 :]]
+        rows += len(piece.times)
+        kept.append(piece)
+    if not kept:
+        raise InputError("log: no samples; give a CSV with a header and rows")
+    return Log(
+        np.concatenate([one.times for one in kept]),
+        kept[0].columns,
+        np.concatenate([one.values for one in kept]),
+        tuple(starts),
+    )

@@ -1,0 +1,254 @@
+"""The response: what a structure did under a heat input, simulated or measured.
+
+One labelled dataset with units in its metadata, stored as NetCDF. It is the only thing that
+`calibrate` knows of a structure. A measured response needs `heat_input`, `temperature` and
+`displacement` only; a simulated one also holds the joint and the solver's figures.
+
+xarray is imported where a response is made or read: it takes as long as most of a command's start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.files import whole_file
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SCHEMA = "thermojoint-response"
+SCHEMA_VERSION = 1
+
+#: name -> (dimensions, unit, long name); the first three are in every response.
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "heat_input": (("time",), "1", "heat input relative to the reference step"),
+    "source_power": (("time", "source"), "W", "heat of each source of the whole structure"),
+    "load_factor": (("time", "load"), "1", "factor of each mechanical load"),
+    "ambient": (("time",), "K", "ambient temperature above its initial value"),
+    "temperature": (("time", "probe"), "K", "temperature above the initial ambient"),
+    "displacement": (("time", "axis"), "m", "relative displacement (attribute displacement_of)"),
+    "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
+    "pressure": (("time", "contact"), "Pa", "mean normal contact pressure"),
+    "conductance": (("time", "contact"), "W m-2 K-1", "conductance of contact and gap"),
+    "heat_flow": (("time", "contact"), "W", "heat flow across the joint, side a to side b"),
+    "opening": (("time", "contact"), "m", "normal opening from the state at the start"),
+    "slip": (("time", "contact", "tangent"), "m", "irreversible tangential slip"),
+    "contact_position": (("contact", "space"), "m", "centroid of the contact elements"),
+    "contact_area": (("contact",), "m2", "area of the contact elements"),
+    "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),
+    "reaction": (("time", "support", "space"), "N", "force of each support on the structure"),
+    "bolt_force": (("time", "bolt"), "N", "force of each bolt, positive where it pulls"),
+    "force_balance": (("time",), "1", "sum of supports and loads, relative"),
+    "shear": (("time", "contact", "tangent"), "Pa", "mean shear traction on side b"),
+    "joint_force": (("time", "joint", "space"), "N", "force of each joint on its side b"),
+    "joint_moment": (("time", "joint", "space"), "N m", "its moment about the joint's centroid"),
+    "stress": (("time", "stress_probe", "component"), "Pa", "stress at probes"),
+    "von_mises": (("time", "stress_probe"), "Pa", "equivalent stress at probes"),
+    "principal_stress": (
+        ("time", "stress_probe", "order"),
+        "Pa",
+        "principal stresses at probes, the largest first",
+    ),
+    "gap_residual": (("time",), "m", "largest residual of the gap equations"),
+    "iterations": (("time",), "1", "Newton iterations"),
+    "cuts": (("time",), "1", "viscous steps where a joint snapped, and pieces of cut steps"),
+    "secant_residual": (("time",), "K", "largest change of a temperature in the last secant step"),
+    "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
+}
+REQUIRED = ("heat_input", "temperature", "displacement")
+
+
+def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
+    """Return `response` if it follows the schema.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Variables and dimensions as in `VARIABLES`; coordinate ``time`` in s, strictly increasing.
+    where : str
+        Name of the file or the source, for the error message.
+
+    Raises
+    ------
+    InputError
+        A variable, a dimension or ``time`` is missing, a unit differs, a value is not finite, or
+        time does not increase.
+    """
+    for name in REQUIRED:
+        if name not in response:
+            raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
+    # Not through data arrays: to make one for each takes longer than to look at all values.
+    for key, variable in response.variables.items():
+        name = str(key)
+        if name not in VARIABLES:
+            continue
+        dims, unit, _ = VARIABLES[name]
+        if variable.dims != dims:
+            raise InputError(f"{where}: {name!r} has dimensions {variable.dims}, expected {dims}")
+        if unit and variable.attrs.get("units") != unit:
+            found = variable.attrs.get("units", "no unit")
+            raise InputError(f"{where}: {name!r} is in {found!r}, expected {unit!r}; convert it")
+        if variable.dtype.kind == "f" and not bool(np.isfinite(variable.values).all()):
+            raise InputError(f"{where}: {name!r} has values that are not finite; remove them")
+    time = _checked_time(response, where)
+    if time.size < 2 or not bool((np.diff(time) > 0.0).all()):
+        raise InputError(f"{where}: time must increase strictly and have two samples or more")
+    return response
+
+
+def _plain(value: object) -> object:
+    """Return an attribute of a file, of whatever type, as Python's own number, text or list."""
+    array = np.asarray(value)
+    return array.item() if array.ndim == 0 else array.tolist()
+
+
+def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
+    """Return the times of a response, in s."""
+    if "time" not in response.coords:
+        raise InputError(f"{where}: coordinate 'time' is missing; give the time of each sample, s")
+    time = response["time"]
+    # Of dates and durations xarray makes other types, and keeps their unit elsewhere.
+    unit = time.attrs.get("units", time.encoding.get("units", "no unit"))
+    if unit != "s" or time.dtype.kind not in "fi":
+        found = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
+        raise InputError(f"{where}: 'time' is in {found}, expected 's' as numbers; convert it")
+    if not bool(np.isfinite(time).all()):
+        raise InputError(f"{where}: 'time' has values that are not finite; remove them")
+    return time.to_numpy()
+
+
+def make_response(
+    values: dict[str, np.ndarray],
+    coords: dict[str, np.ndarray | list[str]],
+    attrs: dict[str, str | float | int] | None = None,
+) -> xr.Dataset:
+    """Return a checked response from plain arrays, with units and long names filled in.
+
+    Parameters
+    ----------
+    values : dict of ndarray
+        Arrays shaped as `VARIABLES` says, in its units.
+    coords : dict
+        At least ``time`` (s), ``probe`` (names) and ``axis`` (names).
+    attrs : dict, optional
+        Further metadata, e.g. ``reference_power_W`` and ``case``.
+    """
+    import xarray as xr
+
+    data = {}
+    for name, value in values.items():
+        if name not in VARIABLES:
+            raise unknown_name("response variable", name, VARIABLES, "make_response")
+        dims, unit, long_name = VARIABLES[name]
+        meta = {"long_name": long_name} | ({"units": unit} if unit else {})
+        data[name] = (dims, value, meta)
+    response = xr.Dataset(
+        data,
+        coords=dict(coords),
+        attrs={"schema": SCHEMA, "schema_version": SCHEMA_VERSION} | (attrs or {}),
+    )
+    response["time"].attrs = {"units": "s", "long_name": "time"}
+    return check_response(response, "make_response")
+
+
+def write_response(response: xr.Dataset, path: Path | str) -> None:
+    """Write a response, whole or not at all.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `check_response` wants it.
+    path : Path or str
+        NetCDF to write.
+    """
+    packed = {
+        str(name): {"zlib": True, "complevel": 4}
+        for name, variable in response.data_vars.items()
+        if variable.dtype.kind == "f"
+    }
+    with whole_file(Path(path)) as part:
+        response.to_netcdf(part, engine="h5netcdf", encoding=packed)
+
+
+def read_response(path: Path | str) -> xr.Dataset:
+    """Read a response and check it.
+
+    Parameters
+    ----------
+    path : Path or str
+        NetCDF, written by `write_response` or laid out as `VARIABLES` says.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no response, of another version, or fails
+        `check_response`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a response written by 'thermojoint simulate'")
+    import xarray as xr
+
+    try:
+        response = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise InputError(
+            f"{path}: not a readable NetCDF file, perhaps truncated; simulate it again"
+        ) from error
+    found = [_plain(response.attrs.get(name)) for name in ("schema", "schema_version")]
+    if found != [SCHEMA, SCHEMA_VERSION]:
+        raise InputError(
+            f"{path}: schema {found[0]!r} version {found[1]!r}, expected {SCHEMA!r} version "
+            f"{SCHEMA_VERSION}; write it again with this version"
+        )
+    return check_response(response, str(path))
+
+
+def probes_of(response: xr.Dataset) -> list[str]:
+    """Return the names of the temperature probes of a response, in their order."""
+    return [str(name) for name in response["probe"].to_numpy()]
+
+
+def axes_of(response: xr.Dataset) -> list[str]:
+    """Return the names of the displacement axes of a response, in their order."""
+    return [str(name) for name in response["axis"].to_numpy()]
+
+
+def columns_of(
+    response: xr.Dataset, variable: str, names: Sequence[str], where: str = "response"
+) -> Array:
+    """Return columns of a variable, such as temperatures of probes or displacements along axes.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `check_response` takes it.
+    variable : str
+        One of two dimensions, time and another that has names.
+    names : sequence of str
+        Of the columns, in the order wanted.
+    where : str
+        For the error message.
+
+    Returns
+    -------
+    ndarray, shape (n, names)
+
+    Raises
+    ------
+    InputError
+        The response lacks a name.
+    """
+    kind = str(response[variable].dims[1])
+    known = [str(name) for name in response[kind].to_numpy()]
+    for name in names:
+        if name not in known:
+            raise unknown_name(kind, name, known, where)
+    columns = [known.index(name) for name in names]
+    return np.asarray(response[variable].to_numpy()[:, columns], dtype=float)

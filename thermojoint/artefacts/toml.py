@@ -1,0 +1,56 @@
+"""TOML as people write it: a byte order mark may lead, names with dots need quotes."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from thermojoint.artefacts.errors import InputError
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return the text of a file in UTF-8.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What it should be, e.g. ``"case"``.
+
+    Raises
+    ------
+    InputError
+        It is missing, or no text in UTF-8.
+    """
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read; give a TOML {what} file in UTF-8") from error
+
+
+def parse(text: str, where: str) -> dict[str, Any]:
+    """Return the content of a TOML text; a byte order mark, as Windows editors write it, may lead.
+
+    Raises
+    ------
+    InputError
+        It is no TOML.
+    """
+    try:
+        return tomllib.loads(text.removeprefix("\ufeff"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: no valid TOML: {error}") from error
+
+
+def as_key(name: str) -> str:
+    """Return a name as a TOML key: in quotes, unless it needs none."""
+    bare = name.replace("_", "").replace("-", "")
+    return name if bare.isascii() and bare.isalnum() else as_text(name)
+
+
+def as_text(value: str) -> str:
+    """Return a TOML string: escaped as in JSON, but for the surrogate pairs that TOML refuses."""
+    return json.dumps(value, ensure_ascii=False)

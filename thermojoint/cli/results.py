@@ -1,0 +1,148 @@
+"""Results of single commands as tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from thermojoint.console import number, titled
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from estimator.joint_aware.placement import Placement
+
+#: An axis with less than this part of the largest band does not move.
+STILL = 1e-6
+
+
+def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
+    """Print the parameters of a thermal test after ISO 230-3."""
+    table = Table()
+    table.add_column("parameter")
+    for name in ("value", "unit", "from (min)", "to (min)"):
+        table.add_column(name, justify="left" if name == "unit" else "right")
+    for row in content["parameters"]:
+        ends = (f"{row[key] / 60.0:.1f}" for key in ("begin_s", "end_s"))
+        table.add_row(row["symbol"], number(row["value"]), row["unit"], *ends)
+    titled(console, title, table)
+
+
+def show_loop(console: Console, content: Mapping[str, Any]) -> None:
+    """Print margins and residuals of a closed loop."""
+    design = content["design"]
+    if design is not None:
+        margins = Table()
+        for name in ("delay (s)", "gain margin (dB)", "phase margin (°)", "more delay (s)"):
+            margins.add_column(name, justify="right")
+        for delay, found in {"as it is": design["margins"], **design["late"]}.items():
+            gain = "unstable" if found["phase_margin_deg"] < 0.0 else "no limit"
+            if gain != "unstable" and found["gain_margin_dB"] is not None:
+                gain = number(found["gain_margin_dB"], 3)
+            rest = (found["phase_margin_deg"], found["delay_margin_s"])
+            margins.add_row(delay, gain, *(number(value, 3) for value in rest))
+        titled(
+            console,
+            f"The heater's loop: {number(design['gain_W_um'])} W/µm, integral time "
+            f"{number(design['integral_time_s'])} s, feed-forward "
+            f"{number(design['feed_forward_W_W'])} W/W",
+            margins,
+        )
+        worst = design["worst_gain_margin_dB"]
+        console.print(
+            f"At worst: {'no limit' if worst is None else f'{worst:.3g} dB'}, "
+            f"{design['worst_phase_margin_deg']:.3g}°."
+        )
+    table = Table()
+    table.add_column("run")
+    table.add_column("axis")
+    for name in ("moves (µm)", "with offsets (µm)", "estimate's error (µm)"):
+        table.add_column(name, justify="right")
+    for run in content["runs"]:
+        for axis, found in run["axes"].items():
+            left = found.get("with_offsets", {"largest_um": None})
+            values = (found["displacement"], left, found["estimate_error"])
+            shown = (number(one["largest_um"], 3) for one in values)
+            table.add_row(run["run"], axis, *shown)
+    titled(console, content["title"], table)
+    for run in content["runs"]:
+        if run.get("reached"):
+            console.print(f"{run['run']}: {run['reached']}.")
+
+
+def show_bands(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
+    """Print the errors of an estimator that knows a band, and how often it holds."""
+    table = Table()
+    for name in ("case", "estimator", "axis"):
+        table.add_column(name, no_wrap=True)
+    for name in ("max error", "rms error", "peak", "band", "inside the band"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(
+            *(str(row[name]) for name in ("case", "estimator", "axis")),
+            *(
+                number(float(row[name]), 3)
+                for name in ("max_abs_error_um", "rms_error_um", "peak_total_um", "mean_band_um")
+            ),
+            f"{100.0 * float(row['band_cover']):.0f} %",
+        )
+    titled(console, "Validation from temperatures alone (µm)", table)
+
+
+def show_placement(console: Console, placement: Placement, axes: Sequence[str]) -> None:
+    """Print the band for one sensor, two and so on, along the axes that move."""
+    largest = max(float(value) for one in placement.steps for value in one.band)
+    moving = [k for k in range(len(axes)) if placement.steps[0].band[k] > STILL * largest]
+    table = Table()
+    for name in ("sensors", "one more", *(f"band {axes[k]}" for k in moving)):
+        table.add_column(name, justify="left" if name == "one more" else "right")
+    rows = [(one.names[-1], one) for one in placement.steps]
+    for name, one in [*rows, ("after exchanges", placement.chosen)]:
+        bands = [number(1e6 * float(one.band[k]), 3) for k in moving]
+        table.add_row(str(len(one.names)), name, *bands)
+    titled(console, "Half band of 95 % (µm)", table)
+    console.print(f"Chosen: {', '.join(placement.chosen.names)}")
+
+
+def show_physics(console: Console, report: Mapping[str, Any]) -> None:
+    """Print the machine's fitted parameters and what of them the data determine."""
+    table = Table()
+    for name in ("parameter", "factor on the case", "uncertainty", "before"):
+        table.add_column(name, justify="left" if name == "parameter" else "right")
+    for one in report["parameters"]:
+        table.add_row(
+            one["parameter"],
+            number(one["factor"], 3),
+            f"{100.0 * one['std']:.1f} %",
+            f"{100.0 * one['prior_std']:.1f} %",
+        )
+    titled(console, "The machine's physics", table)
+    known = Table()
+    for name in ("singular value", "decided by", "direction"):
+        known.add_column(name, justify="right" if name == "singular value" else "left")
+    for one in report["directions"]:
+        parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in one["of"].items())
+        known.add_row(number(one["singular_value"], 3), one["decided_by"], parts)
+    titled(console, "What the responses determine (in units of the priors)", known)
+
+
+def show_results(console: Console, response: xr.Dataset) -> None:
+    """Print what a simulated response comes to: displacement, temperature, and the joint."""
+    from fesim.batch.summary import figures_of
+    from thermojoint.paper.summary import result_lines
+
+    figures = figures_of(response)
+    table = Table()
+    table.add_column("axis")
+    for name in ("final", "peak"):
+        table.add_column(name, justify="right")
+    for axis in response["axis"].to_numpy():
+        at = (figures[f"displacement_{axis}_{kind}_um"] for kind in ("final", "peak"))
+        # To the nanometre, and without the sign of a zero: less is rounding.
+        table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
+    titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)
+    for line in result_lines(response, figures):
+        console.print(line)

@@ -1,0 +1,144 @@
+"""Bode and step figures of a loop, and the runs against time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from estimator.joint_aware.observer_model import ObserverModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.compensation.loop.judging import runs_of
+from thermojoint.compensation.loop.linear import (
+    Complex,
+    channels_of,
+    disturbed,
+    open_loop,
+    state_space,
+)
+from thermojoint.compensation.loop.python_control import python_control
+from thermojoint.compensation.loop.run import Closed, Design
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MICRO = 1e-6
+_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
+#: Length of the step response, s, and points drawn of a curve.
+_STEP, _POINTS = 7200.0, 1500
+
+
+def bode_figure(design: Design, delay: float) -> Figure:
+    """Return gain and phase of the open loop, and what the disturbance does free and controlled.
+
+    Parameters
+    ----------
+    design : Design
+    delay : float
+        Of the estimates on their way, s.
+    """
+    responses, tuned = design.responses, design.tuned
+    loop = open_loop(responses, tuned.controller, delay)
+    figure, (gain, phase, moved) = _panels(3)
+    w = responses.frequencies
+    for k, (name, values) in enumerate(
+        {
+            "open loop": loop,
+            "machine, µm/kW": 1e9 * responses.heater.displacement,
+            "its estimate, µm/kW": 1e9 * responses.heater.estimate,
+        }.items()
+    ):
+        _bode(gain, phase, w, values, name, _SHADES[k], "--" if k == 2 else "-")
+    gain.axhline(1.0, color="0.4", linewidth=0.8)
+    phase.axhline(-180.0, color="0.4", linewidth=0.8)
+    for panel in (gain, phase):
+        panel.axvline(tuned.nominal.crossover, color="0.4", linewidth=0.8, linestyle=":")
+    phase.set_ylim(-360.0, 10.0)
+    gain.set_ylabel("gain")
+    phase.set_ylabel("phase (°)")
+    closed = disturbed(responses, tuned.controller, delay)
+    for name, values, shade in (
+        ("free", responses.disturbance.displacement, _SHADES[1]),
+        ("controlled", closed, _SHADES[2]),
+    ):
+        moved.loglog(w, 1e9 * np.abs(values), label=name, color=shade, linewidth=1.2)
+    moved.set_ylabel("δ per disturbing\nheat (µm/kW)")
+    moved.set_xlabel("frequency (rad/s)")
+    return _finished(figure)
+
+
+def step_figure(model: ObserverModel, closed: Closed) -> Figure:
+    """Return what steps of 1 kW of the disturbance and of the heater do, near the preload."""
+    heater = closed.loop.heater
+    figure, (panel,) = _panels(1)
+    if heater is not None:
+        found = channels_of(model, heater.source, heater.against, heater.axis)
+        times = model.step * np.arange(round(_STEP / model.step) + 1)
+        named = ((heater.against, found.disturbance), (heater.source, found.heater))
+        for k, (name, source) in enumerate(named):
+            response = python_control().step_response(state_space(model, source, found.axis), times)
+            panel.plot(
+                times / 60.0, 1e9 * response.outputs.ravel(), label=name, color=_SHADES[k + 1]
+            )
+        panel.set_ylabel(f"δ {heater.axis} (µm)")
+    panel.set_xlabel("time after a step of 1 kW (min)")
+    return _finished(figure)
+
+
+def runs_figure(closed: Closed) -> Figure:
+    """Return displacement, what is left of it, and the heat, against time."""
+    axes = closed.axes
+    figure, panels = _panels(2 * len(axes) + (closed.heated is not None))
+    for k, axis in enumerate(axes):
+        first, second = panels[2 * k], panels[2 * k + 1]
+        for shade, (name, course, _) in zip(_SHADES, runs_of(closed), strict=False):
+            thin = slice(None, None, max(1, course.times.size // _POINTS))
+            time = course.times[thin] / 60.0
+            for panel, values in ((first, course.displacement), (second, course.residual)):
+                shown = values[thin, k] / _MICRO
+                panel.plot(time, shown, label=name, color=shade, linewidth=1.1)
+        first.set_ylabel(f"δ {axis} (µm)")
+        second.set_ylabel(
+            f"δ {axis} with\noffsets (µm)" if closed.loop.offsets else f"δ {axis} (µm), close"
+        )
+        if closed.loop.offsets is None:
+            second.set_ylim(-5.0, 5.0)
+    if closed.heated is not None:
+        for shade, (name, course, heated) in zip(_SHADES, runs_of(closed), strict=False):
+            if heated:
+                thin = slice(None, None, max(1, course.times.size // _POINTS))
+                panels[-1].plot(
+                    course.times[thin] / 60.0,
+                    course.heater[thin],
+                    color=shade,
+                    linewidth=0.9,
+                    label=name,
+                )
+        panels[-1].set_ylabel("heater (W)")
+    panels[-1].set_xlabel("time (min)")
+    return _finished(figure)
+
+
+def _bode(
+    gain: Axes, phase: Axes, w: Array, values: Complex, name: str, shade: str, style: str
+) -> None:
+    gain.loglog(w, np.abs(values), style, label=name, color=shade, linewidth=1.2)
+    turned = np.degrees(np.unwrap(np.angle(values)))
+    phase.semilogx(w, turned, style, label=name, color=shade, linewidth=1.2)
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.5, 1.0 + 2.0 * count), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _finished(figure: Figure) -> Figure:
+    for panel in figure.axes:
+        panel.grid(visible=True, color="0.88", linewidth=0.6)
+        panel.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return figure

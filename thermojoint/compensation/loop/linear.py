@@ -1,0 +1,270 @@
+"""The linear loop: what the heater does to the displacement and to its estimate, by frequency.
+
+Machine and estimator near the preload are those of a joint-aware model: modes and relaxations,
+diagonal, sampled at the estimator's own step T. With x' = D x + b u of the machine and the steady
+filter x+ = F x + K e, e = y - H F x, of the estimator (docs/closing-the-loop.md):
+
+δ/u = M (z - D)^-1 b,  y/u = H (z - D)^-1 b,  x/y = z N (1 + z H N - H K)^-1,  N = (z - F)^-1 K.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.joint_aware.filter_design import LinearSystem, correct
+from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.observer_model import ObserverModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import unknown_name
+from thermojoint.compensation.loop.controller import Controller
+from thermojoint.compensation.loop.python_control import python_control
+
+if TYPE_CHECKING:
+    import control
+
+Complex = NDArray[np.complex128]
+#: Slowest frequency that is looked at, 1/s: what is slower, the integral keeps at zero.
+SLOWEST = 1e-5
+#: Frequencies in all.
+COUNT = 300
+
+
+@dataclass(frozen=True)
+class Channels:
+    """What a loop goes through.
+
+    Attributes
+    ----------
+    heater, disturbance : int
+        Columns of the inputs.
+    axis : int
+        Of the displacement.
+    """
+
+    heater: int
+    disturbance: int
+    axis: int
+
+
+class SourceResponse(NamedTuple):
+    """What one source does.
+
+    Attributes
+    ----------
+    displacement, estimate : ndarray, shape (f,)
+        δ, and its estimate, m/W.
+    heat : ndarray, shape (f,)
+        Estimated disturbing heat, W/W.
+    """
+
+    displacement: Complex
+    estimate: Complex
+    heat: Complex
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Frequency responses at the estimator's own sampling.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (f,)
+        1/s (radians), up to half of the sampling.
+    heater, disturbance : SourceResponse
+        Per W of the heater, and of the disturbance.
+    noise_estimate, noise_heat : ndarray, shape (f, p + 1)
+        The same per K of each reading: m/K and W/K.
+    step : float
+        T, s.
+    """
+
+    frequencies: Array
+    heater: SourceResponse
+    disturbance: SourceResponse
+    noise_estimate: Complex
+    noise_heat: Complex
+    step: float
+
+
+def channels_of(model: ObserverModel, heater: str, disturbance: str, axis: str) -> Channels:
+    """Return where they stand in a model.
+
+    Raises
+    ------
+    InputError
+        The model has no source or axis of that name.
+    """
+    for name in (heater, disturbance):
+        if name not in model.sources:
+            raise unknown_name("source", name, model.sources, "estimator: its model")
+    if axis not in model.axes:
+        raise unknown_name("axis", axis, model.axes, "estimator: its model")
+    return Channels(
+        model.sources.index(heater), model.sources.index(disturbance), model.axes.index(axis)
+    )
+
+
+def frequencies_of(model: ObserverModel) -> Array:
+    """Return the frequencies at which a loop of its sampling is looked at, 1/s, shape (f,)."""
+    return np.geomspace(SLOWEST, np.pi / model.step, COUNT)
+
+
+def state_space(model: ObserverModel, source: int, axis: int) -> control.StateSpace:
+    """Return the machine from the heat of a source (W) to the displacement (m), per step."""
+    system = Observer(model).system
+    dynamic = system.decay.size
+    return python_control().ss(
+        np.diag(system.decay),
+        system.drive[:, [source]],
+        model.band.tangent[[axis], :dynamic],
+        np.zeros((1, 1)),
+        model.step,
+    )
+
+
+def responses_of(model: ObserverModel, channels: Channels, frequencies: Array) -> Responses:
+    """Return the frequency responses of a machine and its estimator near the preload."""
+    observer = Observer(model)
+    system = observer.system
+    dynamic, everything = system.decay.size, np.arange(len(system.rows))
+    gain, _ = correct(model.filter, system.rows, everything, np.zeros((system.size, 1)), 1.0)
+    out = np.zeros((2, system.size))
+    out[0] = model.band.tangent[channels.axis]
+    out[1, dynamic + channels.disturbance] = 1.0
+    points = np.exp(1j * frequencies * model.step)
+    told = np.array([_estimator_response(system, gain, out, z) for z in points])
+
+    def path(source: int) -> SourceResponse:
+        states = system.drive[:, source] / (points[:, None] - system.decay)
+        both = np.einsum("fop,fp->of", told, states @ system.rows[:, :dynamic].T)
+        return SourceResponse(states @ out[0, :dynamic], both[0], both[1])
+
+    return Responses(
+        frequencies,
+        path(channels.heater),
+        path(channels.disturbance),
+        told[:, 0],
+        told[:, 1],
+        model.step,
+    )
+
+
+def _estimator_response(system: LinearSystem, gain: Array, out: Array, z: complex) -> Complex:
+    """Rows `out` of the estimator's state per reading, shape (rows, p + 1)."""
+    dynamic = system.decay.size
+    state = np.empty(gain.shape, dtype=complex)
+    state[dynamic:] = gain[dynamic:] / (z - 1.0)
+    state[:dynamic] = (gain[:dynamic] + system.drive @ state[dynamic:]) / (
+        z - system.decay[:, None]
+    )
+    told = np.eye(len(system.rows)) + z * (system.rows @ state) - system.rows @ gain
+    return np.asarray(np.linalg.solve(told.T, (z * (out @ state)).T).T, dtype=np.complex128)
+
+
+def controller_response(
+    controller: Controller, frequencies: Array, delay: float
+) -> tuple[Complex, Complex]:
+    """Return what a controller does to the estimate (W/m) and to the disturbing heat (W/W).
+
+    Parameters
+    ----------
+    controller : Controller
+    frequencies : ndarray, shape (f,)
+        1/s.
+    delay : float
+        Of the estimates on their way, s.
+    """
+    z, step = np.exp(1j * frequencies * controller.interval), controller.interval
+    slow, fed = controller.derivative_filter, controller.feed_forward_filter
+    pid = controller.gain * (
+        1.0
+        + step / controller.integral_time * z / (z - 1.0)
+        + controller.derivative_time * (z - 1.0) / ((slow + step) * z - slow)
+    )
+    low_pass = step * z / ((step + fed) * z - fed)
+    late = np.exp(-1j * frequencies * delay)
+    return -controller.sign * pid * late, controller.feed_forward * low_pass * late
+
+
+def open_loop(responses: Responses, controller: Controller, delay: float) -> Complex:
+    """Return L, shape (f,): the loop is stable as long as it does not encircle -1."""
+    pid, ahead = controller_response(controller, responses.frequencies, delay)
+    return np.asarray(-(pid * responses.heater.estimate + ahead * responses.heater.heat))
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What a loop can still bear.
+
+    Attributes
+    ----------
+    gain : float
+        Factor on the gain, 1; infinite if there is none.
+    phase : float
+        rad.
+    delay : float
+        More of it, s.
+    crossover : float
+        Where the loop has gain 1, 1/s.
+    """
+
+    gain: float
+    phase: float
+    delay: float
+    crossover: float
+
+
+def margins_of(frequencies: Array, loop: Complex) -> Margins:
+    """Return the margins of an open loop, by python-control; NaN phase if it never has gain 1.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (f,)
+        1/s; the last is half of the sampling, where a sampled loop is real and may be -1, too.
+    loop : ndarray, shape (f,)
+        Its response.
+    """
+    control = python_control()
+    data = control.FrequencyResponseData(loop, frequencies, smooth=True)
+    gain, _, _, _, crossover, _ = control.stability_margins(data)
+    if loop[-1].real < 0.0:
+        gain = min(float(gain), float(-1.0 / loop[-1].real), key=lambda one: abs(np.log(one)))
+    # The phase as it is, not modulo a turn: with a long delay it is several turns behind.
+    turned = np.interp(crossover, frequencies, np.unwrap(np.angle(loop)))
+    left = np.pi + float(turned)
+    return Margins(float(gain), left, left / float(crossover), float(crossover))
+
+
+def disturbed(responses: Responses, controller: Controller, delay: float) -> Complex:
+    """Return δ per W of the disturbance with the loop closed, m/W, shape (f,): Eq. 17."""
+    pid, ahead = controller_response(controller, responses.frequencies, delay)
+    asked = pid * responses.disturbance.estimate + ahead * responses.disturbance.heat
+    heater = asked / (1.0 + open_loop(responses, controller, delay))
+    return np.asarray(responses.disturbance.displacement + responses.heater.displacement * heater)
+
+
+def noise_of_heat(
+    responses: Responses, controller: Controller, delay: float, noise: Array
+) -> float:
+    """Standard deviation of the heater's power that the sensors' noise makes, W.
+
+    Parameters
+    ----------
+    responses : Responses
+    controller : Controller
+    delay : float
+        s.
+    noise : ndarray, shape (p + 1,)
+        Standard deviation of each reading, K, white.
+    """
+    pid, ahead = controller_response(controller, responses.frequencies, delay)
+    open_ = open_loop(responses, controller, delay)
+    asked = (pid[:, None] * responses.noise_estimate + ahead[:, None] * responses.noise_heat) / (
+        1.0 + open_
+    )[:, None]
+    density = (np.abs(asked) ** 2 * noise**2).sum(axis=1) * responses.step / np.pi
+    return float(np.sqrt(np.trapezoid(density, responses.frequencies)))

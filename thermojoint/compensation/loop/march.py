@@ -1,0 +1,261 @@
+"""The loop in time: the marched machine, read by its estimator, driven by what that leads to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from estimator.interface import Estimate
+from estimator.joint_aware.estimator import JointAware
+from fesim.case.schema import Case
+from fesim.march.machine import State, Step
+from fesim.march.settling import initial_state
+from fesim.march.stepping import Inputs, march
+from fesim.setup.loads import input_layout, thermal_inputs
+from fesim.setup.machine import Setup
+from fesim.simulate import COUPLINGS
+from fesim.solid.elasticity import DIRECTIONS
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.compensation.loop.controller import AT_REST, Controller, ControllerState, control
+from thermojoint.compensation.offsets.output import (
+    OutputState,
+    at_zero,
+    cycle,
+    followed,
+    offsets_of,
+)
+from thermojoint.compensation.offsets.settings import Settings
+from thermojoint.compensation.offsets.usable import usable
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The machine that is compensated.
+
+    Attributes
+    ----------
+    case : Case
+        Its heater, if it has one, gives nothing by itself.
+    setup : Setup
+        Of the case.
+    """
+
+    case: Case
+    setup: Setup
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What acts on a machine.
+
+    Attributes
+    ----------
+    controller : Controller or None
+        None if there is no heater.
+    heater, disturbance, axis : int
+        Source of the plant, source of the estimator, and axis of the estimate.
+    offsets : Settings or None
+        None if no axis is moved.
+    delay : int
+        Of the estimates on their way, samples.
+    """
+
+    controller: Controller | None
+    heater: int
+    disturbance: int
+    axis: int
+    offsets: Settings | None
+    delay: int
+
+
+class Course(NamedTuple):
+    """A run; rows are the plant's steps.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    displacement, estimate : ndarray, shape (n, axes)
+        Of the machine, and the newest estimate of it, m.
+    moved : ndarray, shape (n, axes)
+        What the axes' offsets add to the displacement, m.
+    heater, disturbing : ndarray, shape (n,)
+        W.
+    """
+
+    times: Array
+    displacement: Array
+    estimate: Array
+    moved: Array
+    heater: Array
+    disturbing: Array
+
+    @property
+    def residual(self) -> Array:
+        """What is left at the tool, m, shape (n, axes)."""
+        return np.asarray(self.displacement + self.moved)
+
+
+@threadpool_limits.wrap(limits=1)
+def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) -> Course:
+    """Run a machine from rest, with its estimator in the loop.
+
+    Parameters
+    ----------
+    plant : Plant
+        Marched by `fesim`.
+    estimator : JointAware
+        Sampled at the step of its model, a multiple of the plant's.
+    acting : Acting
+        What its estimates lead to.
+    noise : ndarray, shape (samples, sensors)
+        On every reading, K; as many samples as the run has.
+
+    Raises
+    ------
+    InputError
+        The plant lacks a sensor or an axis, or the steps do not fit.
+    ConvergenceError
+        A step of the machine or of the estimator does not converge.
+    """
+    machine, inputs = plant.setup.machine, thermal_inputs(plant.case)
+    layout, each = input_layout(plant.case), steps_of(plant, estimator)
+    sensors = _sensor_rows(plant, estimator)
+    axes = [DIRECTIONS.index(axis) for axis in estimator.axes]
+    disturbances = [k for k in range(layout.sources) if k != acting.heater]
+    state, observed = initial_state(machine), estimator.initial_state()
+    act = _at_rest(acting, len(axes))
+    sent: list[Estimate] = []
+    rows = []
+    for index, added in enumerate(noise):
+        time = index * estimator.model.step
+        ambient = inputs(time)[layout.ambient] if index else 0.0
+        read = [*(sensors @ state.temperature + added), ambient]
+        observed, estimate = estimator.sample(observed, time, read)
+        sent.append(estimate)
+        arrived = sent[index - acting.delay] if index >= acting.delay else None
+        act = _act(acting, act, estimator.axes, arrived, time)
+        for step in _steps(plant, inputs, state, each, acting.heater, act.heat):
+            state = step.state
+            rows.append(
+                (
+                    state.index * machine.thermal.step,
+                    *step.displacement[axes],
+                    *estimate.displacement,
+                    *act.moved,
+                    act.heat,
+                    step.inputs[disturbances].sum(),
+                )
+            )
+    return _course(np.array(rows), len(axes))
+
+
+class _Act(NamedTuple):
+    """What acts between two samples: the heat, W, and what offsets add to the displacement, m."""
+
+    controlled: ControllerState
+    output: OutputState | None
+    heat: float
+    moved: Array
+
+
+def _at_rest(acting: Acting, axes: int) -> _Act:
+    output = None if acting.offsets is None else at_zero(acting.offsets.output)
+    return _Act(AT_REST, output, 0.0, np.zeros(axes))
+
+
+def _act(
+    acting: Acting, before: _Act, axes: tuple[str, ...], arrived: Estimate | None, time: float
+) -> _Act:
+    """What acts after a sample, in which an estimate has arrived, or none yet."""
+    after = before
+    if acting.controller is not None and arrived is not None:
+        controlled, heat = control(
+            acting.controller,
+            before.controlled,
+            float(arrived.displacement[acting.axis]),
+            float(arrived.details[acting.disturbance]),
+        )
+        after = after._replace(controlled=controlled, heat=heat)
+    if acting.offsets is not None and before.output is not None:
+        wanted = _target(acting.offsets, axes, arrived, time)
+        output = cycle(acting.offsets.output, before.output, time, wanted)
+        offsets = offsets_of(acting.offsets.output, output)
+        after = after._replace(output=output, moved=added_by(acting.offsets, axes, offsets))
+    return after
+
+
+def steps_of(plant: Plant, estimator: JointAware) -> int:
+    """Return how many steps of the plant a sample of the estimator takes.
+
+    Raises
+    ------
+    InputError
+        It is no whole number.
+    """
+    ratio = estimator.model.step / plant.setup.machine.thermal.step
+    if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+        raise InputError(
+            f"plant: march.step_s {plant.setup.machine.thermal.step:g} does not divide the "
+            f"estimator's step of {estimator.model.step:g} s; make it do so"
+        )
+    return round(ratio)
+
+
+def added_by(settings: Settings, axes: tuple[str, ...], offsets: Array) -> Array:
+    """Return what offsets (m) add to the displacement along the estimate's axes, m.
+
+    An offset of sign -1 is made of minus the estimate, and is added; one of sign 1 the other way.
+    """
+    found = np.zeros(len(axes))
+    given = zip(settings.output.estimated, settings.output.signs, offsets, strict=True)
+    for name, sign, offset in given:
+        found[axes.index(name)] -= sign * offset
+    return found
+
+
+def _target(
+    settings: Settings, axes: tuple[str, ...], arrived: Estimate | None, time: float
+) -> Array | None:
+    if arrived is None:
+        return None
+    age = time - arrived.time
+    if not usable(settings.trust, age, arrived.band, arrived.words):
+        return None
+    return followed(settings.output, axes, arrived.displacement)
+
+
+def _sensor_rows(plant: Plant, estimator: JointAware) -> Array:
+    """Rows of the plant's temperatures that the estimator reads."""
+    names = list(plant.setup.probes)
+    for name in estimator.model.sensors:
+        if name not in names:
+            raise unknown_name("probe", name, names, "plant: the estimator reads")
+    at = [names.index(name) for name in estimator.model.sensors]
+    rows = plant.setup.probe_rows[at]
+    return np.asarray(rows if isinstance(rows, np.ndarray) else rows.toarray())
+
+
+def _steps(
+    plant: Plant, inputs: Inputs, state: State, count: int, heater: int, heat: float
+) -> list[Step]:
+    """March some steps with a heat (W) of the heater that stays; -1: there is none."""
+
+    def driven(time: float) -> Array:
+        found = inputs(time)
+        if heater >= 0:
+            found[heater] = heat
+        return found
+
+    marching = march(plant.setup.machine, driven, COUPLINGS[plant.case.march.coupling], state)
+    return [next(marching) for _ in range(count)]
+
+
+def _course(rows: Array, axes: int) -> Course:
+    ends = np.cumsum([1, axes, axes, axes])
+    times, displacement, estimate, moved, rest = np.split(rows, ends, axis=1)
+    return Course(times[:, 0], displacement, estimate, moved, rest[:, 0], rest[:, 1])

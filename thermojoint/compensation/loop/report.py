@@ -1,0 +1,59 @@
+"""The report of a loop: one self-contained HTML page, and the same figures as JSON."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+from estimator.joint_aware.model_file import read_observer
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.svg import as_svg
+from thermojoint.compensation.loop.figure import bode_figure, runs_figure, step_figure
+from thermojoint.compensation.loop.run import Closed
+
+
+def report_html(closed: Closed, content: dict[str, Any]) -> str:
+    """Return the page; everything in it is escaped, nothing is loaded from elsewhere.
+
+    Parameters
+    ----------
+    closed : Closed
+        The loop.
+    content : dict
+        What `thermojoint.compensation.loop.judging.as_content` says of it.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("thermojoint.compensation.loop"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    figures = [("The runs against time", runs_figure(closed))]
+    if closed.design is not None:
+        model = read_observer(closed.loop.estimator.model)
+        figures += [
+            ("Bode diagram", bode_figure(closed.design, closed.loop.estimator.delay_s)),
+            ("Step responses near the preload", step_figure(model, closed)),
+        ]
+    pictures = [
+        (title, base64.b64encode(as_svg(one, "control")).decode("ascii")) for title, one in figures
+    ]
+    return environment.get_template("report.html.j2").render(
+        content=content, loop=closed.loop, pictures=pictures
+    )
+
+
+def write_report(page: str, path: Path) -> None:
+    """Write a page to `path`, whole or not at all."""
+    write_text(Path(path), page)
+
+
+def write_content(content: dict[str, Any], path: Path) -> None:
+    """Write margins and residuals to `path` (JSON), whole or not at all."""
+    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
+    write_text(Path(path), text + "\n")

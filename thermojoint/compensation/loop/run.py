@@ -1,0 +1,233 @@
+"""From the file of a loop to its margins and what it leaves of the displacement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.model_file import read_observer
+from estimator.noise import sensor_noise
+from fesim.case.schema import Case, read_case, step_count
+from fesim.case.thermal_sections import StepInput
+from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.compensation.loop.controller import Controller
+from thermojoint.compensation.loop.linear import (
+    Margins,
+    Responses,
+    channels_of,
+    frequencies_of,
+    margins_of,
+    open_loop,
+    responses_of,
+)
+from thermojoint.compensation.loop.march import Acting, Course, Plant, run_loop
+from thermojoint.compensation.loop.schema import HeaterSection, Loop
+from thermojoint.compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
+from thermojoint.compensation.offsets.settings import Settings, read_settings
+
+#: Standard deviation of the noise that the tuning reckons with, relative to its peak to peak.
+RMS = 1.0 / 6.0
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The heater's loop near the preload.
+
+    Attributes
+    ----------
+    tuned : Tuned
+    responses : Responses
+    late : dict of float to Margins
+        Delay of the estimates (s) to what is left with the same controller.
+    """
+
+    tuned: Tuned
+    responses: Responses
+    late: dict[float, Margins]
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """All that came of a loop.
+
+    Attributes
+    ----------
+    loop : Loop
+    axes : tuple of str
+    design : Design or None
+        None without a heater.
+    free : Course
+        No heat of the heater; the offsets, if any, act.
+    heated : Course or None
+        The heater acts, too; None without one.
+    late : dict of float to Course
+        With everything that acts, at each delay that was tried (s).
+    """
+
+    loop: Loop
+    axes: tuple[str, ...]
+    design: Design | None
+    free: Course
+    heated: Course | None
+    late: dict[float, Course]
+
+
+def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
+    """Tune a loop and run it.
+
+    Parameters
+    ----------
+    loop : Loop
+        As its file says.
+    progress : callable, optional
+        Called with what is done next.
+
+    Raises
+    ------
+    InputError
+        What the file names does not fit together, or no controller keeps what it requires.
+    ConvergenceError
+        The machine or the estimator does not converge.
+    """
+    told = progress or (lambda _: None)
+    estimator = JointAware(read_observer(loop.estimator.model))
+    settings = None if loop.offsets is None else read_settings(loop.offsets)
+    _check_axes(settings, estimator)
+    design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
+    case = plant_case(loop)
+    told("setting up the plant")
+    plant = Plant(case, set_up(case))
+    noise = _noise(loop, case, estimator)
+    idle = _acting(loop, case, estimator, None, settings, loop.estimator.delay_s)
+    told("free")
+    free = run_loop(plant, estimator, idle, noise)
+
+    def acted(delay: float) -> Course:
+        given = design.tuned.controller if design is not None else None
+        told(f"controlled, delay {delay:g} s")
+        acting = _acting(loop, case, estimator, given, settings, delay)
+        return run_loop(plant, estimator, acting, noise)
+
+    heated = acted(loop.estimator.delay_s) if design is not None else None
+    late = {delay: acted(delay) for delay in loop.tried_delays_s}
+    return Closed(loop, estimator.axes, design, free, heated, late)
+
+
+def plant_case(loop: Loop) -> Case:
+    """Return the plant of a loop as a case: driven as the loop says, its heater silent.
+
+    Raises
+    ------
+    InputError
+        The case is unusable, or has no such heater.
+    """
+    case = read_case(loop.plant.case)
+    heater = loop.heater
+    if heater is not None and heater.source not in case.sources:
+        raise unknown_name("source", heater.source, case.sources, "heater")
+    silent = StepInput(kind="step", level=0.0)
+    sources = {
+        name: source.model_copy(
+            update={
+                "heat_input": silent
+                if heater is not None and name == heater.source
+                else loop.plant.heat_input
+            }
+        )
+        for name, source in case.sources.items()
+    }
+    march = case.march.model_copy(update={"duration_min": loop.plant.duration_min})
+    return case.model_copy(
+        update={"sources": sources, "march": march, "title": loop.title, "candidates": []}
+    )
+
+
+def _design(loop: Loop, heater: HeaterSection, estimator: JointAware) -> Design:
+    model = estimator.model
+    channels = channels_of(model, heater.source, heater.against, heater.axis)
+    responses = responses_of(model, channels, frequencies_of(model))
+    start = Controller(
+        gain=1.0,
+        integral_time=1.0,
+        derivative_time=0.0,
+        derivative_filter=model.step,
+        sign=math.copysign(1.0, responses.heater.displacement[0].real),
+        feed_forward=feed_forward_gain(model, channels, model.calibrated.duration_s),
+        feed_forward_filter=0.0,
+        largest=heater.largest_W,
+        resolution=heater.resolution_W,
+        interval=model.step,
+        setpoint=1e-6 * heater.setpoint_um,
+    )
+    asked = loop.tuning
+    tuned = tune(
+        responses,
+        start,
+        Requirements(
+            gain_margin=10.0 ** (asked.gain_margin_dB / 20.0),
+            phase_margin=math.radians(asked.phase_margin_deg),
+            gain_error=asked.gain_error,
+            delay=loop.estimator.delay_s,
+            delay_error=asked.delay_error_s,
+            noise=np.append(np.full(len(model.sensors), RMS * loop.estimator.noise_pp_K), 0.0),
+            most_noise=asked.heat_noise * heater.largest_W,
+        ),
+    )
+    late = {
+        delay: margins_of(responses.frequencies, open_loop(responses, tuned.controller, delay))
+        for delay in loop.tried_delays_s
+    }
+    return Design(tuned, responses, late)
+
+
+def _acting(
+    loop: Loop,
+    case: Case,
+    estimator: JointAware,
+    controller: Controller | None,
+    settings: Settings | None,
+    delay: float,
+) -> Acting:
+    heater, model = loop.heater, estimator.model
+    return Acting(
+        controller=controller,
+        heater=-1 if heater is None else list(case.sources).index(heater.source),
+        disturbance=0 if heater is None else model.sources.index(heater.against),
+        axis=0 if heater is None else model.axes.index(heater.axis),
+        offsets=settings,
+        delay=_samples(delay, model.step),
+    )
+
+
+def _samples(delay: float, step: float) -> int:
+    """A delay (s) in samples."""
+    if abs(delay / step - round(delay / step)) > 1e-6:
+        raise InputError(
+            f"delay of {delay:g} s: no whole number of the estimator's steps of {step:g} s; make "
+            "it one"
+        )
+    return round(delay / step)
+
+
+def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
+    """Noise on every sensor at every sample, K, shape (samples, sensors)."""
+    each = max(1, round(estimator.model.step / case.march.step_s))
+    count, sensors = step_count(case.march) // each, len(estimator.model.sensors)
+    if loop.estimator.noise_pp_K <= 0.0:
+        return np.zeros((count, sensors))
+    times = estimator.model.step * np.arange(count)
+    return sensor_noise(times, loop.estimator.noise_pp_K, loop.estimator.seed, sensors)
+
+
+def _check_axes(settings: Settings | None, estimator: JointAware) -> None:
+    for name in settings.output.estimated if settings is not None else ():
+        if name not in estimator.axes:
+            raise unknown_name("axis", name, estimator.axes, "offsets: the estimate has")

@@ -1,0 +1,186 @@
+"""Tuning by a rule: the fastest loop that keeps its margins, whatever the model may be wrong by.
+
+At a crossover ω the machine is taken for an integrator of its gain there, |δ/u| ω, which is what
+diffusion comes nearest to from the cautious side. Skogestad's SIMC for an integrator then has the
+integral time 4/ω, the gain that makes |L(jω)| = 1, and no derivative; the feed-forward is
+low-passed at ω, its gain the least squares of both step responses. The crossover is the highest
+at which all of `Requirements` hold.
+
+Skogestad (2003), Simple analytic rules for model reduction and PID controller tuning, J. Process
+Control 13, 291-309.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.observer_model import ObserverModel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.compensation.loop.controller import Controller
+from thermojoint.compensation.loop.linear import (
+    Channels,
+    Margins,
+    Responses,
+    controller_response,
+    margins_of,
+    noise_of_heat,
+    open_loop,
+)
+
+#: Crossovers tried, in a decade.
+A_DECADE = 20
+#: SIMC's integral time in units of 1/ω.
+INTEGRAL = 4.0
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a tuned loop has to keep.
+
+    Attributes
+    ----------
+    gain_margin : float
+        Least factor on the gain.
+    phase_margin : float
+        Least, rad.
+    gain_error : float
+        The machine's gain may be so much more or less than the model's, relative.
+    delay, delay_error : float
+        Of the estimates on their way, and by how much it may be longer, s.
+    noise : ndarray, shape (p + 1,)
+        Standard deviation of each reading, K.
+    most_noise : float
+        Most standard deviation of the heat because of it, W.
+    """
+
+    gain_margin: float
+    phase_margin: float
+    gain_error: float
+    delay: float
+    delay_error: float
+    noise: Array
+    most_noise: float
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A controller, its margins with the model itself, and the worst with what it may be wrong by.
+
+    Attributes
+    ----------
+    controller : Controller
+    nominal : Margins
+    worst_gain, worst_phase : float
+        Factor, and rad.
+    heat_noise : float
+        Standard deviation of the heat that the sensors' noise makes, W.
+    """
+
+    controller: Controller
+    nominal: Margins
+    worst_gain: float
+    worst_phase: float
+    heat_noise: float
+
+
+def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) -> float:
+    """Return k_g, W/W: what of the heater makes least of the disturbance's step up to a time (s).
+
+    Raises
+    ------
+    InputError
+        The heater moves the axis as the disturbance does, so that heat cannot undo it.
+    """
+    system = Observer(model).system
+    dynamic = system.decay.size
+    steps = np.arange(1, max(2, round(horizon / model.step)) + 1)[:, None]
+    both = []
+    for source in (channels.disturbance, channels.heater):
+        # What a step has come to after k steps: a geometric sum of each state.
+        level = system.drive[:, source] / (1.0 - system.decay)
+        per_state = model.band.tangent[channels.axis, :dynamic] * level
+        both.append((1.0 - system.decay[None, :] ** steps) @ per_state)
+    disturbed, heated = both
+    found = -float(disturbed @ heated) / float(heated @ heated)
+    if found <= 0.0:
+        raise InputError(
+            f"heater: moves axis {model.axes[channels.axis]} as "
+            f"{model.sources[channels.disturbance]} does, and it cannot cool; put it elsewhere, or "
+            "control another axis"
+        )
+    return found
+
+
+def tune(responses: Responses, start: Controller, required: Requirements) -> Tuned:
+    """Return the fastest controller that keeps what is required.
+
+    Parameters
+    ----------
+    responses : Responses
+        Of the model.
+    start : Controller
+        With its sign, limits and feed-forward gain; the rest is found.
+    required : Requirements
+
+    Raises
+    ------
+    InputError
+        No crossover keeps it.
+    """
+    low, high = responses.frequencies[0] * 4.0, responses.frequencies[-1] / 3.0
+    crossovers = np.geomspace(low, high, round(A_DECADE * np.log10(high / low)))
+    for crossover in crossovers[::-1]:
+        found = _checked(responses, _simc(responses, start, float(crossover)), required)
+        if (
+            found.worst_gain >= required.gain_margin
+            and found.worst_phase >= required.phase_margin
+            and found.heat_noise <= required.most_noise
+        ):
+            return found
+    raise InputError(
+        "tuning: no crossover keeps the margins and the noise that are required; ask for less, or "
+        "make the delay shorter"
+    )
+
+
+def _simc(responses: Responses, start: Controller, crossover: float) -> Controller:
+    """SIMC for the integrator that the machine is at a crossover (1/s)."""
+    given = replace(
+        start,
+        gain=1.0,
+        integral_time=INTEGRAL / crossover,
+        derivative_time=0.0,
+        feed_forward_filter=1.0 / crossover,
+    )
+    pid, _ = controller_response(given, np.array([crossover]), 0.0)
+    moved = np.exp(
+        np.interp(
+            np.log(crossover),
+            np.log(responses.frequencies),
+            np.log(np.abs(responses.heater.displacement)),
+        )
+    )
+    return replace(given, gain=float(1.0 / (np.abs(pid[0]) * moved)))
+
+
+def _checked(responses: Responses, controller: Controller, required: Requirements) -> Tuned:
+    """The margins of a controller with the model and with what it may be wrong by."""
+    nominal = margins_of(responses.frequencies, open_loop(responses, controller, required.delay))
+    late = open_loop(responses, controller, required.delay + required.delay_error)
+    worst = [
+        margins_of(responses.frequencies, (1.0 + error) * late)
+        for error in (-required.gain_error, required.gain_error)
+    ]
+    noise = noise_of_heat(responses, controller, required.delay, required.noise)
+    return Tuned(
+        controller,
+        nominal,
+        min(one.gain for one in (nominal, *worst)),
+        # NaN where a loop never has gain 1: then nothing is controlled.
+        float(np.min([one.phase for one in (nominal, *worst)])),
+        noise,
+    )

@@ -1,0 +1,118 @@
+"""The settings of a compensation output as a TOML file; units stand in the names of the keys."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.compensation.offsets.output import OutputSettings
+from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
+from thermojoint.compensation.toml_file import validated
+
+_MICRO = 1e-6
+
+#: More steps than this in the range of an axis or of a heater are a slip of the units.
+MOST_STEPS = 1e9
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class AxisSection(BaseModel):
+    """``[axes.NAME]``: which axis of the estimate an axis of the control follows, and its sign."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    follows: str
+    sign: Literal[-1, 1] = -1
+
+
+class SettingsFile(BaseModel):
+    """The whole file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    cycle_s: Positive = 1.0
+    resolution_um: Positive = 0.1
+    rate_um_s: Positive = 1.0
+    dead_band_um: NotNegative = 0.0
+    filter_s: NotNegative = 0.0
+    largest_um: Positive = 500.0
+    oldest_s: Positive = 30.0
+    freeze_s: NotNegative = 60.0
+    decay_s: Positive = 600.0
+    unusable: tuple[str, ...] = UNUSABLE
+    widest_band_um: Positive | None = None
+    axes: Annotated[dict[str, AxisSection], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A compensation output.
+
+    Attributes
+    ----------
+    output : OutputSettings
+        How offsets are made.
+    trust : Trust
+        Of which estimates.
+    cycle : float
+        Of the control, s.
+    """
+
+    output: OutputSettings
+    trust: Trust
+    cycle: float
+
+
+def read_settings(path: Path | str) -> Settings:
+    """Read the settings of a compensation output.
+
+    Parameters
+    ----------
+    path : Path or str
+        TOML.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+    """
+    return settings_from_data(toml.parse(toml.read_text(Path(path), "settings"), str(path)), path)
+
+
+def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
+    """Return settings given as nested dictionaries; raises as `read_settings`."""
+    given = validated(SettingsFile, data, str(where))
+    known = known_reasons()
+    for reason in given.unusable:
+        if reason not in known:
+            raise unknown_name("reason", reason, known, f"{where}: unusable")
+    if not 1.0 <= given.largest_um / given.resolution_um <= MOST_STEPS:
+        raise InputError(
+            f"{where}: largest_um {given.largest_um:g} is not 1 to {MOST_STEPS:.0e} steps of "
+            f"resolution_um {given.resolution_um:g}; change one of them"
+        )
+    widest = given.widest_band_um
+    return Settings(
+        OutputSettings(
+            names=tuple(given.axes),
+            estimated=tuple(axis.follows for axis in given.axes.values()),
+            signs=tuple(axis.sign for axis in given.axes.values()),
+            resolution=_MICRO * given.resolution_um,
+            rate=_MICRO * given.rate_um_s,
+            dead_band=_MICRO * given.dead_band_um,
+            filter_time=given.filter_s,
+            largest=_MICRO * given.largest_um,
+            freeze_time=given.freeze_s,
+            decay_time=given.decay_s,
+        ),
+        Trust(given.unusable, math.inf if widest is None else _MICRO * widest, given.oldest_s),
+        given.cycle_s,
+    )

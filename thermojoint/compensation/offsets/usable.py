@@ -1,0 +1,64 @@
+"""Which estimates may move an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.interface import Status
+from thermojoint.artefacts.arrays import Array
+
+#: Reasons that make an estimate unusable where the settings name none: what was never calibrated,
+#: and a start of which little is known.
+UNUSABLE = ("beyond-temperature", "unsettled")
+
+
+@dataclass(frozen=True)
+class Trust:
+    """When an estimate is used.
+
+    Attributes
+    ----------
+    unusable : tuple of str
+        Reasons of a status (`estimator.interface.Status`) that make an estimate unusable.
+    widest_band : float
+        Half a band of 95 % that is wider makes it unusable, m; infinite if the band does not count.
+    oldest : float
+        An estimate that is older is unusable, s.
+    """
+
+    unusable: tuple[str, ...]
+    widest_band: float
+    oldest: float
+
+
+def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
+    """Say whether an estimate may move an axis.
+
+    Parameters
+    ----------
+    trust : Trust
+    age : float
+        s.
+    band : ndarray, shape (axes,)
+        Half its bands, m; NaN for an estimator that knows none.
+    status : str
+        In words: ``ok``, or reasons with what they are of: ``sensor-distrusted:T1,T2``.
+    """
+    return (
+        age <= trust.oldest
+        and not (reasons_of(status) & set(trust.unusable))
+        and not bool(np.any(band > trust.widest_band))
+    )
+
+
+def reasons_of(status: str) -> set[str]:
+    """Return the reasons of a status in words, without the channels they are of."""
+    return {word.partition(":")[0] for word in status.split()}
+
+
+def known_reasons() -> Sequence[str]:
+    """Return every reason that a status can have."""
+    return (~Status(0)).reasons

@@ -1,0 +1,240 @@
+"""What the store holds, for those who only look: short reads, a connection each."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.publication import Columns, Layout, Publication, columns_of, from_row
+from thermojoint.live.store import Event, Hole, layout_from, spread
+
+#: Rows of one answer at most, whatever is asked for.
+MOST_ROWS = 20_000
+
+
+@dataclass(frozen=True)
+class Model:
+    """The model a machine runs with.
+
+    Attributes
+    ----------
+    digest : str
+        Tells it from every other.
+    begun : float
+        Since when, s since 1970.
+    """
+
+    digest: str
+    begun: float
+
+
+@dataclass(frozen=True)
+class History:
+    """Some time of a machine, oldest first.
+
+    Attributes
+    ----------
+    layout : Layout
+        Names of the columns.
+    columns : Columns
+        The samples, thinned: every one whose number is a multiple of `every`.
+    numbers : ndarray of int, shape (n,)
+        Of the samples.
+    status : tuple of str
+        In words.
+    holes : tuple of Hole
+        Times without samples that touch it.
+    every : int
+        1 if nothing was left out.
+    """
+
+    layout: Layout
+    columns: Columns
+    numbers: NDArray[np.int64]
+    status: tuple[str, ...]
+    holes: tuple[Hole, ...]
+    every: int
+
+
+@dataclass(frozen=True)
+class Archive:
+    """The store of a service, read only; may be used from any thread.
+
+    Attributes
+    ----------
+    path : Path
+        The SQLite file.
+    """
+
+    path: Path
+
+    def history(self, machine: str, since: float, until: float, at_most: int) -> History:
+        """Return what was said of a machine between two times (s since 1970), thinned.
+
+        Raises
+        ------
+        InputError
+            No such machine.
+        """
+        at_most = max(1, min(at_most, MOST_ROWS))
+        with self._reading() as store:
+            eras, layout = _eras(store, machine)
+            marks = ",".join("?" * len(eras))
+            within = f"era IN ({marks}) AND first <= ? AND last >= ?"
+            (total,) = store.execute(
+                f"SELECT coalesce(sum(count), 0) FROM chunks WHERE {within}",
+                (*eras, until, since),
+            ).fetchone()
+            recent = _journal(store, eras)
+            every = max(1, -(-(total + len(recent)) // at_most))
+            parts = [
+                _thinned(number, np.frombuffer(rows, dtype="<f8").reshape(count, -1), words, every)
+                for number, count, rows, words in (
+                    (number, count, rows, spread(json.loads(status), count))
+                    for number, count, rows, status in store.execute(
+                        "SELECT number, count, rows, status FROM chunks "
+                        f"WHERE {within} ORDER BY first",
+                        (*eras, until, since),
+                    )
+                )
+            ]
+            parts += [
+                (np.array([number]), np.frombuffer(row, dtype="<f8")[None, :], [status])
+                for number, row, status in recent
+                if number % every == 0
+            ]
+            holes = tuple(
+                Hole(*one)
+                for one in store.execute(
+                    "SELECT machine, since, until, why FROM holes "
+                    "WHERE machine = ? AND until >= ? AND since <= ? ORDER BY since",
+                    (machine, since, until),
+                )
+            )
+        rows = np.concatenate([np.empty((0, layout.width)), *(rows for _, rows, _ in parts)])
+        numbers = np.concatenate([np.empty(0, dtype=np.int64), *(number for number, _, _ in parts)])
+        words = [word for _, _, one in parts for word in one]
+        inside = np.flatnonzero((rows[:, 0] >= since) & (rows[:, 0] <= until))
+        return History(
+            layout,
+            columns_of(layout, rows[inside]),
+            numbers[inside],
+            tuple(words[k] for k in inside),
+            holes,
+            every,
+        )
+
+    def latest(self, machine: str) -> Publication | None:
+        """Return the newest publication of a machine that is kept; None before the first sample.
+
+        Raises
+        ------
+        InputError
+            No such machine.
+        """
+        with self._reading() as store:
+            eras, layout = _eras(store, machine)
+            recent = _journal(store, eras[-1:])
+            if recent:
+                number, row, status = recent[-1]
+                return from_row(machine, number, layout, np.frombuffer(row, dtype="<f8"), status)
+        return self.checkpointed(machine, eras[-1])
+
+    def checkpointed(self, machine: str, era: int) -> Publication | None:
+        """Return the last sample of an era that a checkpoint holds; None before the first."""
+        with self._reading() as store:
+            last = store.execute(
+                "SELECT number, count, rows, chunks.status, layout FROM chunks "
+                "JOIN eras ON eras.id = era WHERE era = ? ORDER BY first DESC LIMIT 1",
+                (era,),
+            ).fetchone()
+        if last is None:
+            return None
+        number, count, rows, status, layout = last
+        return from_row(
+            machine,
+            number + count - 1,
+            layout_from(layout),
+            np.frombuffer(rows, dtype="<f8").reshape(count, -1)[-1],
+            json.loads(status)[-1][1],
+        )
+
+    def events(self, machine: str | None, since: float, until: float, at_most: int) -> list[Event]:
+        """Return events, newest first: of one machine and of the service, or all."""
+        with self._reading() as store:
+            found = store.execute(
+                "SELECT time, machine, kind, text FROM events WHERE time BETWEEN ? AND ? "
+                "AND (?3 IS NULL OR machine IS NULL OR machine = ?3) ORDER BY time DESC, id DESC "
+                "LIMIT ?4",
+                (since, until, machine, max(1, min(at_most, MOST_ROWS))),
+            )
+            return [Event(*one) for one in found]
+
+    def model(self, machine: str) -> Model:
+        """Return which model a machine runs with, and since when.
+
+        Raises
+        ------
+        InputError
+            No such machine.
+        """
+        with self._reading() as store:
+            last = store.execute(
+                "SELECT model, begun FROM eras WHERE machine = ? ORDER BY id DESC LIMIT 1",
+                (machine,),
+            ).fetchone()
+        if last is None:
+            raise _unknown(machine)
+        return Model(*last)
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        uri = f"{self.path.absolute().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, isolation_level=None, timeout=5.0)) as store:
+            store.execute("BEGIN")
+            yield store
+            store.execute("COMMIT")
+
+
+def _unknown(machine: str) -> InputError:
+    return InputError(f"history: no machine named {machine!r}; take one of the service file")
+
+
+def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
+    """Eras of a machine whose samples have the columns of the last, oldest first."""
+    found = store.execute(
+        "SELECT id, layout FROM eras WHERE machine = ? ORDER BY id", (machine,)
+    ).fetchall()
+    if not found:
+        raise _unknown(machine)
+    last = found[-1][1]
+    return [era for era, layout in found if layout == last], layout_from(last)
+
+
+def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, bytes, str]]:
+    """Samples that no chunk holds yet."""
+    marks = ",".join("?" * len(eras))
+    return store.execute(
+        "SELECT journal.number, row, status FROM journal "
+        "LEFT JOIN states ON states.era = journal.era "
+        f"WHERE journal.era IN ({marks}) AND journal.number > coalesce(states.number, 0) "
+        "ORDER BY id",
+        eras,
+    ).fetchall()
+
+
+def _thinned(
+    first: int, rows: Array, words: list[str], every: int
+) -> tuple[NDArray[np.int64], Array, list[str]]:
+    numbers = first + np.arange(len(rows), dtype=np.int64)
+    at = np.flatnonzero(numbers % every == 0)
+    return numbers[at], rows[at], [words[k] for k in at]

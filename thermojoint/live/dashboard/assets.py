@@ -1,0 +1,64 @@
+"""What the pages need beside themselves: styles, scripts and plotly.js, held in memory, compressed.
+
+The name of every file in the pages ends in a digest of it, so that a browser keeps it for as long
+as it is the same and never a moment longer.
+"""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from importlib.resources import files
+
+#: Who has not shown a token sees these alone: the page that asks for it needs them.
+OPEN = ("dashboard.css", "theme.js", "icon.svg")
+_OWN = (*OPEN, "common.js", "overview.js", "machine.js", "charts.js", "scene.js")
+_KINDS = {
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+PLOTLY = "plotly.min.js"
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """One file.
+
+    Attributes
+    ----------
+    kind : str
+        Its media type.
+    plain, packed : bytes
+        As it is, and by gzip.
+    digest : str
+        The start of its SHA-256.
+    """
+
+    kind: str
+    plain: bytes
+    packed: bytes
+    digest: str
+
+
+@cache
+def asset(name: str) -> Asset | None:
+    """Return a file by its name; None if there is none of this name."""
+    if name == PLOTLY:
+        found = files("plotly").joinpath("package_data", PLOTLY)
+    elif name in _OWN:
+        found = files("thermojoint.live.dashboard").joinpath("templates", name)
+    else:
+        return None
+    plain = found.read_bytes()
+    kind = _KINDS[name.rpartition(".")[2]]
+    return Asset(kind, plain, gzip.compress(plain, 6, mtime=0), sha256(plain).hexdigest()[:16])
+
+
+def address(name: str) -> str:
+    """Return where a page finds a file: ``/assets/DIGEST/NAME``."""
+    found = asset(name)
+    assert found is not None, name
+    return f"/assets/{found.digest}/{name}"

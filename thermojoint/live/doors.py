@@ -1,0 +1,113 @@
+"""The doors that estimates go out by: MQTT, OPC UA, HTTP; each is loaded if it is opened."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Coroutine
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from estimator.joint_aware.estimator import JointAware
+from thermojoint.artefacts.arrays import Array
+from thermojoint.live.arrivals import Arrival
+from thermojoint.live.floor import Place
+from thermojoint.live.residuals import residuals_of
+from thermojoint.live.running import Running
+from thermojoint.live.settings import HttpServer, OpcuaServer
+
+if TYPE_CHECKING:
+    from thermojoint.live.scene import Scene
+
+
+async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
+    """Open the doors that estimates go out by; what is returned is to be run."""
+    service, found = running.service, []
+    if service.given.mqtt is not None:
+        from thermojoint.live.mqtt_session import address_of
+        from thermojoint.live.writers.mqtt import write_topics
+
+        out = service.given.mqtt
+        address = address_of(out, service.base, "mqtt")
+        log = running.floor.log
+        found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
+    if service.given.opcua is not None:
+        found.append(await _opcua_server(running, service.given.opcua))
+    if service.given.http is not None:
+        found.append(_http_server(running, service.given.http))
+    return found
+
+
+def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:
+    from thermojoint.live.http.server import open_http, serve_http
+    from thermojoint.live.http.sources import About, Sources
+    from thermojoint.live.validity import ranges_of
+
+    machines = {
+        name: About(
+            layout=place.served.layout,
+            kind=place.served.estimator.kind,
+            model=Path(place.served.file).name,
+            since=running.archive.model(name).begun,
+            valid=ranges_of(place.served.estimator),
+        )
+        for name, place in running.floor.places.items()
+    }
+    sources = Sources(
+        running.hub,
+        running.archive,
+        machines,
+        running.metrics.registry,
+        _scenes(running),
+        {
+            name: partial(_residuals_of, place)
+            for name, place in running.floor.places.items()
+            if isinstance(place.served.estimator, JointAware)
+        },
+    )
+    opened = open_http(section, sources, running.service.base, running.service.folder)
+    running.floor.log.say(time.time(), "listening", opened.url)
+    return serve_http(opened, running.stop)
+
+
+def _scenes(running: Running) -> dict[str, Scene]:
+    """The machines whose models have a scene."""
+    from thermojoint.live.scene import scene_of
+
+    service, found = running.service, {}
+    for name, section in service.machines.items():
+        file = service.given.models[section.model].scene
+        if file is not None:
+            place = running.floor.places[name]
+            state = partial(_state_of, place)
+            found[name] = scene_of(service.path(file), place.served.estimator, state)
+    return found
+
+
+def _residuals_of(place: Place) -> dict[str, float | None] | None:
+    return residuals_of(place.served, place.machine)
+
+
+def _state_of(place: Place) -> Array:
+    return place.machine.state
+
+
+async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:
+    from thermojoint.live.writers.opcua import open_server, serve_nodes
+
+    def given(arrival: Arrival) -> None:
+        """A value that nobody waits for; when all is full it is refused like one too many."""
+        with suppress(asyncio.QueueFull):
+            running.arrivals.put_nowait([arrival])
+
+    machines = {
+        name: (place.served.layout, place.served.rule.wanted)
+        for name, place in running.floor.places.items()
+    }
+    service, log = running.service, running.floor.log
+    server, nodes = await open_server(
+        section, service.base, service.folder, running.hub, machines, given, log
+    )
+    return serve_nodes(server, nodes, running.hub)

@@ -1,0 +1,266 @@
+"""All machines of a service: arrivals in, what is to be kept and published out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thermojoint.live.arrivals import Arrival
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.machine import (
+    Machine,
+    rest_of,
+    shown,
+    silent,
+    state_bytes,
+    taken,
+    with_waiting,
+)
+from thermojoint.live.metrics import Metrics
+from thermojoint.live.publication import Publication, Quality, as_row
+from thermojoint.live.samples import arrived
+from thermojoint.live.served import Served
+from thermojoint.live.settings import WatchdogSection
+from thermojoint.live.store import Checkpoint, Hole, Taken
+
+#: A gap longer than this many intervals is a hole in the history.
+_GAP = 1.5
+
+
+@dataclass(eq=False, slots=True)
+class Place:
+    """What the service remembers of a machine from moment to moment.
+
+    Attributes
+    ----------
+    served : Served
+        Its model.
+    era : int
+        Its number in the store.
+    machine : Machine
+        Where it stands.
+    position : JSON value
+        How far its source was read.
+    heard : float
+        When its last usable sample was taken, by the service's own clock, s.
+    fresh : bool
+        No sample has come since the service began.
+    told : tuple of Quality and str
+        Quality and status as last published.
+    rows : list of (ndarray, str)
+        Samples since the last checkpoint.
+    unkept : list of callable
+        To be called once the next sample is kept.
+    """
+
+    served: Served
+    era: int
+    machine: Machine
+    position: Any
+    heard: float
+    fresh: bool = True
+    told: tuple[Quality, str] = (Quality.BAD, "no-sample")
+    rows: list[tuple[Any, str]] = field(default_factory=list)
+    unkept: list[Callable[[], None]] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What arrivals have led to.
+
+    Attributes
+    ----------
+    taken, holes : list
+        To be kept in one transaction.
+    publications : dict of str to Publication
+        The newest of each machine, to be published after it.
+    kept : list of callable
+        To be called after it.
+    came : list of float
+        When the arrivals of the samples came, s since 1970.
+    """
+
+    taken: list[Taken] = field(default_factory=list)
+    holes: list[Hole] = field(default_factory=list)
+    publications: dict[str, Publication] = field(default_factory=dict)
+    kept: list[Callable[[], None]] = field(default_factory=list)
+    came: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """The machines of a service, with whom they tell.
+
+    Attributes
+    ----------
+    places : dict of str to Place
+        By machine.
+    log : EventLog
+        Events.
+    metrics : Metrics
+        Figures.
+    ahead : float
+        A reading's time is at most so much later than now, s.
+    watchdog : WatchdogSection
+        When silence counts.
+    """
+
+    places: Mapping[str, Place]
+    log: EventLog
+    metrics: Metrics
+    ahead: float
+    watchdog: WatchdogSection
+
+
+def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) -> Outcome:
+    """Run arrivals through their estimators.
+
+    Parameters
+    ----------
+    floor : Floor
+        Its places go on.
+    arrivals : iterable of Arrival
+        In their order.
+    now : float
+        s since 1970.
+    clock : float
+        The service's own clock, which no one sets, s.
+    """
+    outcome = Outcome()
+    for one in arrivals:
+        place = floor.places.get(one.machine)
+        if place is None:
+            continue
+        rule = place.served.rule
+        step = arrived(rule, place.machine.waiting, one.time, one.told, now + floor.ahead)
+        floor.metrics.arrivals.labels(step.verdict).inc()
+        place.position = one.position
+        if step.verdict != "taken":
+            _refused(floor, one, step.verdict, now)
+            if one.kept:
+                outcome.kept.append(one.kept)
+            continue
+        place.machine = with_waiting(place.machine, step.waiting)
+        if one.kept:
+            place.unkept.append(one.kept)
+        for instant, readings in step.samples:
+            _sample(floor, place, instant, readings, (now, clock), outcome)
+        if step.samples:
+            outcome.came.append(one.came)
+            outcome.kept += place.unkept
+            place.unkept = []
+            last = outcome.taken[-1]
+            rest = rest_of(place.machine, place.position)
+            outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
+    return outcome
+
+
+def _sample(
+    floor: Floor,
+    place: Place,
+    instant: float,
+    readings: tuple[float, ...],
+    times: tuple[float, float],
+    outcome: Outcome,
+) -> None:
+    """Take one sample of one machine."""
+    now, clock = times
+    before = place.machine.said
+    name = place.machine.name
+    if before.number and instant - before.time > _GAP * place.served.rule.interval:
+        why = "the service was down" if place.fresh else "no readings"
+        outcome.holes.append(Hole(name, before.time, instant, why))
+        floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
+    place.machine, refusal = taken(place.served, place.machine, instant, readings, now)
+    place.fresh = False
+    said = place.machine.said
+    if refusal:
+        floor.log.say(now, "sample-refused", refusal, name)
+    else:
+        place.heard = clock
+        if said.status != before.status and before.number:
+            floor.log.say(now, "status", f"{said.status}, was {before.status}", name)
+    row = as_row(said)
+    place.rows.append((row, said.status))
+    outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
+    published = shown(place.machine)
+    place.told = published.quality, published.status
+    outcome.publications[name] = published
+    floor.metrics.samples.labels(place.served.file).inc()
+
+
+def _refused(floor: Floor, one: Arrival, verdict: str, now: float) -> None:
+    told = {
+        "late": f"a reading of {one.time:.3f} s came after its sample was closed",
+        "ahead": f"a reading's time {one.time:.3f} s is {one.time - now:.0f} s ahead of the clock",
+        "no-time": f"{one.time!r} is no time",
+    }
+    floor.log.say(now, verdict, told[verdict], one.machine)
+
+
+def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
+    """Return what has become uncertain or bad by silence, or moves an offset by it."""
+    changed = []
+    limits = floor.watchdog
+    for place in floor.places.values():
+        age = clock - place.heard
+        if age < limits.uncertain_s:
+            continue
+        before = place.machine.output
+        machine, said = silent(
+            place.served, place.machine, age, now, limits.uncertain_s, limits.bad_s
+        )
+        place.machine, after = machine, machine.output
+        moved = before and after and not np.array_equal(before.steps, after.steps)
+        if (said.quality, said.status) != place.told:
+            floor.log.say(
+                now,
+                "silent",
+                f"{said.quality.word}: no usable sample for {age:.0f} s",
+                machine.name,
+            )
+        elif not moved:
+            continue
+        place.told = said.quality, said.status
+        changed.append(said)
+    return changed
+
+
+def checkpoint_of(place: Place) -> Checkpoint:
+    """Return the checkpoint of a machine; its samples begin anew after it."""
+    rows = np.array([row for row, _ in place.rows]).reshape(-1, place.served.layout.width)
+    status = tuple(status for _, status in place.rows)
+    place.rows = []
+    return Checkpoint(
+        place.era,
+        place.machine.said.number,
+        state_bytes(place.machine),
+        rest_of(place.machine, place.position),
+        rows,
+        status,
+    )
+
+
+def count_qualities(floor: Floor) -> None:
+    """Count the machines by quality."""
+    found = dict.fromkeys(Quality, 0)
+    for place in floor.places.values():
+        found[place.told[0]] += 1
+    for quality, count in found.items():
+        floor.metrics.quality.labels(quality.word).set(count)
+
+
+def since_heard(last: Publication, now: float, clock: float) -> float:
+    """Return when a machine was heard last, by the service's own clock; -inf for never."""
+    if last.number == 0 or math.isnan(last.published):
+        return -math.inf
+    return clock - max(0.0, now - last.published)
+
+
+def unwritten(places: Iterable[Place]) -> Sequence[Place]:
+    """Return the places that have samples since their last checkpoint."""
+    return [place for place in places if place.rows]

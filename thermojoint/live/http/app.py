@@ -1,0 +1,355 @@
+"""The application: addresses, and what answers at each."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import parse_qs
+
+import anyio.to_thread
+from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.live.dashboard.assets import asset
+from thermojoint.live.dashboard.pages import page
+from thermojoint.live.http.access import Access
+from thermojoint.live.http.bodies import (
+    Words,
+    about_body,
+    encoded,
+    events_body,
+    history_body,
+    summary,
+)
+from thermojoint.live.http.gate import (
+    Door,
+    Gate,
+    body_of,
+    client,
+    open_door,
+    refused,
+    too_many,
+    wrong_token,
+)
+from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
+from thermojoint.live.http.sources import About, Sources
+from thermojoint.live.http.stream import Counted, stream
+from thermojoint.live.publication import as_json
+
+#: Rows of the history and events that one request may ask for.
+MOST_POINTS, MOST_EVENTS = 5000, 1000
+#: How far back they go where nobody says, s.
+USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
+#: A file of which the address names the digest never changes, s.
+YEAR = 31_536_000
+#: Largest body of a log-in, bytes.
+LARGEST_LOGIN = 4096
+#: Requests that read the history side by side; others wait.
+READERS = 4
+
+
+def answered(body: Any) -> Response:  # noqa: ANN401
+    """Return JSON."""
+    return Response(encoded(body), media_type="application/json")
+
+
+@dataclass(eq=False)
+class Site:
+    """What answers requests.
+
+    Attributes
+    ----------
+    sources : Sources
+        What is shown.
+    door : Door
+        Who may see it.
+    most_streams, streams : int
+        How many streams there may be, and are.
+    """
+
+    sources: Sources
+    door: Door
+    most_streams: int
+    streams: int = 0
+    _whole: Words = field(default_factory=lambda: Words(as_json))
+    _short: Words = field(default_factory=lambda: Words(summary))
+    _reading: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(READERS))
+
+    def routes(self) -> list[Route]:
+        """Return the addresses."""
+        one = "/api/machines/{machine}"
+        return [
+            Route("/", self.overview),
+            Route("/machines/{machine}", self.machine),
+            Route("/login", self.login, methods=["GET", "POST"]),
+            Route("/logout", self.logout, methods=["POST"]),
+            Route("/assets/{digest}/{name}", self.asset),
+            Route("/api/machines", self.machines),
+            Route(one, self.about),
+            Route(f"{one}/latest", self.latest),
+            Route(f"{one}/history", self.history),
+            Route(f"{one}/scene", self.scene),
+            Route(f"{one}/fields", self.fields),
+            Route(f"{one}/residuals", self.residuals),
+            Route("/api/events", self.events),
+            Route("/api/stream", self.stream),
+            Route("/metrics", self.metrics),
+            Route("/healthz", self.health),
+        ]
+
+    async def overview(self, request: Request) -> Response:
+        """The page of all machines."""
+        return HTMLResponse(page("overview"))
+
+    async def machine(self, request: Request) -> Response:
+        """The page of one machine."""
+        name, _ = self._machine(request)
+        return HTMLResponse(page("machine", machine=name))
+
+    async def login(self, request: Request) -> Response:
+        """The page that asks for the token, and what takes it."""
+        if request.method != "POST":
+            return HTMLResponse(page("login", wrong=False))
+        waiting = self.door.failures.wait(client(request.scope), time.monotonic())
+        if waiting > 0.0:
+            return too_many(waiting)
+        body = await body_of(request, LARGEST_LOGIN)
+        if body is None:
+            raise HTTPException(413, "the body is too large; send the token alone")
+        given = parse_qs(body.decode("utf-8", "replace"), max_num_fields=4).get("token", [""])
+        if not self.door.access.admits(given[0].strip()):
+            answer = wrong_token(self.door, request.scope)
+            return answer or HTMLResponse(page("login", wrong=True), 401)
+        done = RedirectResponse("/", 303)
+        done.set_cookie(
+            self.door.cookie,
+            self.door.access.ticket(time.time()),
+            max_age=int(self.door.access.session),
+            secure=self.door.secure,
+            httponly=True,
+            samesite="strict",
+        )
+        return done
+
+    async def logout(self, request: Request) -> Response:
+        """Take the ticket back."""
+        done = RedirectResponse("/login", 303)
+        done.delete_cookie(
+            self.door.cookie, secure=self.door.secure, httponly=True, samesite="strict"
+        )
+        return done
+
+    async def asset(self, request: Request) -> Response:
+        """A style, a script."""
+        found = asset(request.path_params["name"])
+        if found is None or found.digest != request.path_params["digest"]:
+            raise HTTPException(404, "no such file; load the page again")
+        packed = "gzip" in request.headers.get("accept-encoding", "")
+        headers = {
+            "cache-control": "private, max-age=31536000, immutable",
+            "vary": "accept-encoding",
+        }
+        if packed:
+            headers["content-encoding"] = "gzip"
+        return Response(found.packed if packed else found.plain, 200, headers, found.kind)
+
+    async def machines(self, request: Request) -> Response:
+        """All machines in short."""
+        read_parameters(request.query_params.multi_items(), {})
+        newest = self.sources.hub.newest
+        return answered(
+            {
+                "now_s": time.time(),
+                "machines": [
+                    {"machine": name, "kind": about.kind, "model": about.model}
+                    | (summary(newest[name]) if name in newest else {})
+                    for name, about in self.sources.machines.items()
+                ],
+            }
+        )
+
+    async def about(self, request: Request) -> Response:
+        """What stays of a machine."""
+        name, about = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
+        return answered(about_body(name, about, [one for one in further if name in further[one]]))
+
+    async def latest(self, request: Request) -> Response:
+        """The newest publication of a machine."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        newest = self.sources.hub.newest.get(name)
+        if newest is None:
+            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
+        return answered(as_json(newest))
+
+    async def history(self, request: Request) -> Response:
+        """What was published of a machine, thinned."""
+        name, _ = self._machine(request)
+        since, until, given = self._span(
+            request, USUAL_HISTORY, points=whole_number(2, MOST_POINTS)
+        )
+        async with self._reading:
+            found = await anyio.to_thread.run_sync(
+                self.sources.past.history, name, since, until, given.get("points", 720)
+            )
+        return answered(history_body(name, found))
+
+    async def events(self, request: Request) -> Response:
+        """What happened, newest first."""
+        since, until, given = self._span(
+            request,
+            USUAL_EVENTS,
+            machine=one_of(*self.sources.machines),
+            most=whole_number(1, MOST_EVENTS),
+        )
+        async with self._reading:
+            found = await anyio.to_thread.run_sync(
+                self.sources.past.events,
+                given.get("machine"),
+                since,
+                until,
+                given.get("most", 100),
+            )
+        return answered(events_body(found))
+
+    async def scene(self, request: Request) -> Response:
+        """The shape of a machine."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        return answered(self._scene(name).shape)
+
+    async def fields(self, request: Request) -> Response:
+        """What the newest state says of every point of its shape."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        found = self._scene(name).fields()
+        if found is None:
+            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
+        return answered(found)
+
+    async def residuals(self, request: Request) -> Response:
+        """Reading minus model, of the newest sample."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        if name not in self.sources.residuals:
+            raise HTTPException(404, f"{name} has an estimator that does not expect readings")
+        found = self.sources.residuals[name]()
+        if found is None:
+            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
+        return answered({"machine": name, "residuals_K": found})
+
+    async def stream(self, request: Request) -> Response:
+        """News, as long as the reader stays."""
+        given = read_parameters(
+            request.query_params.multi_items(),
+            {"machine": one_of(*self.sources.machines), "every_s": number(0.1, 60.0)},
+        )
+        if request.method == "HEAD":
+            return Response(media_type="text/event-stream")
+        if self.streams >= self.most_streams:
+            return refused(
+                429, f"{self.streams} streams are open already; close one", **{"retry-after": "10"}
+            )
+        wanted = [given["machine"]] if "machine" in given else list(self.sources.machines)
+        told = self._whole if "machine" in given else self._short
+        news = stream(self.sources.hub, frozenset(wanted), given.get("every_s", 1.0), told)
+        self.streams += 1
+        return Counted(news, self._left)
+
+    def _left(self) -> None:
+        self.streams -= 1
+
+    async def metrics(self, request: Request) -> Response:
+        """For Prometheus."""
+        return Response(
+            generate_latest(self.sources.registry), headers={"content-type": CONTENT_TYPE_LATEST}
+        )
+
+    async def health(self, request: Request) -> Response:
+        """Whether the server answers; of the machines it says nothing."""
+        return answered({"status": "ok"})
+
+    def _machine(self, request: Request) -> tuple[str, About]:
+        name = request.path_params["machine"]
+        found = self.sources.machines.get(name)
+        if found is None:
+            error = unknown_name("machine", name[:40], self.sources.machines, "address")
+            raise HTTPException(404, str(error))
+        return name, found
+
+    def _span(
+        self, request: Request, usual: float, **readers: Callable[[str], Any]
+    ) -> tuple[float, float, dict[str, Any]]:
+        """From when to when, s since 1970, and the other parameters."""
+        given = read_parameters(
+            request.query_params.multi_items(), {"since": moment, "until": moment} | readers
+        )
+        until = given.get("until", time.time())
+        since = given.get("since", max(0.0, until - usual))
+        if not since < until:
+            raise InputError(f"since {since:.0f} is not before until {until:.0f}; change one")
+        return since, until, given
+
+    def _scene(self, name: str) -> Any:  # noqa: ANN401
+        found = self.sources.scenes.get(name)
+        if found is None:
+            raise HTTPException(404, f"{name} has no picture in 3-D; give the service a scene file")
+        return found
+
+
+async def _wrong(request: Request, error: Exception) -> Response:
+    return refused(400, str(error))
+
+
+async def _none(request: Request, error: Exception) -> Response:
+    status = getattr(error, "status_code", 404)
+    headers = dict(getattr(error, "headers", None) or {})
+    detail = str(getattr(error, "detail", ""))
+    usual = {404: "no such address; docs/dashboard.md names them all", 405: "no such method here"}
+    plain = detail in ("Not Found", "Method Not Allowed")
+    return refused(status, usual.get(status, detail) if plain else detail, **headers)
+
+
+def make_app(
+    sources: Sources, access: Access, secure: bool, requests_per_s: float, most_streams: int
+) -> Starlette:
+    """Return the application.
+
+    Parameters
+    ----------
+    sources : Sources
+        What it shows.
+    access : Access
+        Who may see it.
+    secure : bool
+        Whether it is reached by TLS.
+    requests_per_s : float
+        Of one client in the long run.
+    most_streams : int
+        At the same time.
+    """
+    door = open_door(access, secure, requests_per_s)
+    site = Site(sources, door, most_streams)
+    made = Starlette(
+        routes=site.routes(),
+        middleware=[
+            Middleware(Gate, door=door),
+            Middleware(GZipMiddleware, minimum_size=1000, compresslevel=4),
+        ],
+        exception_handlers={InputError: _wrong, HTTPException: _none},
+    )
+    # It would send people to whatever host the request names.
+    made.router.redirect_slashes = False
+    return made

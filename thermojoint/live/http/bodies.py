@@ -1,0 +1,136 @@
+"""What answers say, as JSON: units in the keys, null for what is unknown."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.live.archive import History
+from thermojoint.live.http.sources import About
+from thermojoint.live.publication import Publication, Quality, detail_name, iso_time
+from thermojoint.live.store import Event
+
+_MICRO = 1e6
+
+
+def encoded(body: Any) -> bytes:  # noqa: ANN401
+    """Return JSON; a number that is none never gets in."""
+    return json.dumps(body, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def summary(publication: Publication) -> dict[str, Any]:
+    """Return the part of a publication that an overview shows, under the same names."""
+    axes = publication.layout.axes
+    return {
+        "machine": publication.machine,
+        "time_s": _rounded(publication.time, 3),
+        "published_s": _rounded(publication.published, 3),
+        "quality": publication.quality.word,
+        "status": publication.status,
+        "displacement_um": dict(
+            zip(axes, _numbers(_MICRO * publication.displacement, 4), strict=True)
+        ),
+        "band_um": dict(zip(axes, _numbers(_MICRO * publication.band, 4), strict=True)),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """What is said of publications, put into words once for all who listen.
+
+    Attributes
+    ----------
+    body : callable
+        What of a publication is said.
+    said : dict
+        Machine to its newest publication and its words.
+    """
+
+    body: Callable[[Publication], dict[str, Any]]
+    said: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
+
+    def __call__(self, publication: Publication) -> bytes:
+        """Return a publication as JSON."""
+        before = self.said.get(publication.machine)
+        if before is not None and before[0] is publication:
+            return before[1]
+        words = encoded(self.body(publication))
+        self.said[publication.machine] = (publication, words)
+        return words
+
+
+def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str, Any]:
+    """Return what stays of a machine, and which of its further addresses answer."""
+    layout = about.layout
+    return {
+        "machine": machine,
+        "kind": about.kind,
+        "model": about.model,
+        "since": iso_time(about.since),
+        "since_s": about.since,
+        "axes": list(layout.axes),
+        "controls": list(layout.controls),
+        "details": [detail_name(channel) for channel in layout.details],
+        "readings": list(layout.readings),
+        "valid": [
+            {"name": one.name, "low": one.low, "high": one.high, "unit": one.unit}
+            for one in about.valid
+        ],
+        "offers": sorted(offers),
+    }
+
+
+def history_body(machine: str, history: History) -> dict[str, Any]:
+    """Return some time of a machine as columns, by name."""
+    layout, columns = history.layout, history.columns
+    details = [detail_name(channel) for channel in layout.details]
+    in_micro = np.array([_MICRO if one.unit == "m" else 1.0 for one in layout.details])
+    return {
+        "machine": machine,
+        "every": history.every,
+        "holes": [
+            {"since_s": one.since, "until_s": one.until, "why": one.why} for one in history.holes
+        ],
+        "time_s": _numbers(columns.times, 3),
+        "quality": [Quality(int(one)).word for one in columns.quality],
+        "displacement_um": _named(layout.axes, _MICRO * columns.displacement),
+        "band_um": _named(layout.axes, _MICRO * columns.band),
+        "offsets_um": _named(layout.controls, _MICRO * columns.offsets),
+        "details": _named(details, columns.details * in_micro),
+        "readings": _named(layout.readings, columns.readings),
+    }
+
+
+def events_body(events: Sequence[Event]) -> dict[str, Any]:
+    """Return events, newest first."""
+    return {
+        "events": [
+            {
+                "time": iso_time(one.time),
+                "time_s": one.time,
+                "machine": one.machine,
+                "kind": one.kind,
+                "text": one.text,
+            }
+            for one in events
+        ]
+    }
+
+
+def _named(names: Iterable[str], values: Array) -> dict[str, list[float | None]]:
+    return {name: _numbers(column, 4) for name, column in zip(names, values.T, strict=True)}
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    """Return a column, rounded; half a picometre or a tenth of a millikelvin is noise."""
+    return [_rounded(one, digits) for one in values.tolist()]
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None

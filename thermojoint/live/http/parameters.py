@@ -1,0 +1,107 @@
+"""What stands behind the ``?`` of an address: known names, once each, in range, or refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+
+#: Reads one value; raises InputError with what to give.
+Reader = Callable[[str], Any]
+
+#: Times are between 1970 and 9999.
+LATEST = 253402300799.0
+
+
+def read_parameters(
+    given: Iterable[tuple[str, str]], readers: Mapping[str, Reader]
+) -> dict[str, Any]:
+    """Return the values of the parameters that were given.
+
+    Parameters
+    ----------
+    given : iterable of (str, str)
+        Names and values as they came.
+    readers : mapping
+        Name to what reads its value.
+
+    Raises
+    ------
+    InputError
+        A name is unknown or comes twice, or a value is none.
+    """
+    found: dict[str, Any] = {}
+    for name, value in given:
+        if name not in readers:
+            raise unknown_name("parameter", shown(name), readers, "address")
+        if name in found:
+            raise InputError(f"{name} stands twice in the address; give it once")
+        try:
+            found[name] = readers[name](value)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+    return found
+
+
+def moment(text: str) -> float:
+    """Read a time: seconds since 1970, or ISO 8601; without a zone it is UTC."""
+    try:
+        value = float(text)
+    except ValueError:
+        try:
+            read = datetime.fromisoformat(text)
+            zoned = read if read.tzinfo is not None else read.replace(tzinfo=UTC)
+            value = zoned.timestamp()
+        except (ValueError, OverflowError):
+            value = math.nan
+    if not 0.0 <= value <= LATEST:
+        raise InputError(
+            f"{shown(text)} is no time; give seconds since 1970 or e.g. 2026-11-21T08:00:00Z"
+        )
+    return value
+
+
+def whole_number(low: int, high: int) -> Reader:
+    """Return what reads a whole number from `low` to `high`."""
+
+    def read(text: str) -> int:
+        value = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else low - 1
+        if not low <= value <= high:
+            raise InputError(f"{shown(text)} is no whole number from {low} to {high}")
+        return value
+
+    return read
+
+
+def number(low: float, high: float) -> Reader:
+    """Return what reads a number from `low` to `high`."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise InputError(f"{shown(text)} is no number from {low:g} to {high:g}")
+        return value
+
+    return read
+
+
+def one_of(*known: str) -> Reader:
+    """Return what reads one of some words."""
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise InputError(f"{shown(text)} is none of {', '.join(known)}")
+        return text
+
+    return read
+
+
+def shown(text: str) -> str:
+    """Return a text that came from outside as one short line may show it."""
+    return ascii(text if len(text) <= 40 else f"{text[:40]}...")

@@ -1,0 +1,81 @@
+"""Server-sent events: the newest of every machine that has changed, to whoever keeps up.
+
+A reader holds nothing but the names of the machines that have changed since it was last sent
+something. One that reads slowly gets fewer events with the newest values, never a queue of old.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+from starlette.responses import StreamingResponse
+
+from thermojoint.live.http.bodies import encoded
+from thermojoint.live.hub import Hub
+from thermojoint.live.publication import Publication
+
+#: Without news a reader gets an empty event so often, s: silence means that the line is broken.
+BEAT_S = 3.0
+#: A stream ends after this, s; a browser opens it again, and is asked who it is.
+LONGEST_S = 3600.0
+#: Publications that are put into words before others may have the event loop.
+AT_ONCE = 64
+
+
+async def stream(
+    hub: Hub,
+    machines: frozenset[str],
+    every: float,
+    told: Callable[[Publication], bytes],
+) -> AsyncIterator[bytes]:
+    """Yield events: at once all that is there, then what has changed, at most once in `every` s.
+
+    Parameters
+    ----------
+    hub : Hub
+        Where the newest is.
+    machines : frozenset of str
+        Those that the reader wants.
+    every : float
+        Shortest time between two events, s.
+    told : callable
+        What is said of a publication, as JSON.
+    """
+    begun = time.monotonic()
+    yield b"retry: 2000\n\n"
+    with hub.follow() as follower:
+        while time.monotonic() - begun < LONGEST_S:
+            try:
+                changed = await asyncio.wait_for(follower.wait(), BEAT_S)
+            except TimeoutError:
+                changed = set()
+            news = []
+            for name in sorted(changed & machines):
+                news.append(told(hub.newest[name]))
+                if len(news) % AT_ONCE == 0:
+                    await asyncio.sleep(0)
+            if news or not changed:
+                now = encoded(time.time())
+                yield b'event: news\ndata: {"now_s":%b,"publications":[%b]}\n\n' % (
+                    now,
+                    b",".join(news),
+                )
+            await asyncio.sleep(every)
+
+
+class Counted(StreamingResponse):
+    """A stream that says when it is over, however it ends."""
+
+    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
+        super().__init__(content, media_type="text/event-stream")
+        self._left = left
+
+    async def __call__(self, *given: Any) -> None:  # noqa: ANN401
+        """Send until the reader goes."""
+        try:
+            await super().__call__(*given)
+        finally:
+            self._left()

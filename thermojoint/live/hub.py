@@ -1,0 +1,73 @@
+"""The newest publication of every machine, and who waits for new ones.
+
+Nobody who reads slowly makes anything grow: a reader that has not come back yet finds which
+machines have changed since, not everything that was said.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from thermojoint.live.publication import Publication
+
+
+@dataclass(eq=False)
+class Follower:
+    """One who waits for news.
+
+    Attributes
+    ----------
+    changed : set of str
+        Machines with a publication that has not been fetched.
+    """
+
+    changed: set[str] = field(default_factory=set)
+    _told: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def wait(self) -> set[str]:
+        """Return the machines that have changed since the last call, as soon as there is one."""
+        await self._told.wait()
+        self._told.clear()
+        changed, self.changed = self.changed, set()
+        return changed
+
+    def tell(self, machines: Sequence[str]) -> None:
+        """Note that machines have changed."""
+        self.changed.update(machines)
+        self._told.set()
+
+
+@dataclass(eq=False)
+class Hub:
+    """What everybody may see; used from the service's event loop alone.
+
+    Attributes
+    ----------
+    newest : dict of str to Publication
+        By machine; read it, publish by `publish`.
+    """
+
+    newest: dict[str, Publication] = field(default_factory=dict)
+    _followers: set[Follower] = field(default_factory=set)
+
+    def publish(self, publications: Sequence[Publication]) -> None:
+        """Replace the newest of some machines, and tell those who wait."""
+        self.newest.update((one.machine, one) for one in publications)
+        machines = [one.machine for one in publications]
+        for follower in self._followers:
+            follower.tell(machines)
+
+    @contextmanager
+    def follow(self) -> Iterator[Follower]:
+        """Give one who waits; what is there already counts as changed."""
+        follower = Follower()
+        if self.newest:
+            follower.tell(list(self.newest))
+        self._followers.add(follower)
+        try:
+            yield follower
+        finally:
+            self._followers.discard(follower)

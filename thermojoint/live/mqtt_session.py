@@ -1,0 +1,169 @@
+"""A connection to an MQTT broker: TLS, user and password, and what aiomqtt does not offer.
+
+aiomqtt acknowledges a message when it has arrived, and makes a task for each. The service
+acknowledges one when nothing of it can be lost any more, and takes a thousand a second. Both are
+calls of the paho client below it, and stand here alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.secret import read_secret
+from thermojoint.live.settings import MqttAddress
+
+#: An answer of the broker is waited for so long; so often it has to be heard, s.
+TIMEOUT_S, KEEPALIVE_S = 10.0, 15
+#: Attempts to connect: the second after this, each later one after twice the time, up to this, s.
+FIRST_S, LONGEST_S = 0.5, 30.0
+
+
+@dataclass(frozen=True)
+class Address:
+    """How a broker is reached, secrets and all; it is never shown.
+
+    Attributes
+    ----------
+    host : str
+    port : int
+    context : SSLContext or None
+        None: no TLS.
+    user, password : str or None
+    client_id : str
+        The broker keeps what comes for it while it is away.
+    """
+
+    host: str
+    port: int
+    context: ssl.SSLContext | None
+    user: str | None
+    password: str | None
+    client_id: str
+
+    def __repr__(self) -> str:
+        return f"Address({self.host}:{self.port})"
+
+
+def address_of(given: MqttAddress, base: Path, where: str) -> Address:
+    """Return the address that a section names.
+
+    Raises
+    ------
+    InputError
+        A secret or the certificate of the authority is unusable.
+    """
+    context = None
+    if given.security == "tls":
+        try:
+            ca = None if given.ca_file is None else str(base / given.ca_file)
+            context = ssl.create_default_context(cafile=ca)
+        except (OSError, ssl.SSLError) as error:
+            raise InputError(
+                f"{where}.ca_file: {given.ca_file}: no certificate (PEM); give the authority's"
+            ) from error
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+    elif given.ca_file is not None:
+        raise InputError(
+            f'{where}.ca_file: nothing uses it without TLS; leave out security = "none"'
+        )
+    password = None
+    if given.password is not None:
+        password = read_secret(given.password, base, f"{where}.password")
+    return Address(given.host, given.port, context, given.user, password, given.client_id)
+
+
+@asynccontextmanager
+async def connected(
+    address: Address,
+    suffix: str,
+    will: aiomqtt.Will | None = None,
+    on_message: Callable[[Any], None] | None = None,
+) -> AsyncIterator[aiomqtt.Client]:
+    """Give a connected client.
+
+    Parameters
+    ----------
+    address : Address
+    suffix : str
+        Ends the client's name: a reader and a writer are two.
+    will : Will, optional
+        What the broker says if the client is gone.
+    on_message : callable, optional
+        Called with each message, of which none is acknowledged (`acknowledge`); the session is
+        kept by the broker.
+    """
+    client = aiomqtt.Client(
+        address.host,
+        address.port,
+        username=address.user,
+        password=address.password,
+        identifier=f"{address.client_id}-{suffix}",
+        clean_session=on_message is None,
+        tls_context=address.context,
+        will=will,
+        timeout=TIMEOUT_S,
+        keepalive=KEEPALIVE_S,
+        max_queued_incoming_messages=1,
+    )
+    paho = client._client
+    if on_message is not None:
+        paho.manual_ack_set(True)
+        paho.on_message = lambda _, __, message: on_message(message)
+    async with client:
+        yield client
+
+
+def acknowledge(client: aiomqtt.Client, message: Any) -> None:  # noqa: ANN401
+    """Tell the broker that it may forget a message."""
+    client._client.ack(message.mid, message.qos)
+
+
+def publish(client: aiomqtt.Client, topic: str, payload: bytes) -> None:
+    """Hand over a retained message (QoS 0) without waiting.
+
+    Raises
+    ------
+    MqttError
+        The connection is gone.
+    """
+    found = client._client.publish(topic, payload, qos=0, retain=True)
+    if found.rc != 0:
+        raise aiomqtt.MqttError(f"not published ({found.rc})")
+
+
+def is_behind(client: aiomqtt.Client) -> bool:
+    """Say whether something that was published waits for the network."""
+    return bool(client._client.want_write())
+
+
+async def lost(client: aiomqtt.Client) -> None:
+    """Wait until the connection is gone, by the client's own sign or because the broker is mute.
+
+    Raises
+    ------
+    MqttError
+        Always, when it is.
+    """
+    gone = asyncio.shield(client._disconnected)
+    while True:
+        try:
+            await asyncio.wait_for(asyncio.shield(gone), 2.0 * KEEPALIVE_S)
+        except TimeoutError:
+            # An answer proves that somebody is there; no answer in time is an error.
+            await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)
+            continue
+        raise aiomqtt.MqttError("disconnected")
+
+
+def next_delay(delay: float) -> float:
+    """Return how long to wait before the next attempt, s."""
+    return min(2.0 * delay, LONGEST_S)

@@ -1,0 +1,172 @@
+"""What an OPC UA server lets in: encrypted channels, known users, a bounded number of all things.
+
+asyncua's own defaults offer unencrypted channels, and take ``admin`` without a password for an
+administrator. None of that is left here: nobody is an administrator, and nobody is let in whom the
+file of users does not know.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.connection import TransportLimits
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
+from asyncua.server import Server
+from asyncua.server.user_managers import UserManager
+
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.users import Gate, Role
+
+#: A session without a sign of life ends after this time, ms; a subscription publishes at most so
+#: often, ms.
+_SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
+#: No request is larger, bytes; of one item no more values wait.
+_LARGEST, _QUEUE = 1 << 20, 100
+#: Who has not logged in by then is sent away, s.
+_LOGIN_S = 10.0
+
+_WRITES = {ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary)}
+_NEVER = {ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)}
+
+
+@dataclass
+class Known(User):
+    """A user who has logged in.
+
+    Attributes
+    ----------
+    may : str
+        ``reads`` or ``writes``.
+    """
+
+    may: Role = "reads"
+
+
+class Rules(SimpleRoleRuleset):
+    """Reading users read, browse and subscribe; writing users also write; nobody does more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._reads = set(map(ua.NodeId, USER_TYPES)) - _WRITES - _NEVER
+
+    def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
+        """Say whether a user may ask for something."""
+        if not isinstance(user, Known):
+            return False
+        allowed = action_type_id in self._reads
+        return allowed or (user.may == "writes" and action_type_id in _WRITES)
+
+
+@dataclass(eq=False)
+class Door(UserManager):
+    """Asks for name and password, and for a certificate that is trusted.
+
+    Attributes
+    ----------
+    gate : Gate or None
+        None: whoever comes may read.
+    trusted : frozenset of bytes or None
+        Certificates (DER) of clients; None: any, as the password decides.
+    log : EventLog
+        Told of everybody who is not let in.
+    """
+
+    gate: Gate | None
+    trusted: frozenset[bytes] | None
+    log: EventLog
+
+    def get_user(
+        self,
+        iserver: Any,  # noqa: ANN401
+        username: str | None = None,
+        password: str | bytes | None = None,
+        certificate: Any = None,  # noqa: ANN401
+    ) -> User | None:
+        """Return who it is; None sends him away. The certificate is that of the channel."""
+        if self.trusted is not None and certificate not in self.trusted:
+            self.log.say(time.time(), "refused", "OPC UA: the client's certificate is not trusted")
+            return None
+        if self.gate is None:
+            return Known(role=UserRole.User, name="anybody")
+        if not isinstance(username, str) or password is None:
+            return None
+        if isinstance(password, bytes):
+            password = password.decode("utf-8", "replace")
+        role = self.gate.role_of(username, password, time.monotonic())
+        if role is None:
+            shown = username[:40]
+            self.log.say(time.time(), "refused", f"OPC UA: user {shown!r}: not let in")
+            return None
+        return Known(role=UserRole.User, name=username, may=role)
+
+
+def restrict(
+    server: Server, encrypted: bool, door: Door, sessions: int, subscriptions: int, items: int
+) -> None:
+    """Give a server its limits, before it starts.
+
+    Parameters
+    ----------
+    server : Server
+    encrypted : bool
+        Basic256Sha256, signed and encrypted, and nothing else; or no security at all.
+    door : Door
+        Whom it lets in.
+    sessions, subscriptions, items : int
+        How many there may be at once.
+    """
+    policy = (
+        ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
+        if encrypted
+        else ua.SecurityPolicyType.NoSecurity
+    )
+    server.set_security_policy([policy], permission_ruleset=Rules())
+    token = ua.AnonymousIdentityToken if door.gate is None else ua.UserNameIdentityToken
+    server.set_identity_tokens([token])
+    server.allow_remote_admin(False)
+    server.limits = TransportLimits(
+        max_recv_buffer=65535,
+        max_send_buffer=65535,
+        max_chunk_count=_LARGEST // 65535 + 1,
+        max_message_size=_LARGEST,
+    )
+    inner = server.iserver
+    inner.max_connections = sessions
+    inner.max_pending_activation_seconds = _LOGIN_S
+    inner.max_session_timeout_ms = _SESSION_MS
+    inner.max_subscriptions = subscriptions
+    inner.max_monitored_item_queue_size = _QUEUE
+    inner.max_unacked_messages_per_subscription = _QUEUE
+    inner.max_pending_messages_per_connection = _QUEUE
+    _cap_items(inner, items)
+
+
+def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
+    """Refuse more monitored items than there may be, and publishing that is too fast."""
+    service = inner.subscription_service
+    create, subscribe = service.create_monitored_items, service.create_subscription
+
+    async def create_capped(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
+        there = sum(
+            len(one.monitored_item_srv._monitored_items) for one in service.subscriptions.values()
+        )
+        if there + len(params.ItemsToCreate) > most:
+            raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
+        return await create(params)
+
+    async def subscribe_slower(
+        params: ua.CreateSubscriptionParameters,
+        *rest: Any,  # noqa: ANN401
+        **named: Any,  # noqa: ANN401
+    ) -> Any:  # noqa: ANN401
+        wanted = params.RequestedPublishingInterval
+        # Not even NaN is faster.
+        params.RequestedPublishingInterval = wanted if wanted >= _FASTEST_MS else _FASTEST_MS
+        return await subscribe(params, *rest, **named)
+
+    service.create_monitored_items = create_capped
+    service.create_subscription = subscribe_slower

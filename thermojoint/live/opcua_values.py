@@ -1,0 +1,142 @@
+"""What the OPC UA server says: variables of a machine, their units, OPC UA's own status codes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+
+from thermojoint.compensation.offsets.usable import reasons_of
+from thermojoint.live.publication import Layout, Publication, Quality, detail_name
+from thermojoint.live.watchdog import REFUSED, SILENT
+
+_MICRO = 1e6
+_CODES = ua.StatusCodes
+_SHOWN = {"um": "µm", "degC": "°C", "m": "µm"}
+
+#: From a publication to a value, and what it is worth.
+Value = Callable[[Publication], tuple[Any, int]]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a machine.
+
+    Attributes
+    ----------
+    folder, name : str
+        ``Displacement``, ``x``; no folder for what stands beside them.
+    unit : str
+        As shown; empty for none.
+    kind : VariantType
+    value : callable
+        From a publication.
+    writable : bool
+        Writing users may give the service a value here.
+    """
+
+    folder: str
+    name: str
+    unit: str
+    kind: ua.VariantType
+    value: Value
+    writable: bool = False
+
+
+def status_of(publication: Publication) -> int:
+    """Return OPC UA's status code of what a publication says of the displacement."""
+    reasons = reasons_of(publication.status)
+    if publication.quality is Quality.GOOD:
+        return int(_CODES.Good)
+    if publication.quality is Quality.BAD:
+        if publication.number == 0:
+            return int(_CODES.BadWaitingForInitialData)
+        silent = SILENT in reasons
+        return int(_CODES.BadNoCommunication if silent else _CODES.BadSensorFailure)
+    if reasons & {SILENT, REFUSED}:
+        return int(_CODES.UncertainLastUsableValue)
+    if reasons & {"reading-missing", "sensor-distrusted"}:
+        return int(_CODES.UncertainSubNormal)
+    if "unsettled" in reasons:
+        return int(_CODES.UncertainInitialValue)
+    return int(_CODES.UncertainEngineeringUnitsExceeded)
+
+
+def reading_status_of(publication: Publication) -> int:
+    """Return the status code of what was read: of its age alone."""
+    if publication.number == 0:
+        return int(_CODES.BadWaitingForInitialData)
+    if SILENT not in reasons_of(publication.status):
+        return int(_CODES.Good)
+    if publication.quality is Quality.BAD:
+        return int(_CODES.BadNoCommunication)
+    return int(_CODES.UncertainLastUsableValue)
+
+
+def data_value(kind: ua.VariantType, value: Any, code: int, said: Publication) -> ua.DataValue:  # noqa: ANN401
+    """Return a value with its status and the time of its sample; null if it is bad."""
+    if isinstance(value, float) and not math.isfinite(value):
+        code = code if code & 0x80000000 else int(_CODES.BadNoData)
+    bad = bool(code & 0x80000000)
+    return ua.DataValue(
+        Value=ua.Variant(None, ua.VariantType.Null) if bad else ua.Variant(value, kind),
+        StatusCode=ua.StatusCode(code),
+        SourceTimestamp=_utc(said.time),
+        ServerTimestamp=_utc(said.published),
+    )
+
+
+def _utc(seconds: float) -> datetime | None:
+    return datetime.fromtimestamp(seconds, UTC) if math.isfinite(seconds) else None
+
+
+def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variable]:
+    """Yield the variables of a machine.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of all that is published of it.
+    readings : bool
+        Also what it reads.
+    wanted : int
+        The first so many readings are of every sample; those behind them are given by hand.
+    """
+    double, text = ua.VariantType.Double, ua.VariantType.String
+    for k, name in enumerate(layout.axes):
+        yield Variable("Displacement", name, "µm", double, _scaled("displacement", k, _MICRO))
+        yield Variable("Band", name, "µm", double, _scaled("band", k, _MICRO))
+    for k, name in enumerate(layout.controls):
+        yield Variable("Offset", name, "µm", double, _offset(k))
+    for k, channel in enumerate(layout.details):
+        unit = _SHOWN.get(channel.unit, channel.unit)
+        scale = _MICRO if channel.unit == "m" else 1.0
+        yield Variable("Detail", detail_name(channel), unit, double, _scaled("details", k, scale))
+    for k, name in enumerate(layout.readings[:wanted]):
+        if readings:
+            unit = name.rpartition("_")[2]
+            yield Variable("Reading", name, _SHOWN.get(unit, unit), double, _reading(k))
+    for k, name in enumerate(layout.readings[wanted:]):
+        yield Variable("Probe", name, "µm", double, _reading(wanted + k), writable=True)
+    yield Variable("", "Status", "", text, lambda said: (said.status, int(_CODES.Good)))
+    yield Variable("", "Quality", "", text, lambda said: (said.quality.word, int(_CODES.Good)))
+    yield Variable(
+        "", "SampleNumber", "", ua.VariantType.UInt64, lambda said: (said.number, int(_CODES.Good))
+    )
+
+
+def _scaled(part: str, k: int, scale: float) -> Value:
+    return lambda said: (scale * float(getattr(said, part)[k]), status_of(said))
+
+
+def _offset(k: int) -> Value:
+    # What the control should do is always known: it freezes and decays by its own rules.
+    return lambda said: (_MICRO * float(said.offsets[k]), int(_CODES.Good))
+
+
+def _reading(k: int) -> Value:
+    return lambda said: (float(said.readings[k]), reading_status_of(said))

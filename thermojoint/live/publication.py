@@ -1,0 +1,265 @@
+"""What the service says of one machine at one instant, in the one form that all doors share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from estimator.interface import Channel
+from thermojoint.artefacts.arrays import Array
+
+_MICRO = 1e6
+#: Numbers of a row before the arrays: time, published, quality.
+_LEADING = 3
+
+
+class Quality(IntEnum):
+    """How far a value can be used; the number is what the history keeps."""
+
+    GOOD = 0
+    UNCERTAIN = 1
+    BAD = 2
+
+    @property
+    def word(self) -> str:
+        """``good``, ``uncertain`` or ``bad``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names of all that is published of a machine; machines of a model share one.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Of the displacement, without units.
+    controls : tuple of str
+        Axes of the control that receive an offset; empty without a compensation output.
+    details : tuple of Channel
+        What the estimator says of its own, in SI.
+    readings : tuple of str
+        What the machine reads, with units in the names: ``T1_degC``.
+    """
+
+    axes: tuple[str, ...]
+    controls: tuple[str, ...]
+    details: tuple[Channel, ...]
+    readings: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """Numbers in a row of the history."""
+        return (
+            _LEADING
+            + 2 * len(self.axes)
+            + len(self.controls)
+            + len(self.details)
+            + len(self.readings)
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Publication:
+    """What is said of one machine at one instant.
+
+    Attributes
+    ----------
+    machine : str
+        Its name.
+    number : int
+        Samples taken since ever; 0 before the first.
+    time : float
+        Of the sample by its source, s since 1970 (UTC); NaN before the first.
+    published : float
+        When the service said so, s since 1970 (UTC).
+    quality : Quality
+        Of displacement, band and offsets.
+    layout : Layout
+        Names of what follows.
+    displacement, band : ndarray, shape (axes,)
+        m; NaN where nothing is known.
+    offsets : ndarray, shape (controls,)
+        What the control receives, m.
+    details : ndarray, shape (details,)
+        In SI.
+    readings : ndarray, shape (readings,)
+        In the units of their names; NaN for what is missing.
+    status : str
+        ``ok``, or the reasons in words, with the channels they are of.
+    """
+
+    machine: str
+    number: int
+    time: float
+    published: float
+    quality: Quality
+    layout: Layout
+    displacement: Array
+    band: Array
+    offsets: Array
+    details: Array
+    readings: Array
+    status: str
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Channels that had no reading."""
+        return _channels_of(self.status, "reading-missing")
+
+    @property
+    def distrusted(self) -> tuple[str, ...]:
+        """Channels that are left out although they had one."""
+        return _channels_of(self.status, "sensor-distrusted")
+
+
+def _channels_of(status: str, reason: str) -> tuple[str, ...]:
+    for word in status.split():
+        name, _, channels = word.partition(":")
+        if name == reason and channels:
+            return tuple(channels.split(","))
+    return ()
+
+
+def iso_time(time: float) -> str | None:
+    """Return a time (s since 1970) as ISO 8601 in UTC, to the millisecond; None if unknown."""
+    if not math.isfinite(time):
+        return None
+    return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
+
+
+def as_json(publication: Publication) -> dict[str, Any]:
+    """Return a publication as JSON has it: units in the keys, null for what is unknown.
+
+    Displacement, band and offsets are in µm, rounded to a tenth of a nanometre; details in SI with
+    the unit in the name, readings in the unit of theirs.
+    """
+    layout = publication.layout
+    return {
+        "machine": publication.machine,
+        "number": publication.number,
+        "time": iso_time(publication.time),
+        "time_s": _number(publication.time),
+        "published": iso_time(publication.published),
+        "published_s": _number(publication.published),
+        "quality": publication.quality.word,
+        "status": publication.status,
+        "displacement_um": _micrometres(layout.axes, publication.displacement),
+        "band_um": _micrometres(layout.axes, publication.band),
+        "offsets_um": _micrometres(layout.controls, publication.offsets),
+        "details": {
+            detail_name(channel): _number(_shown(channel, value))
+            for channel, value in zip(layout.details, publication.details.tolist(), strict=True)
+        },
+        "readings": {
+            name: _number(value)
+            for name, value in zip(layout.readings, publication.readings.tolist(), strict=True)
+        },
+        "missing": list(publication.missing),
+        "distrusted": list(publication.distrusted),
+    }
+
+
+def detail_name(channel: Channel) -> str:
+    """Return the key of a detail: ``heat_spindle_W``, ``linear_x_um``, ``heat_input``."""
+    suffix = {"m": "_um", "1": ""}.get(channel.unit, f"_{channel.unit}")
+    return f"{channel.name}{suffix}"
+
+
+def _shown(channel: Channel, value: float) -> float:
+    return _MICRO * value if channel.unit == "m" else value
+
+
+def _micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
+    told = (_MICRO * values).tolist()
+    return {
+        name: round(value, 4) if math.isfinite(value) else None
+        for name, value in zip(names, told, strict=True)
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def as_row(publication: Publication) -> Array:
+    """Return the numbers of a publication as one row of the history, shape (layout.width,)."""
+    return np.concatenate(
+        (
+            (publication.time, publication.published, float(publication.quality)),
+            publication.displacement,
+            publication.band,
+            publication.offsets,
+            publication.details,
+            publication.readings,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Rows of the history, taken apart; n rows, oldest first.
+
+    Attributes
+    ----------
+    times, published : ndarray, shape (n,)
+        s since 1970.
+    quality : ndarray, shape (n,)
+        Numbers of `Quality`.
+    displacement, band : ndarray, shape (n, axes)
+        m.
+    offsets : ndarray, shape (n, controls)
+        m.
+    details : ndarray, shape (n, details)
+        SI.
+    readings : ndarray, shape (n, readings)
+        In the units of their names.
+    """
+
+    times: Array
+    published: Array
+    quality: Array
+    displacement: Array
+    band: Array
+    offsets: Array
+    details: Array
+    readings: Array
+
+
+def columns_of(layout: Layout, rows: Array) -> Columns:
+    """Take rows of the history, shape (n, layout.width), apart."""
+    sizes = (
+        *(len(layout.axes),) * 2,
+        len(layout.controls),
+        len(layout.details),
+        len(layout.readings),
+    )
+    parts = np.split(rows[:, _LEADING:], np.cumsum(sizes)[:-1], axis=1)
+    return Columns(rows[:, 0], rows[:, 1], rows[:, 2], *parts)
+
+
+def from_row(
+    machine: str, number: int, layout: Layout, row: Sequence[float] | Array, status: str
+) -> Publication:
+    """Return the publication that `as_row` made a row of."""
+    one = columns_of(layout, np.asarray(row, dtype=float)[None, :])
+    return Publication(
+        machine,
+        number,
+        float(one.times[0]),
+        float(one.published[0]),
+        Quality(int(one.quality[0])),
+        layout,
+        one.displacement[0],
+        one.band[0],
+        one.offsets[0],
+        one.details[0],
+        one.readings[0],
+        status,
+    )

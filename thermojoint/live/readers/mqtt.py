@@ -1,0 +1,214 @@
+"""Messages of an MQTT broker: readings of a machine at one time, a JSON object each.
+
+``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``; or, on a topic for each
+reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a
+message is acknowledged when its sample is in the store: so what came while the service was down is
+read then.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import re
+import time as clock
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import aiomqtt
+
+from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.mqtt_session import (
+    FIRST_S,
+    Address,
+    acknowledge,
+    address_of,
+    connected,
+    lost,
+    next_delay,
+)
+from thermojoint.live.readers.session import beside
+from thermojoint.live.settings import MqttSource, Service
+from thermojoint.live.times import seconds_of
+
+#: Messages that are handed on at once.
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Topics:
+    """What a source says in which words.
+
+    Attributes
+    ----------
+    pattern : Pattern
+        Of a topic: perhaps with groups ``machine`` and ``reading``.
+    filter : str
+        What is subscribed to.
+    names : dict of str to tuple of str
+        What each machine's readings are called.
+    largest : int
+        No message is longer, bytes.
+    """
+
+    pattern: re.Pattern[str]
+    filter: str
+    names: Mapping[str, tuple[str, ...]]
+    largest: int
+
+
+@dataclass(eq=False)
+class MqttReader:
+    """All machines of one broker.
+
+    Attributes
+    ----------
+    address : Address
+    topics : Topics
+    most : int
+        Messages that may wait.
+    """
+
+    address: Address
+    topics: Topics
+    most: int
+    _found: deque[Arrival | Note] = field(default_factory=deque)
+    _came: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def machines(self) -> Sequence[str]:
+        """Those that the source feeds."""
+        return tuple(self.topics.names)
+
+    async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Yield what comes, for ever; a connection that is lost is made again."""
+        async with beside(self._stay_connected(), self._came) as heard:
+            while True:
+                await heard()
+                while self._found:
+                    count = min(len(self._found), _AT_ONCE)
+                    yield [self._found.popleft() for _ in range(count)]
+
+    async def _stay_connected(self) -> None:
+        delay, where = FIRST_S, f"{self.address.host}:{self.address.port}"
+        while True:
+            client: list[aiomqtt.Client] = []
+            try:
+                async with connected(
+                    self.address, "reads", on_message=partial(self._take, client)
+                ) as found:
+                    client.append(found)
+                    await found.subscribe(self.topics.filter, qos=1)
+                    self._tell(Note("connected", f"MQTT broker {where}"))
+                    delay = FIRST_S
+                    await lost(found)
+            except aiomqtt.MqttError as error:
+                self._tell(Note("disconnected", f"MQTT broker {where}: {error}"))
+            await asyncio.sleep(delay)
+            delay = next_delay(delay)
+
+    def _take(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
+        """Take one message, in the middle of the client's own work."""
+        kept = partial(_acknowledged, client, message) if message.qos else None
+        if len(self._found) >= self.most:
+            # Not acknowledged: the broker tells it again after the next connect.
+            return
+        found = told_by(self.topics, message.topic, message.payload, kept)
+        if isinstance(found, Note) and kept:
+            kept()
+        self._tell(found)
+
+    def _tell(self, found: Arrival | Note) -> None:
+        self._found.append(found)
+        self._came.set()
+
+
+def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
+    for one in client:
+        acknowledge(one, message)
+
+
+def told_by(
+    topics: Topics, topic: str, payload: bytes, kept: Callable[[], None] | None = None
+) -> Arrival | Note:
+    """Return what one message says, or what is wrong with it."""
+    came = clock.time()
+    found = topics.pattern.fullmatch(topic)
+    # A topic without a name in it is of the only machine.
+    words = found.groupdict() if found else {}
+    machine = words.get("machine", next(iter(topics.names)))
+    names = topics.names.get(machine)
+    if found is None or names is None:
+        return Note("malformed", f"topic {topic[:100]!r} is of no machine")
+    if len(payload) > topics.largest:
+        return Note("malformed", f"a message of {len(payload)} bytes", machine)
+    try:
+        content = json.loads(payload)
+        time = _time(content["time"])
+        told = _told(content, names, words.get("reading"))
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        return Note("malformed", f"a message is no readings: {_short(error)}", machine)
+    return Arrival(machine, time, told, came, kept=kept)
+
+
+def _short(error: Exception) -> str:
+    kind = "no key " if isinstance(error, KeyError) else ""
+    return f"{kind}{str(error)[:100]}"
+
+
+def _time(value: Any) -> float:  # noqa: ANN401
+    if isinstance(value, str):
+        return seconds_of(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("the time is no number of seconds and no text")
+    return float(value)
+
+
+def _told(
+    content: Mapping[str, Any], names: Sequence[str], reading: str | None
+) -> list[float | None]:
+    if reading is not None:
+        if reading not in names:
+            raise ValueError(f"no reading is called {reading[:50]!r}")
+        told: list[float | None] = [None] * len(names)
+        told[names.index(reading)] = _value(content["value"])
+        return told
+    if not any(name in content for name in names):
+        raise ValueError(f"none of {', '.join(names)[:80]}")
+    return [_value(content[name]) if name in content else None for name in names]
+
+
+def _value(value: Any) -> float:  # noqa: ANN401
+    """A reading; null is one that is missing."""
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("a reading is no number")
+    found = float(value)
+    return found if math.isfinite(found) else math.nan
+
+
+def mqtt_reader(
+    service: Service, source: MqttSource, names: Mapping[str, tuple[str, ...]]
+) -> MqttReader:
+    """Return the reader of a source; raises as `address_of`."""
+    return MqttReader(
+        address_of(source, service.base, "source"), topics_of(source, names), source.most_waiting
+    )
+
+
+def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topics:
+    """Return the topics of a source."""
+    groups = {"{machine}": "(?P<machine>[^/+#]+)", "{reading}": "(?P<reading>[^/+#]+)"}
+    parts = re.split(r"(\{machine\}|\{reading\})", source.topic)
+    pattern = re.compile("".join(groups.get(part, re.escape(part)) for part in parts))
+    return Topics(pattern, _filter(source.topic), dict(names), source.largest_message)
+
+
+def _filter(topic: str) -> str:
+    """What is subscribed to: a level with a name in it is any level."""
+    return "/".join("+" if "{" in level else level for level in topic.split("/"))

@@ -1,0 +1,336 @@
+"""Variables of an OPC UA server, by subscription; after a loss of the connection, by its history.
+
+Every value that the server has sampled comes with its source's time and status; a bad one is a
+missing reading. Where the server keeps a history, what came while nobody listened is read from it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time as clock
+from collections import deque
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from asyncua import Client, ua
+from asyncua.common.node import Node
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.certificates import APPLICATION, certificate_der, own_identity
+from thermojoint.live.mqtt_session import FIRST_S, next_delay
+from thermojoint.live.readers.session import beside
+from thermojoint.live.secret import read_secret
+from thermojoint.live.served import Served
+from thermojoint.live.settings import OpcuaSource, Service
+
+#: An answer is waited for so long, and so often one is asked for, s.
+_TIMEOUT_S, _ALIVE_S = 10.0, 5.0
+#: Arrivals that are handed on at once.
+_AT_ONCE = 64
+#: Values of one variable that are read from a history, at most.
+_MOST_HISTORY = 100_000
+#: Variables that one request names.
+_AT_A_TIME = 500
+#: Values of one variable that the server keeps between two publications, at most.
+_QUEUE = 1000
+#: What a connection ends by.
+_LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """How a server is reached; secrets are never shown.
+
+    Attributes
+    ----------
+    url : str
+    certificate, key, server : Path or None
+        Own certificate and key, and the server's certificate; None without security.
+    user, password : str or None
+    publishing_ms : float
+    """
+
+    url: str
+    certificate: Path | None
+    key: Path | None
+    server: Path | None
+    user: str | None
+    password: str | None
+    publishing_ms: float
+
+    def __repr__(self) -> str:
+        return f"Reached({self.url})"
+
+
+@dataclass(eq=False)
+class OpcuaReader:
+    """All machines of one server.
+
+    Attributes
+    ----------
+    reached : Reached
+    nodes : dict of str to (str, int)
+        Node id to machine and reading.
+    counts : dict of str to int
+        Readings of each machine.
+    most : int
+        Values that may wait.
+    """
+
+    reached: Reached
+    nodes: Mapping[str, tuple[str, int]]
+    counts: Mapping[str, int]
+    most: int
+    _found: deque[Arrival | Note] = field(default_factory=deque)
+    _came: asyncio.Event = field(default_factory=asyncio.Event)
+    _newest: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def machines(self) -> Sequence[str]:
+        """Those that the source feeds."""
+        return tuple(self.counts)
+
+    async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Yield what comes, for ever; a connection that is lost is made again."""
+        self._newest = {
+            machine: float(at) for machine, at in positions.items() if isinstance(at, int | float)
+        }
+        async with beside(self._stay_connected(), self._came) as heard:
+            while True:
+                await heard()
+                found = in_order(self._found)
+                self._found.clear()
+                for k in range(0, len(found), _AT_ONCE):
+                    yield found[k : k + _AT_ONCE]
+
+    async def _stay_connected(self) -> None:
+        delay = FIRST_S
+        while True:
+            try:
+                client = await _client(self.reached)
+                async with client:
+                    delay = FIRST_S
+                    await self._listen(client)
+            except _LOST as error:
+                self._tell(Note("disconnected", f"OPC UA {self.reached.url}: {_shown(error)}"))
+            await asyncio.sleep(delay)
+            delay = next_delay(delay)
+
+    async def _listen(self, client: Client) -> None:
+        """Subscribe, read what was missed, and wait until the server is silent."""
+        nodes = [client.get_node(name) for name in self.nodes]
+        places = dict(zip((node.nodeid for node in nodes), self.nodes.values(), strict=True))
+        missed: list[tuple[ua.NodeId, ua.DataValue]] = []
+        handler = _Handler(missed)
+        subscription = await client.create_subscription(self.reached.publishing_ms, handler)
+        for k in range(0, len(nodes), _AT_A_TIME):
+            some = nodes[k : k + _AT_A_TIME]
+            items = [_item(node, k + n + 1) for n, node in enumerate(some)]
+            found = await subscription.create_monitored_items(items)
+            for node, one in zip(some, found, strict=True):
+                if isinstance(one, ua.StatusCode):
+                    machine, _ = places[node.nodeid]
+                    self._tell(Note("unreadable", f"{node.nodeid}: {one.name}", machine))
+        self._tell(Note("connected", f"OPC UA {self.reached.url}"))
+        for at, (machine, value) in sorted(
+            [
+                (_time(value), (node.nodeid, value))
+                for node in nodes
+                for value in await self._history(node, places[node.nodeid][0])
+            ],
+            key=lambda one: one[0],
+        ):
+            del at
+            self._take(places, machine, value)
+        # What came meanwhile is behind it.
+        for nodeid, value in missed:
+            self._take(places, nodeid, value)
+        handler.take = lambda nodeid, value: self._take(places, nodeid, value)
+        while True:
+            await asyncio.sleep(_ALIVE_S)
+            await asyncio.wait_for(client.nodes.server_state.read_value(), _TIMEOUT_S)
+
+    async def _history(self, node: Node, machine: str) -> list[ua.DataValue]:
+        """What the server has kept of a variable since it was read last; empty if it keeps none."""
+        since = self._newest.get(machine)
+        if since is None:
+            return []
+        try:
+            found = await node.read_raw_history(
+                datetime.fromtimestamp(since, UTC), None, numvalues=_MOST_HISTORY
+            )
+        except ua.UaStatusCodeError:
+            return []
+        return [value for value in found if _time(value) > since]
+
+    def _take(
+        self,
+        places: Mapping[ua.NodeId, tuple[str, int]],
+        nodeid: ua.NodeId,
+        value: ua.DataValue,
+    ) -> None:
+        machine, k = places[nodeid]
+        found = told_by(machine, k, self.counts[machine], value)
+        if isinstance(found, Arrival):
+            self._newest[machine] = max(found.time, self._newest.get(machine, 0.0))
+        if len(self._found) < self.most:
+            self._tell(found)
+
+    def _tell(self, found: Arrival | Note) -> None:
+        self._found.append(found)
+        self._came.set()
+
+
+def in_order(found: Iterable[Arrival | Note]) -> list[Arrival | Note]:
+    """Return values in the order of their times, those of one machine and time as one arrival.
+
+    A server tells all values of one variable, then all of the next.
+    """
+    ordered: list[Arrival | Note] = []
+    merged: dict[tuple[str, float], Arrival] = {}
+    for one in found:
+        if isinstance(one, Note):
+            ordered.append(one)
+            continue
+        key = one.machine, one.time
+        before = merged.get(key)
+        merged[key] = one if before is None else replace(before, told=_both(before.told, one.told))
+    return [*ordered, *sorted(merged.values(), key=lambda one: one.time)]
+
+
+def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
+    return [b if a is None else a for a, b in zip(first, second, strict=True)]
+
+
+class _Handler:
+    """What a subscription calls; before somebody takes values they are put aside."""
+
+    def __init__(self, aside: list[tuple[ua.NodeId, ua.DataValue]]) -> None:
+        self.take = lambda nodeid, value: aside.append((nodeid, value))
+
+    def datachange_notification(self, node: Node, val: Any, data: Any) -> None:  # noqa: ANN401
+        """Take one value."""
+        self.take(node.nodeid, data.monitored_item.Value)
+
+
+def _item(node: Node, handle: int) -> ua.MonitoredItemCreateRequest:
+    """Ask for every value that the server samples, also where only its time is another."""
+    return ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(
+            ClientHandle=handle,
+            SamplingInterval=0.0,
+            Filter=ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp),
+            QueueSize=_QUEUE,
+            DiscardOldest=True,
+        ),
+    )
+
+
+def _time(value: ua.DataValue) -> float:
+    stamp = value.SourceTimestamp or value.ServerTimestamp
+    if stamp is None:
+        return math.nan
+    return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+
+
+def told_by(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
+    """Return what one value says, or what is wrong with it.
+
+    Parameters
+    ----------
+    machine : str
+    k, count : int
+        Which of how many readings it is of.
+    value : DataValue
+    """
+    content = value.Value.Value if value.Value is not None else None
+    code = value.StatusCode
+    good = code is None or code.is_good() or not code.is_bad()
+    told: list[float | None] = [None] * count
+    if not good or content is None:
+        told[k] = math.nan
+    elif isinstance(content, bool) or not isinstance(content, int | float):
+        return Note("malformed", f"reading {k}: a {type(content).__name__}, no number", machine)
+    else:
+        told[k] = float(content) if math.isfinite(content) else math.nan
+    try:
+        at = _time(value)
+    except (ValueError, OverflowError):
+        at = math.nan
+    if not math.isfinite(at):
+        return Note("malformed", f"reading {k}: a value without a time", machine)
+    return Arrival(machine, at, told, clock.time(), position=at)
+
+
+def _shown(error: BaseException) -> str:
+    return f"{type(error).__name__} {error}".strip()[:200]
+
+
+async def _client(reached: Reached) -> Client:
+    client = Client(reached.url, timeout=_TIMEOUT_S)
+    client.application_uri = APPLICATION
+    client.name = client.description = "thermojoint"
+    if reached.certificate is not None and reached.key is not None and reached.server is not None:
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            certificate=reached.certificate,
+            private_key=reached.key,
+            server_certificate=str(reached.server),
+            mode=ua.MessageSecurityMode.SignAndEncrypt,
+        )
+    if reached.user is not None:
+        client.set_user(reached.user)
+        client.set_password(reached.password or "")
+    return client
+
+
+def opcua_reader(
+    service: Service,
+    source: OpcuaSource,
+    names: Mapping[str, tuple[str, ...]],
+    models: Mapping[str, Served],
+) -> OpcuaReader:
+    """Return the reader of a source.
+
+    Raises
+    ------
+    InputError
+        A node id is none, the server's certificate is missing, or a secret is unusable.
+    """
+    nodes = {
+        source.node.replace("{machine}", machine).replace("{reading}", name): (machine, k)
+        for machine, called in names.items()
+        for k, name in enumerate(called[: models[machine].intake.wanted])
+    }
+    for name in nodes:
+        try:
+            ua.NodeId.from_string(name)
+        except ua.UaError as error:
+            raise InputError(f"source.node: {name!r} is no node id; write ns=2;s=NAME") from error
+    certificate = key = server = None
+    if source.security == "sign-and-encrypt":
+        if source.server_certificate is None:
+            raise InputError(
+                "source.server_certificate: whom to trust is not known; give the server's "
+                "certificate (PEM or DER)"
+            )
+        server = service.path(source.server_certificate)
+        certificate_der(server)
+        own = own_identity(service.folder, ())
+        certificate, key = own.certificate, own.key
+    password = None
+    if source.password is not None:
+        password = read_secret(source.password, service.base, "source.password")
+    reached = Reached(
+        source.url, certificate, key, server, source.user, password, source.publishing_ms
+    )
+    counts = {machine: len(called) for machine, called in names.items()}
+    return OpcuaReader(reached, nodes, counts, source.most_waiting)

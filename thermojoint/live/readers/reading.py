@@ -1,0 +1,128 @@
+"""The readers of a service, by the sources of its file."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.readers.csv_pipe import Pipe, read_pipe
+from thermojoint.live.served import Served
+from thermojoint.live.settings import CsvSource, MqttSource, OpcuaSource, Service
+from thermojoint.live.times import seconds_of
+
+
+class Reader(Protocol):
+    """Reads one or more machines, for as long as the service runs."""
+
+    @property
+    def machines(self) -> Sequence[str]:
+        """Which."""
+        ...
+
+    def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Yield what is read, some at a time, from where each machine's source stood."""
+        ...
+
+
+@dataclass(frozen=True)
+class CsvReader:
+    """One machine's lines."""
+
+    pipe: Pipe
+
+    @property
+    def machines(self) -> Sequence[str]:
+        """The one."""
+        return (self.pipe.machine,)
+
+    def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Read on."""
+        return read_pipe(self.pipe, positions.get(self.pipe.machine))
+
+
+def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
+    """Return the readers of a service.
+
+    Parameters
+    ----------
+    service : Service
+    models : mapping of str to Served
+        Of every machine.
+
+    Raises
+    ------
+    InputError
+        A column is of no reading, or a secret or a certificate is unusable.
+    """
+    found: list[Reader] = []
+    for name, source in service.given.sources.items():
+        fed = {
+            machine: models[machine]
+            for machine, section in service.machines.items()
+            if section.source == name
+        }
+        if not fed:
+            continue
+        names = {
+            machine: called(model, source.columns, f"sources.{name}.columns")
+            for machine, model in fed.items()
+        }
+        if isinstance(source, CsvSource):
+            found += [
+                _csv(service, source, machine, model, names) for machine, model in fed.items()
+            ]
+        elif isinstance(source, MqttSource):
+            from thermojoint.live.readers.mqtt import mqtt_reader
+
+            found.append(mqtt_reader(service, source, names))
+        elif isinstance(source, OpcuaSource):
+            from thermojoint.live.readers.opcua import opcua_reader
+
+            found.append(opcua_reader(service, source, names, fed))
+    return found
+
+
+def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
+    """Return what a source calls the readings of a model.
+
+    Raises
+    ------
+    InputError
+        A name is given to something that is no reading.
+    """
+    for name in columns:
+        if name not in model.intake.names:
+            raise unknown_name("reading", name, model.intake.names, where)
+    return tuple(columns.get(name, name) for name in model.intake.names)
+
+
+def _csv(
+    service: Service,
+    source: CsvSource,
+    machine: str,
+    model: Served,
+    names: Mapping[str, tuple[str, ...]],
+) -> CsvReader:
+    starts = 0.0
+    if source.starts is not None:
+        try:
+            starts = seconds_of(source.starts)
+        except ValueError as error:
+            raise InputError(
+                f"starts = {source.starts!r}: no time; write it as 2026-03-02T06:00:00Z"
+            ) from error
+    path = source.path.replace("{machine}", machine)
+    return CsvReader(
+        Pipe(
+            machine,
+            Path(path) if path == "-" else service.path(path),
+            names[machine],
+            model.intake.wanted,
+            starts,
+            source.follow,
+        )
+    )

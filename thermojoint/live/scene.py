@@ -1,0 +1,115 @@
+"""The machine in 3-D as the dashboard gets it: its shape once, then what the newest state says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.interface import Estimator
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.surface import Surface, pressures, read_surface, temperatures
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+
+#: From where it is looked at, in its size; a joint from its front, and so much from above.
+EYE = np.array([1.5, 1.5, 0.9])
+FRONT, ABOVE = 2.0, 0.5
+_MEGA = 1e6
+
+
+class Scene(NamedTuple):
+    """A machine in 3-D.
+
+    Attributes
+    ----------
+    shape : dict
+        Points, triangles and contact elements, ready for JSON.
+    fields : callable
+        Returns temperatures and pressures of the newest state, ready for JSON; None before any.
+    """
+
+    shape: dict[str, Any]
+    fields: Callable[[], dict[str, Any] | None]
+
+
+def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Scene:
+    """Return the scene of one machine.
+
+    Parameters
+    ----------
+    path : Path
+        Surface of its model, of 'thermojoint scene'.
+    estimator : Estimator
+        Joint-aware.
+    state : callable
+        Returns its newest state.
+
+    Raises
+    ------
+    InputError
+        The file is unusable or of another model, or the estimator is of another kind.
+    """
+    if not isinstance(estimator, JointAware):
+        raise InputError(
+            f"{path}: a scene is of a joint-aware model, this one is {estimator.kind}; leave it out"
+        )
+    surface = read_surface(path, estimator.model)
+
+    def fields() -> dict[str, Any] | None:
+        now = state()
+        if not np.isfinite(now[0]):
+            return None
+        return {
+            "time_s": float(now[0]),
+            "temperature_K": np.round(temperatures(surface, estimator, now), 3).tolist(),
+            "pressure_MPa": np.round(pressures(surface, estimator, now) / _MEGA, 4).tolist(),
+        }
+
+    return Scene(shape_of(surface), fields)
+
+
+def shape_of(surface: Surface) -> dict[str, Any]:
+    """Return what of a scene stays the same; turned so that up is z, as the browser turns it."""
+    turn = upright(surface.up)
+    contacts = surface.contact_points @ turn.T
+    return {
+        "surface": _mesh(surface.points @ turn.T, surface.triangles, "vertex", EYE),
+        "joints": _mesh(
+            contacts,
+            surface.contact_triangles,
+            "cell",
+            front_of(contacts, surface.contact_triangles),
+        ),
+    }
+
+
+def front_of(points: Array, triangles: NDArray[np.int64]) -> Array:
+    """Return from where most of some triangles is seen, shape (3,): `EYE` if from nowhere more."""
+    first, second, third = (points[triangles[:, k]] for k in range(3))
+    areas = np.cross(second - first, third - first)
+    normal = areas.sum(axis=0)
+    size, whole = float(np.linalg.norm(normal)), float(np.linalg.norm(areas, axis=1).sum())
+    if not size > 0.5 * whole:
+        return EYE
+    return FRONT * normal / size + np.array([0.0, 0.0, ABOVE])
+
+
+def upright(up: Array) -> Array:
+    """Return the rotation by right angles, shape (3, 3), that makes an axis `up` the third one."""
+    axis = int(np.argmax(np.abs(up)))
+    turn = np.roll(np.eye(3), -(axis + 1), axis=0)
+    # Upside down: the first two change places, so that it stays a rotation.
+    return turn if up[axis] > 0.0 else np.array([turn[1], turn[0], -turn[2]])
+
+
+def _mesh(points: Array, triangles: NDArray[np.int64], per: str, eye: Array) -> dict[str, Any]:
+    return {
+        "eye": dict(zip("xyz", np.round(eye, 3).tolist(), strict=True)),
+        "points_m": np.round(points.T, 5).tolist(),
+        "triangles": triangles.T.tolist(),
+        "per": per,
+    }

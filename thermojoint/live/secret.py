@@ -1,0 +1,85 @@
+"""A secret from where it is kept; no message ever shows it."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.settings import Secret
+
+#: No secret is longer, bytes.
+LONGEST = 4096
+
+
+def read_secret(secret: Secret, base: Path, where: str) -> str:
+    """Return a secret: one line.
+
+    Parameters
+    ----------
+    secret : Secret
+        Where it is kept.
+    base : Path
+        Where paths begin.
+    where : str
+        What it is for, in error messages.
+
+    Raises
+    ------
+    InputError
+        There is none, or others can read it.
+    """
+    if secret.variable is not None:
+        found = os.environ.get(secret.variable, "")
+        if not found:
+            raise InputError(f"{where}: the variable {secret.variable} is not set; set it")
+        return _line(found, f"{where}: variable {secret.variable}")
+    path = _path_of(secret, base, where)
+    if secret.file is not None:
+        refuse_open_to_others(path, where)
+    try:
+        with path.open("rb") as file:
+            content = file.read(LONGEST + 1)
+        text = content.decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no text"
+        raise InputError(f"{where}: {path} is not readable ({why}); put the secret there") from None
+    return _line(text, f"{where}: {path}")
+
+
+def refuse_open_to_others(path: Path, where: str) -> None:
+    """Refuse a file that is not its owner's alone.
+
+    Raises
+    ------
+    InputError
+        It is missing, or others can read it or write to it.
+    """
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise InputError(
+            f"{where}: {path} is not readable ({error.strerror}); put the secret there"
+        ) from None
+    if mode & 0o077:
+        raise InputError(f"{where}: others can read {path} (mode {mode:o}); chmod 600 {path}")
+
+
+def _path_of(secret: Secret, base: Path, where: str) -> Path:
+    if secret.file is not None:
+        return base / secret.file
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+    if not folder:
+        raise InputError(
+            f"{where}: credential {secret.credential} needs systemd's LoadCredential=; give it, or "
+            "a file"
+        )
+    return Path(folder) / str(secret.credential)
+
+
+def _line(text: str, where: str) -> str:
+    found = text.strip()
+    if not found or len(found) > LONGEST or "\n" in found:
+        raise InputError(f"{where}: a secret is one line, not empty; mend it")
+    return found

@@ -1,0 +1,355 @@
+"""The file of a service (TOML): machines, models, where readings come from, where estimates go.
+
+Units stand in the names of the keys. No password stands in it, only where one is kept.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from thermojoint.artefacts import toml
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.compensation.toml_file import validated
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Port = Annotated[int, Field(ge=0, le=65535)]
+
+#: A machine's name stands in topics, in node ids, in addresses of pages and in names of files.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+#: Machines of one service at most; more of them take more services.
+MOST_MACHINES = 10_000
+
+
+class Section(BaseModel):
+    """Unknown keys are refused, and nothing changes once it is read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Secret(Section):
+    """Where a secret is kept: ``{ file = "..." }``, or ``variable`` or ``credential`` in its place.
+
+    A credential is one of systemd's (``LoadCredential=``).
+    """
+
+    file: str | None = None
+    variable: str | None = None
+    credential: str | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Secret:
+        if sum(place is not None for place in (self.file, self.variable, self.credential)) != 1:
+            raise ValueError("a secret is kept in one place; give file, variable or credential")
+        return self
+
+
+class ModelSection(Section):
+    """``[models.NAME]``: an estimator, for any number of machines."""
+
+    file: str
+    interval_s: Positive = 1.0
+    run_length_min: Positive = 120.0
+    reads: Literal["thermometers", "above-ambient"] = "thermometers"
+    offsets: str | None = None
+    scene: str | None = None
+    lateness_s: NotNegative = 5.0
+    hold_s: NotNegative = 0.0
+
+
+class MachineSection(Section):
+    """``[machines.NAME]``: one machine, or with ``count`` NAME-1, NAME-2, ..."""
+
+    model: str
+    source: str
+    count: Annotated[int, Field(ge=1, le=MOST_MACHINES)] | None = None
+
+
+class CsvSource(Section):
+    """Lines of a file that grows, of a FIFO, or of standard input (``-``)."""
+
+    kind: Literal["csv"]
+    path: str
+    columns: dict[str, str] = {}
+    starts: str | None = None
+    follow: bool = True
+
+
+class MqttAddress(Section):
+    """How a broker is reached."""
+
+    host: str = "127.0.0.1"
+    port: Port = 8883
+    security: Literal["tls", "none"] = "tls"
+    ca_file: str | None = None
+    user: str | None = None
+    password: Secret | None = None
+    client_id: str = "thermojoint"
+
+
+class MqttSource(MqttAddress):
+    """Messages of a broker: a JSON object with a time and readings each."""
+
+    kind: Literal["mqtt"]
+    topic: str
+    columns: dict[str, str] = {}
+    largest_message: Annotated[int, Field(ge=64, le=1 << 20)] = 16_384
+    most_waiting: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+
+
+class OpcuaSource(Section):
+    """Variables of an OPC UA server."""
+
+    kind: Literal["opcua"]
+    url: str
+    node: str
+    columns: dict[str, str] = {}
+    security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
+    server_certificate: str | None = None
+    user: str | None = None
+    password: Secret | None = None
+    publishing_ms: Positive = 200.0
+    most_waiting: Annotated[int, Field(ge=1, le=1_000_000)] = 100_000
+
+
+Source = Annotated[CsvSource | MqttSource | OpcuaSource, Field(discriminator="kind")]
+
+
+class WatchdogSection(Section):
+    """``[watchdog]``: without a sample for so long a value is uncertain, then bad."""
+
+    uncertain_s: Positive = 10.0
+    bad_s: Positive = 60.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> WatchdogSection:
+        if self.bad_s <= self.uncertain_s:
+            raise ValueError("bad_s does not come after uncertain_s; make it larger")
+        return self
+
+
+class StoreSection(Section):
+    """``[store]``: how often states are kept, how long the history is, whether a commit waits."""
+
+    checkpoint_s: Positive = 60.0
+    keep_days: Positive = 7.0
+    durable: bool = False
+
+
+class OpcuaServer(Section):
+    """``[opcua]``: the service's own OPC UA server."""
+
+    address: str = "127.0.0.1"
+    port: Port = 4840
+    security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
+    users: str | None = None
+    trusted: str | None = None
+    host_names: tuple[str, ...] = ()
+    readings: bool = True
+    most_sessions: Annotated[int, Field(ge=1, le=1000)] = 20
+    most_subscriptions: Annotated[int, Field(ge=1, le=10_000)] = 40
+    most_items: Annotated[int, Field(ge=1, le=1_000_000)] = 20_000
+
+
+class MqttTopics(MqttAddress):
+    """``[mqtt]``: a retained topic for each machine."""
+
+    topic: str = "thermojoint/{machine}/displacement"
+    status_topic: str = "thermojoint/service"
+
+
+class HttpServer(Section):
+    """``[http]``: the dashboard, JSON and the stream.
+
+    Without a certificate the service makes its own.
+    """
+
+    address: str = "127.0.0.1"
+    port: Port = 8443
+    security: Literal["tls", "none"] = "tls"
+    token: Secret
+    certificate_file: str | None = None
+    key_file: str | None = None
+    session_hours: Annotated[float, Field(gt=0.0, le=8760.0)] = 168.0
+    most_streams: Annotated[int, Field(ge=1, le=1000)] = 64
+    requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> HttpServer:
+        if (self.certificate_file is None) != (self.key_file is None):
+            raise ValueError(
+                "certificate_file and key_file belong together; give both, or neither for a "
+                "certificate of the service's own"
+            )
+        return self
+
+
+class ServiceFile(Section):
+    """The whole file."""
+
+    folder: str
+    models: Annotated[dict[str, ModelSection], Field(min_length=1)]
+    machines: Annotated[dict[str, MachineSection], Field(min_length=1)]
+    sources: Annotated[dict[str, Source], Field(min_length=1)]
+    ahead_s: Positive = 60.0
+    watchdog: WatchdogSection = WatchdogSection()
+    store: StoreSection = StoreSection()
+    opcua: OpcuaServer | None = None
+    mqtt: MqttTopics | None = None
+    http: HttpServer | None = None
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service as its file says.
+
+    Attributes
+    ----------
+    given : ServiceFile
+        The file.
+    base : Path
+        Folder of the file; paths in it begin there.
+    machines : dict of str to MachineSection
+        Every single machine by its name.
+    """
+
+    given: ServiceFile
+    base: Path
+    machines: Mapping[str, MachineSection]
+
+    @property
+    def folder(self) -> Path:
+        """Where the service keeps what it must not forget."""
+        return self.base / self.given.folder
+
+    def path(self, name: str) -> Path:
+        """Return a path of the file."""
+        return self.base / name
+
+
+def read_service(path: Path | str) -> Service:
+    """Read the file of a service.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no TOML, a key is unknown or missing, a value is out of range, a name
+        leads nowhere, or an address is open to others without protection.
+    """
+    data = toml.parse(toml.read_text(Path(path), "service"), str(path))
+    return service_from_data(data, str(path), Path(path).parent)
+
+
+def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
+    """Return a service given as nested dictionaries; raises as `read_service`."""
+    given = validated(ServiceFile, _with_tuples(data), where)
+    for name, machine in given.machines.items():
+        if not _NAME.fullmatch(name):
+            raise InputError(
+                f"{where}: machines.{name}: a name is up to 64 letters, digits, - and _; change it"
+            )
+        at = f"{where}: machines.{name}"
+        if machine.model not in given.models:
+            raise unknown_name("model", machine.model, given.models, at)
+        if machine.source not in given.sources:
+            raise unknown_name("source", machine.source, given.sources, at)
+    machines = dict(_single(given.machines))
+    if len(machines) > MOST_MACHINES:
+        raise InputError(
+            f"{where}: {len(machines)} machines, of {MOST_MACHINES}; start a second service"
+        )
+    for name, source in given.sources.items():
+        _check_pattern(f"{where}: sources.{name}", source, name, machines)
+    _check_protected(where, given)
+    return Service(given, base, machines)
+
+
+def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
+    """TOML has lists where the file's types are tuples."""
+    opcua = data.get("opcua")
+    if isinstance(opcua, dict) and isinstance(opcua.get("host_names"), list):
+        return data | {"opcua": opcua | {"host_names": tuple(opcua["host_names"])}}
+    return data
+
+
+def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:
+    return [
+        (one, section)
+        for name, section in sections.items()
+        for one in (
+            [name] if section.count is None else [f"{name}-{k + 1}" for k in range(section.count)]
+        )
+    ]
+
+
+def pattern_of(source: CsvSource | MqttSource | OpcuaSource) -> tuple[str, str]:
+    """Return the key that leads to a machine's readings, and what it says."""
+    if isinstance(source, CsvSource):
+        return "path", source.path
+    if isinstance(source, MqttSource):
+        return "topic", source.topic
+    return "node", source.node
+
+
+def _check_pattern(
+    where: str,
+    source: CsvSource | MqttSource | OpcuaSource,
+    name: str,
+    machines: Mapping[str, MachineSection],
+) -> None:
+    fed = [machine for machine, section in machines.items() if section.source == name]
+    key, pattern = pattern_of(source)
+    if len(fed) > 1 and "{machine}" not in pattern:
+        raise InputError(
+            f"{where}.{key}: feeds {len(fed)} machines; write {{machine}} where their names stand"
+        )
+    if isinstance(source, OpcuaSource) and "{reading}" not in pattern:
+        raise InputError(f"{where}.node: write {{reading}} where the name of a reading stands")
+
+
+def _check_protected(where: str, given: ServiceFile) -> None:
+    """Without protection nothing leaves this computer."""
+    open_doors = [
+        (f"sources.{name}", source.host)
+        for name, source in given.sources.items()
+        if isinstance(source, MqttSource) and source.security == "none"
+    ]
+    open_doors += [
+        (f"sources.{name}", _host_in(source.url))
+        for name, source in given.sources.items()
+        if isinstance(source, OpcuaSource) and source.security == "none"
+    ]
+    if given.mqtt and given.mqtt.security == "none":
+        open_doors.append(("mqtt", given.mqtt.host))
+    if given.opcua and given.opcua.security == "none":
+        open_doors.append(("opcua", given.opcua.address))
+    if given.http and given.http.security == "none":
+        open_doors.append(("http", given.http.address))
+    for place, host in open_doors:
+        if not is_loopback(host):
+            raise InputError(
+                f'{where}: {place}: security = "none" at {host}, which others reach; use 127.0.0.1 '
+                "or leave security as it is"
+            )
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address stays on this computer."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _host_in(url: str) -> str:
+    found = re.match(r"opc\.tcp://(\[[^\]]*\]|[^:/]+)", url)
+    return found[1] if found else url

@@ -1,0 +1,371 @@
+"""What survives a kill: samples, states and where the sources stand, in one SQLite file (WAL).
+
+One transaction holds the samples of a moment, what they say, and how far each source was read with
+them. So after a kill a source goes on behind the last sample that is kept, and no sample counts
+twice. A commit only appends to the ``journal``; a state, which may be a hundred times larger than a
+sample, is kept now and then (a checkpoint), together with the samples since the one before as one
+chunk of the history. What the journal holds beyond the last checkpoint is run through the estimator
+again at a start: an estimator is a function, so it says the same.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimator.interface import Channel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.publication import Layout
+
+SCHEMA_VERSION = 1
+#: How often the log is moved in a row: what came meanwhile is less every time.
+_PASSES = 2
+#: How long one waits for another who writes, s.
+_PATIENCE_S = 10.0
+#: Entries of the journal that are dropped at once.
+MOST_FORGOTTEN = 5_000
+_TABLES = """
+CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS eras (
+  id INTEGER PRIMARY KEY, machine TEXT NOT NULL, model TEXT NOT NULL, layout TEXT NOT NULL,
+  begun REAL NOT NULL);
+CREATE TABLE IF NOT EXISTS journal (
+  id INTEGER PRIMARY KEY AUTOINCREMENT, era INTEGER NOT NULL, number INTEGER NOT NULL,
+  row BLOB NOT NULL, status TEXT NOT NULL, rest TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS states (
+  era INTEGER PRIMARY KEY, number INTEGER NOT NULL, state BLOB NOT NULL, rest TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS chunks (
+  id INTEGER PRIMARY KEY, era INTEGER NOT NULL, first REAL NOT NULL, last REAL NOT NULL,
+  number INTEGER NOT NULL, count INTEGER NOT NULL, rows BLOB NOT NULL, status TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS chunks_by_time ON chunks (era, first);
+CREATE TABLE IF NOT EXISTS holes (
+  id INTEGER PRIMARY KEY, machine TEXT NOT NULL, since REAL NOT NULL, until REAL NOT NULL,
+  why TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS holes_by_machine ON holes (machine, since);
+CREATE TABLE IF NOT EXISTS events (
+  id INTEGER PRIMARY KEY, time REAL NOT NULL, machine TEXT, kind TEXT NOT NULL,
+  text TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS events_by_time ON events (time);
+"""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A sample that was taken.
+
+    Attributes
+    ----------
+    era : int
+        Of its machine: `era_of`.
+    number : int
+        Samples taken since ever, with this one.
+    row : bytes
+        `thermojoint.live.publication.as_row`.
+    status : str
+        In words.
+    rest : str
+        What else the next sample depends on, and how far the source was read: JSON.
+    """
+
+    era: int
+    number: int
+    row: bytes
+    status: str
+    rest: str
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A state, and the samples since the checkpoint before it.
+
+    Attributes
+    ----------
+    era, number, rest
+        As in `Taken`, of the last sample.
+    state : bytes
+        Of the estimator.
+    rows : ndarray, shape (n, layout.width)
+        The samples since the last checkpoint, n may be 0.
+    status : tuple of str
+        Of each.
+    """
+
+    era: int
+    number: int
+    state: bytes
+    rest: str
+    rows: Array
+    status: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened; one line of the log."""
+
+    time: float
+    machine: str | None
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A time (s since 1970) without samples of a machine, and why."""
+
+    machine: str
+    since: float
+    until: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Batch:
+    """All that one transaction keeps."""
+
+    taken: Sequence[Taken] = ()
+    checkpoints: Sequence[Checkpoint] = ()
+    events: Sequence[Event] = ()
+    holes: Sequence[Hole] = ()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What an era left behind.
+
+    Attributes
+    ----------
+    era : int
+        Its number.
+    number : int
+        Samples at the last checkpoint.
+    state : bytes, optional
+        Of the estimator there; None before the first.
+    rest : str
+        Beside it.
+    later : tuple of Taken
+        The samples since, in order.
+    """
+
+    era: int
+    number: int
+    state: bytes | None
+    rest: str
+    later: tuple[Taken, ...]
+
+
+def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
+    """Open the store, or make it.
+
+    Parameters
+    ----------
+    path : Path
+        SQLite file; its folder exists.
+    durable : bool
+        Every commit is on the disk before it returns (``synchronous = FULL``). Without it a kill
+        loses nothing either, but a power cut may lose the last moments.
+
+    Raises
+    ------
+    InputError
+        It is no store, or of another version.
+    """
+    try:
+        found = sqlite3.connect(
+            path, isolation_level=None, check_same_thread=False, timeout=_PATIENCE_S
+        )
+        found.execute("PRAGMA journal_mode = WAL")
+        found.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
+        # The service says when: a checkpoint of the WAL in the middle of a commit would delay it.
+        found.execute("PRAGMA wal_autocheckpoint = 0")
+        found.executescript(_TABLES)
+        found.execute(
+            "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)
+        )
+        (version,) = found.execute(
+            "SELECT value FROM meta WHERE name = 'schema_version'"
+        ).fetchone()
+    except sqlite3.DatabaseError as error:
+        raise InputError(
+            f"{path}: no store of this service ({error}); give another folder"
+        ) from error
+    if version != str(SCHEMA_VERSION):
+        raise InputError(
+            f"{path}: store of version {version}, expected {SCHEMA_VERSION}; give another folder"
+        )
+    path.chmod(0o640)
+    return found
+
+
+def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
+    """Return the era of a machine with a model: the last one, or a new one if either is another.
+
+    Parameters
+    ----------
+    store : Connection
+    machine : str
+    model : str
+        What tells the model from every other.
+    layout : Layout
+        What is kept of each sample.
+    now : float
+        s since 1970.
+    """
+    content = layout_text(layout)
+    last = store.execute(
+        "SELECT id, model, layout FROM eras WHERE machine = ? ORDER BY id DESC LIMIT 1", (machine,)
+    ).fetchone()
+    if last and last[1:] == (model, content):
+        return int(last[0])
+    made = store.execute(
+        "INSERT INTO eras (machine, model, layout, begun) VALUES (?, ?, ?, ?)",
+        (machine, model, content, now),
+    )
+    return int(made.lastrowid or 0)
+
+
+def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
+    """Return what each era left behind."""
+    states = {
+        era: (number, state, rest)
+        for era, number, state, rest in store.execute("SELECT era, number, state, rest FROM states")
+    }
+    later: dict[int, list[Taken]] = {}
+    for one in store.execute("SELECT era, number, row, status, rest FROM journal ORDER BY id"):
+        taken = Taken(*one)
+        if taken.number > states.get(taken.era, (0,))[0]:
+            later.setdefault(taken.era, []).append(taken)
+    return {
+        era: Kept(era, *states.get(era, (0, None, "{}")), tuple(later.get(era, ()))) for era in eras
+    }
+
+
+def commit(store: sqlite3.Connection, batch: Batch) -> int:
+    """Keep a batch in one transaction; return the number of the journal's last entry."""
+    store.execute("BEGIN IMMEDIATE")
+    try:
+        store.executemany(
+            "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)",
+            [(one.era, one.number, one.row, one.status, one.rest) for one in batch.taken],
+        )
+        store.executemany(
+            "INSERT OR REPLACE INTO states VALUES (?, ?, ?, ?)",
+            [(one.era, one.number, one.state, one.rest) for one in batch.checkpoints],
+        )
+        store.executemany(
+            "INSERT INTO chunks (era, first, last, number, count, rows, status) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?)",
+            [_chunk(one) for one in batch.checkpoints if len(one.rows)],
+        )
+        store.executemany(
+            "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)",
+            [(one.time, one.machine, one.kind, one.text) for one in batch.events],
+        )
+        store.executemany(
+            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)",
+            [(one.machine, one.since, one.until, one.why) for one in batch.holes],
+        )
+        store.execute("COMMIT")
+    except BaseException:
+        store.execute("ROLLBACK")
+        raise
+    (last,) = store.execute("SELECT max(id) FROM journal").fetchone()
+    return int(last or 0)
+
+
+def _chunk(one: Checkpoint) -> tuple[object, ...]:
+    count = len(one.rows)
+    return (
+        one.era,
+        float(one.rows[0, 0]),
+        float(one.rows[-1, 0]),
+        one.number - count + 1,
+        count,
+        np.ascontiguousarray(one.rows, dtype="<f8").tobytes(),
+        json.dumps(_runs(one.status)),
+    )
+
+
+def _runs(words: Sequence[str]) -> list[tuple[int, str]]:
+    """Say a status once for as long as it stays: (first row, words)."""
+    return [(k, word) for k, word in enumerate(words) if k == 0 or words[k - 1] != word]
+
+
+def spread(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
+    """Return the status of each row of a chunk."""
+    ends = [*(first for first, _ in runs[1:]), count]
+    return [word for (first, word), end in zip(runs, ends, strict=True) for _ in range(first, end)]
+
+
+def forget(
+    store: sqlite3.Connection, journal_until: int, eras: Iterable[int], oldest: float, now: float
+) -> None:
+    """Drop what is not needed any more, a little at a time: commits wait meanwhile.
+
+    Parameters
+    ----------
+    store : Connection
+    journal_until : int
+        Entries of the journal that every machine has a checkpoint behind; the first
+        `MOST_FORGOTTEN` of them go.
+    eras : iterable of int
+        Those whose history is looked at now.
+    oldest : float
+        How long history, holes and events are kept, s.
+    now : float
+        s since 1970.
+    """
+    store.execute("BEGIN IMMEDIATE")
+    store.execute(
+        "DELETE FROM journal WHERE id <= min(?, (SELECT min(id) FROM journal) + ?)",
+        (journal_until, MOST_FORGOTTEN - 1),
+    )
+    # `first` is for the index: without it every chunk of an era would be looked at.
+    store.executemany(
+        "WITH bound(at) AS (SELECT max(first) - ?2 FROM chunks WHERE era = ?1) "
+        "DELETE FROM chunks WHERE era = ?1 AND first < (SELECT at FROM bound) "
+        "AND last < (SELECT at FROM bound)",
+        [(era, oldest) for era in eras],
+    )
+    store.execute("DELETE FROM events WHERE time < ?", (now - oldest,))
+    store.execute("COMMIT")
+
+
+def move_log(path: Path) -> None:
+    """Move the write-ahead log into the file by a connection of its own, while others write on."""
+    with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as own:
+        for _ in range(_PASSES):
+            own.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+
+
+def cut_log(store: sqlite3.Connection) -> None:
+    """Move what is left of the write-ahead log; cut it to nothing if no reader holds it."""
+    # Commits wait meanwhile, so it waits for no reader: the next time will do.
+    store.execute("PRAGMA busy_timeout = 0")
+    try:
+        store.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    finally:
+        store.execute(f"PRAGMA busy_timeout = {round(1e3 * _PATIENCE_S)}")
+
+
+def layout_text(layout: Layout) -> str:
+    """Return a layout as JSON."""
+    content = asdict(layout) | {"details": [list(one) for one in layout.details]}
+    return json.dumps(content, sort_keys=True)
+
+
+def layout_from(text: str) -> Layout:
+    """Return the layout that `layout_text` wrote."""
+    content = json.loads(text)
+    return Layout(
+        axes=tuple(content["axes"]),
+        controls=tuple(content["controls"]),
+        details=tuple(Channel(*one) for one in content["details"]),
+        readings=tuple(content["readings"]),
+    )

@@ -1,0 +1,43 @@
+"""How far a value can be used: by what the estimator says of it, and by its age."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from thermojoint.compensation.offsets.usable import known_reasons, reasons_of
+from thermojoint.live.publication import Quality
+
+#: Reasons that leave a value good: a run longer than the calibration is what a service is for, and
+#: a reading of the displacement that was refused changes nothing.
+HARMLESS = frozenset({"beyond-time", "reading-refused"})
+#: What the service itself adds to a status: no sample for a while; a sample no estimator can use.
+SILENT, REFUSED = "silent", "refused"
+_DOUBTS = (set(known_reasons()) - HARMLESS) | {REFUSED}
+
+
+def quality_of(status: str) -> Quality:
+    """Return the quality of a value that has just come, by its status in words."""
+    return Quality.UNCERTAIN if reasons_of(status) & _DOUBTS else Quality.GOOD
+
+
+def quality_at(age: float, uncertain: float, bad: float) -> Quality:
+    """Return the best quality that a value can have at an age.
+
+    Parameters
+    ----------
+    age : float
+        Since its sample was taken, s.
+    uncertain, bad : float
+        Ages at which it becomes so, s.
+    """
+    if age >= bad:
+        return Quality.BAD
+    return Quality.UNCERTAIN if age >= uncertain else Quality.GOOD
+
+
+def silenced(status: str, quality: Quality) -> str:
+    """Return a status in words with the silence, if there is one."""
+    words: Sequence[str] = [word for word in status.split() if word not in (SILENT, "ok")]
+    if quality is not Quality.GOOD:
+        words = [*words, SILENT]
+    return " ".join(words) or "ok"

@@ -1,0 +1,92 @@
+"""Publications as retained topics of an MQTT broker, with a last will."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from contextlib import suppress
+
+import aiomqtt
+
+from thermojoint.live.hub import Hub
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.mqtt_session import (
+    FIRST_S,
+    Address,
+    connected,
+    is_behind,
+    lost,
+    next_delay,
+    publish,
+)
+from thermojoint.live.publication import as_json
+
+#: How long a slow network is waited for before the next machine is published, s.
+_PAUSE_S = 0.01
+#: Machines that are published in a row.
+_AT_ONCE = 64
+
+
+async def write_topics(
+    hub: Hub, address: Address, topic: str, status_topic: str, log: EventLog
+) -> None:
+    """Publish what is new of every machine, for ever; whoever connects later finds the newest.
+
+    Parameters
+    ----------
+    hub : Hub
+    address : Address
+        Of the broker.
+    topic : str
+        With ``{machine}`` where its name stands.
+    status_topic : str
+        ``running``, or what the broker says when the service is gone.
+    log : EventLog
+        Told of connections.
+    """
+    delay, where = FIRST_S, f"{address.host}:{address.port}"
+    will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
+    while True:
+        try:
+            async with connected(address, "writes", will=will) as client:
+                log.say(time.time(), "connected", f"MQTT broker {where}, to publish")
+                await client.publish(status_topic, _status("running"), qos=1, retain=True)
+                delay = FIRST_S
+                watch = asyncio.create_task(lost(client))
+                try:
+                    await _publish(hub, client, topic, watch)
+                finally:
+                    watch.cancel()
+                    await asyncio.gather(watch, return_exceptions=True)
+                    await _say_goodbye(client, status_topic)
+        except aiomqtt.MqttError as error:
+            log.say(time.time(), "disconnected", f"MQTT broker {where}, to publish: {error}")
+        await asyncio.sleep(delay)
+        delay = next_delay(delay)
+
+
+async def _publish(hub: Hub, client: aiomqtt.Client, topic: str, watch: asyncio.Task[None]) -> None:
+    """Publish until the connection is lost."""
+    with hub.follow() as follower:
+        while True:
+            news = asyncio.ensure_future(follower.wait())
+            done, _ = await asyncio.wait({news, watch}, return_when=asyncio.FIRST_COMPLETED)
+            if watch in done:
+                news.cancel()
+                await watch
+            for k, machine in enumerate(sorted(await news)):
+                content = json.dumps(as_json(hub.newest[machine]), allow_nan=False)
+                publish(client, topic.replace("{machine}", machine), content.encode())
+                if (k + 1) % _AT_ONCE == 0:
+                    while is_behind(client) and not watch.done():
+                        await asyncio.sleep(_PAUSE_S)
+
+
+async def _say_goodbye(client: aiomqtt.Client, status_topic: str) -> None:
+    with suppress(aiomqtt.MqttError):
+        await client.publish(status_topic, _status("stopped"), qos=1, retain=True, timeout=1.0)
+
+
+def _status(state: str) -> str:
+    return json.dumps({"state": state})

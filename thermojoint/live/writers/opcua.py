@@ -1,0 +1,319 @@
+"""The service's own OPC UA server: an object for each machine, values with their status codes.
+
+``Objects/Machines/NAME/Monitoring/ThermalDisplacement`` and below it Displacement, Band, Offset,
+Detail, Reading and Probe, a variable for each axis or channel. A value is made when somebody reads
+it or has subscribed to it, so machines that nobody looks at cost nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC
+from pathlib import Path
+from typing import Any
+
+from asyncua import ua
+from asyncua.server import Server
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.arrivals import Arrival
+from thermojoint.live.certificates import APPLICATION, certificates_in, own_identity
+from thermojoint.live.hub import Hub
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.opcua_access import Door, restrict
+from thermojoint.live.opcua_values import Variable, data_value, variables_of
+from thermojoint.live.publication import Layout
+from thermojoint.live.settings import OpcuaServer
+from thermojoint.live.users import Gate, read_users
+
+#: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
+NAMESPACE = "urn:thermojoint:live:machines"
+#: UNECE Recommendation 20: unit to its common code.
+_UNITS = {"µm": "4H", "°C": "CEL", "K": "KEL", "W": "WTT", "Pa": "PAL", "1": "C62"}
+_FOLDERS = ("Displacement", "Band", "Offset", "Detail", "Reading", "Probe")
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The variables of every machine in a server's address space.
+
+    Attributes
+    ----------
+    of : dict of str to list
+        By machine: (variable, its value attribute).
+    """
+
+    of: Mapping[str, list[tuple[Variable, Any]]]
+
+
+async def add_machines(
+    server: Server,
+    hub: Hub,
+    machines: Mapping[str, tuple[Layout, int]],
+    readings: bool,
+    given: Callable[[Arrival], None],
+) -> Nodes:
+    """Add the objects of all machines.
+
+    Parameters
+    ----------
+    server : Server
+        Initialised, not started.
+    hub : Hub
+        Has a publication of each.
+    machines : mapping of str to (Layout, int)
+        Names, and how many readings are of every sample.
+    readings : bool
+        Also what they read.
+    given : callable
+        Called with what a writing user gives the service.
+    """
+    index = await server.register_namespace(NAMESPACE)
+    session, space = server.iserver.isession, server.iserver.aspace
+    root = await server.nodes.objects.add_folder(ua.NodeId("Machines", index), f"{index}:Machines")
+    units: dict[str, ua.NodeId] = {}
+    of: dict[str, list[tuple[Variable, Any]]] = {}
+    for machine, (layout, wanted) in machines.items():
+        at = _object(f"{machine}", machine, root.nodeid, index)
+        monitoring = _object(f"{machine}.Monitoring", "Monitoring", at[0], index)
+        place = _object(
+            f"{machine}.ThermalDisplacement", "ThermalDisplacement", monitoring[0], index
+        )
+        items = [at[1], monitoring[1], place[1]]
+        variables = list(variables_of(layout, readings, wanted))
+        used = {one.folder for one in variables}
+        folders = {"": place[0]}
+        for folder in (one for one in _FOLDERS if one in used):
+            folders[folder], item = _object(f"{machine}.{folder}", folder, place[0], index)
+            items.append(item)
+        ids = [
+            ua.NodeId(".".join(filter(None, (machine, one.folder, one.name))), index)
+            for one in variables
+        ]
+        items += [
+            _variable(nodeid, one, folders[one.folder], index)
+            for nodeid, one in zip(ids, variables, strict=True)
+        ]
+        for result in await session.add_nodes(items):
+            result.StatusCode.check()
+        of[machine] = []
+        for nodeid, one in zip(ids, variables, strict=True):
+            if one.unit:
+                await _with_unit(server, units, nodeid, one.unit, index)
+            if one.writable:
+                k = layout.readings.index(one.name)
+                take = _taken_by(given, machine, len(layout.readings), k)
+                space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
+            attribute = space._nodes[nodeid].attributes[ua.AttributeIds.Value]
+            space.set_attribute_value_callback(
+                nodeid, ua.AttributeIds.Value, _told_by(hub, machine, one)
+            )
+            of[machine].append((one, attribute))
+    return Nodes(of)
+
+
+def _told_by(hub: Hub, machine: str, one: Variable) -> Callable[[Any, Any], ua.DataValue]:
+    def told(nodeid: Any, attribute: Any) -> ua.DataValue:  # noqa: ANN401
+        said = hub.newest[machine]
+        return data_value(one.kind, *one.value(said), said)
+
+    return told
+
+
+def _taken_by(
+    given: Callable[[Arrival], None], machine: str, count: int, k: int
+) -> Callable[[Any, Any, ua.DataValue], None]:
+    def take(node: Any, attribute: Any, written: ua.DataValue) -> None:  # noqa: ANN401
+        arrival = probe_reading(machine, count, k, written, time.time())
+        if arrival is not None:
+            given(arrival)
+
+    return take
+
+
+def probe_reading(
+    machine: str, count: int, k: int, written: ua.DataValue, now: float
+) -> Arrival | None:
+    """Return what a writing user has given, None if it is no reading.
+
+    Parameters
+    ----------
+    machine : str
+    count, k : int
+        Readings of the machine, and which of them it is.
+    written : DataValue
+    now : float
+        s since 1970; the time of a value that carries none.
+    """
+    value = written.Value.Value if written.Value else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    told: list[float | None] = [None] * count
+    told[k] = float(value)
+    stamp = written.SourceTimestamp
+    at = now if stamp is None else stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+    return Arrival(machine, at, told, now)
+
+
+def _object(
+    name: str, shown: str, parent: ua.NodeId, index: int
+) -> tuple[ua.NodeId, ua.AddNodesItem]:
+    nodeid = ua.NodeId(name, index)
+    return nodeid, ua.AddNodesItem(
+        RequestedNewNodeId=nodeid,
+        BrowseName=ua.QualifiedName(shown, index),
+        NodeClass=ua.NodeClass.Object,
+        ParentNodeId=parent,
+        ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
+        TypeDefinition=ua.NodeId(ua.ObjectIds.BaseObjectType),
+        NodeAttributes=ua.ObjectAttributes(DisplayName=ua.LocalizedText(shown)),
+    )
+
+
+def _variable(nodeid: ua.NodeId, one: Variable, parent: ua.NodeId, index: int) -> ua.AddNodesItem:
+    access = ua.AccessLevel.CurrentRead.mask
+    if one.writable:
+        access |= ua.AccessLevel.CurrentWrite.mask
+    kind = ua.ObjectIds.AnalogUnitType if one.unit else ua.ObjectIds.BaseDataVariableType
+    return ua.AddNodesItem(
+        RequestedNewNodeId=nodeid,
+        BrowseName=ua.QualifiedName(one.name, index),
+        NodeClass=ua.NodeClass.Variable,
+        ParentNodeId=parent,
+        ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
+        TypeDefinition=ua.NodeId(kind),
+        NodeAttributes=ua.VariableAttributes(
+            DisplayName=ua.LocalizedText(one.name),
+            Value=ua.Variant(None, ua.VariantType.Null),
+            DataType=ua.NodeId(int(one.kind.value)),
+            ValueRank=-1,
+            AccessLevel=access,
+            UserAccessLevel=access,
+        ),
+    )
+
+
+async def _with_unit(
+    server: Server, units: dict[str, ua.NodeId], nodeid: ua.NodeId, unit: str, index: int
+) -> None:
+    """Give a variable its unit; those of a kind share the property."""
+    node = server.get_node(nodeid)
+    if unit not in units:
+        information = ua.EUInformation(
+            NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+            UnitId=_unit_id(_UNITS.get(unit, "")),
+            DisplayName=ua.LocalizedText(unit),
+            Description=ua.LocalizedText(unit),
+        )
+        made = await node.add_property(
+            ua.NodeId(f"EngineeringUnits.{unit}", index), "0:EngineeringUnits", information
+        )
+        units[unit] = made.nodeid
+    else:
+        await node.add_reference(units[unit], ua.ObjectIds.HasProperty, True, False)
+
+
+def _unit_id(code: str) -> int:
+    """A UNECE code as OPC UA counts it (Part 8): its characters as one number; -1 without one."""
+    if not code:
+        return -1
+    found = 0
+    for one in code:
+        found = (found << 8) | ord(one)
+    return found
+
+
+async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
+    """Tell whoever has subscribed what is new, for ever."""
+    with hub.follow() as follower:
+        while True:
+            for machine in await follower.wait():
+                said = hub.newest[machine]
+                for one, attribute in nodes.of[machine]:
+                    if attribute.datachange_callbacks:
+                        value = data_value(one.kind, *one.value(said), said)
+                        for handle, call in list(attribute.datachange_callbacks.items()):
+                            await call(handle, value)
+            await asyncio.sleep(0)
+
+
+def fresh_server(section: OpcuaServer) -> Server:
+    """Return a server of the service's name at a section's address; nothing is open yet."""
+    server = Server()
+    server.name = "thermojoint"
+    server.product_uri = server.manufacturer_name = APPLICATION
+    server.application_type = ua.ApplicationType.Server
+    server.set_endpoint(f"opc.tcp://{section.address}:{section.port}/thermojoint")
+    return server
+
+
+async def open_server(
+    section: OpcuaServer,
+    base: Path,
+    folder: Path,
+    hub: Hub,
+    machines: Mapping[str, tuple[Layout, int]],
+    given: Callable[[Arrival], None],
+    log: EventLog,
+) -> tuple[Server, Nodes]:
+    """Open the service's OPC UA server.
+
+    Parameters
+    ----------
+    section : OpcuaServer
+    base, folder : Path
+        Where the section's paths begin, and where the service keeps its certificate.
+    hub, machines, given
+        As in `add_machines`.
+    log : EventLog
+        Told of those who are not let in.
+
+    Raises
+    ------
+    InputError
+        There are no users, a file is unusable, or the address is taken.
+    """
+    encrypted = section.security == "sign-and-encrypt"
+    if section.users is None and encrypted:
+        raise InputError(
+            "opcua.users: nobody could log in; name a file, and add users with --add-user"
+        )
+    gate = Gate(read_users(base / section.users)) if section.users is not None else None
+    trusted = certificates_in(base / section.trusted) if section.trusted is not None else None
+    server = fresh_server(section)
+    await server.init()
+    await server.set_application_uri(APPLICATION)
+    if encrypted:
+        own = own_identity(folder, section.host_names)
+        await server.load_certificate(own.certificate)
+        await server.load_private_key(own.key)
+    door = Door(gate, trusted, log)
+    server.iserver.set_user_manager(door)
+    restrict(
+        server,
+        encrypted,
+        door,
+        section.most_sessions,
+        section.most_subscriptions,
+        section.most_items,
+    )
+    nodes = await add_machines(server, hub, machines, section.readings, given)
+    try:
+        await server.start()
+    except OSError as error:
+        raise InputError(
+            f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
+        ) from error
+    return server, nodes
+
+
+async def serve_nodes(server: Server, nodes: Nodes, hub: Hub) -> None:
+    """Tell subscribers what is new until the task is cancelled; the server is closed then."""
+    try:
+        await tell_subscribers(hub, nodes)
+    finally:
+        await server.stop()

@@ -1,0 +1,162 @@
+"""Baselines: regressions from temperatures to displacement, with nothing of the machine in them.
+
+Channels are the rises of the sensors a, b, T1 and T2 above the current ambient, K. All are without
+a constant: a machine at rest has not moved. `calibrate.baselines` fits them, `estimator.baselines`
+runs them, and this module stores them as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import PositiveFloat, TypeAdapter
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json, validated
+from thermojoint.models.filters.bank import Bank
+from thermojoint.models.parameters import STRICT, Span
+from thermojoint.models.sensors import ROLES
+
+FILE = JsonKind(
+    "thermojoint-baselines",
+    1,
+    "file of baselines",
+    "written by 'thermojoint calibrate --baselines'",
+    "calibrate again",
+)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """δ as a weighted sum of temperatures and of their low-passes.
+
+    Attributes
+    ----------
+    time_constants : tuple of float
+        τ of each low-pass 1/(1 + τ s), s; none for a regression on the temperatures alone.
+    weights : dict
+        Axis to the weight of every feature, m/K: the channels, then the channels through the first
+        low-pass, and so on.
+    """
+
+    __pydantic_config__ = STRICT
+
+    time_constants: tuple[PositiveFloat, ...]
+    weights: dict[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Autoregression:
+    """ARX: δ_k = Σ_i a_i δ_{k-i} + Σ_j b_j · T_{k-j}, run on its own past estimates.
+
+    Attributes
+    ----------
+    past : tuple of float
+        a_1, a_2 ...; every root of z^n - Σ a_i z^(n-i) lies inside the unit circle.
+    inputs : tuple of tuple of float
+        b_0, b_1 ..., each with a weight per channel, m/K.
+    """
+
+    __pydantic_config__ = STRICT
+
+    past: tuple[float, ...]
+    inputs: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """All regressions of one calibration.
+
+    Attributes
+    ----------
+    mlr : Regression
+        Multiple linear regression on the temperatures of the moment.
+    ridge : Regression
+        Ridge regression on the temperatures and their low-passes.
+    arx : dict
+        Axis to its autoregression.
+    interval_s : float
+        Between the steps of the autoregressions, s.
+    span : Span
+        What the calibration has seen, by channel.
+    """
+
+    __pydantic_config__ = STRICT
+
+    mlr: Regression
+    ridge: Regression
+    arx: dict[str, Autoregression]
+    interval_s: PositiveFloat
+    span: Span
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the displacement."""
+        return tuple(self.arx)
+
+
+_BASELINES: TypeAdapter[Baselines] = TypeAdapter(Baselines)
+
+
+def write_baselines(baselines: Baselines, path: Path) -> None:
+    """Write baselines to `path` (JSON), whole or not at all."""
+    content = FILE.header | _BASELINES.dump_python(baselines, mode="json")
+    write_text(Path(path), json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def read_baselines(path: Path) -> Baselines:
+    """Read baselines that `write_baselines` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, of another kind or version, or its parts do not fit.
+    """
+    content = read_json(path, FILE)
+    found = validated(_BASELINES, content, str(path), FILE.remedy)
+    channels = len(ROLES)
+    sizes = [
+        (len(weights), channels * (1 + len(one.time_constants)))
+        for one in (found.mlr, found.ridge)
+        for weights in one.weights.values()
+    ] + [(len(row), channels) for one in found.arx.values() for row in one.inputs]
+    same = all(set(one.weights) == set(found.arx) for one in (found.mlr, found.ridge))
+    if not same or any(given != wanted for given, wanted in sizes):
+        raise InputError(f"{path}: axes or numbers of weights do not fit together; {FILE.remedy}")
+    if set(found.span.temperatures) != set(ROLES):
+        raise InputError(f"{path}: span.temperatures: give {', '.join(ROLES)}; {FILE.remedy}")
+    return found
+
+
+def regression_bank(regression: Regression) -> Bank:
+    """Return a regression as a bank: temperatures in (K), an output for each axis (m)."""
+    low = low_passes(regression.time_constants)
+    table = np.array(list(regression.weights.values()), dtype=float)
+    channels = len(ROLES)
+    return replace(
+        low,
+        gain=table[:, channels:] @ low.gain,
+        double=np.zeros((len(table), low.poles.size), dtype=complex),
+        constant=table[:, :channels],
+        slope=np.zeros((len(table), channels)),
+    )
+
+
+def low_passes(time_constants: Sequence[float]) -> Bank:
+    """Return the bank that gives every channel through every low-pass, K."""
+    channels = len(ROLES)
+    rates = np.repeat(1.0 / np.array(time_constants, dtype=float), channels)
+    nothing = np.zeros((rates.size, channels))
+    return Bank(
+        poles=-rates.astype(complex),
+        drive=np.tile(np.eye(channels), (len(time_constants), 1)),
+        gain=np.diag(rates).astype(complex),
+        double=np.zeros((rates.size, rates.size), dtype=complex),
+        constant=nothing,
+        slope=nothing,
+    )

@@ -1,0 +1,156 @@
+"""The generalised deformation models, Eq. 8 (three rates) and Eq. 18 (four rates).
+
+Step response C (1 - exp(-c t)) + D (1 - exp(-d t)) + E t exp(-e t) [+ F t exp(-f t)]: zero at
+t = 0 whatever the parameters. Given the rates it is linear in C, D, E, F: `basis` holds the columns
+that those multiply. Rates are searched in logarithms, so derivatives are by ln(rate).
+
+Eq. 8 as printed does not force the slope at t = 0 to vanish. `flat_basis` does: it eliminates E
+through C c + D d + E [+ F] = 0, and is a basis of its own with one column fewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.parameters import DeformationModel
+
+#: Exponential terms (C, D); every further rate belongs to a term t exp(-rate t).
+_EXPONENTIALS = 2
+
+
+def check_rates(rates: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the rates (1/s) as an array; InputError unless three or four, finite and positive."""
+    values = np.asarray(rates, dtype=float)
+    if values.shape not in ((3,), (4,)):
+        raise InputError(
+            f"deformation model: {values.size} rates; Eq. 8 has three (c, d, e), Eq. 18 four"
+        )
+    if not bool((np.isfinite(values) & (values > 0.0)).all()):
+        raise InputError(f"deformation model: rates {values.tolist()} must be positive and finite")
+    return values
+
+
+def basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns that C, D, E [, F] multiply and their derivatives by ln(rate).
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times after the step, s, >= 0.
+    rates : sequence of 3 or 4 floats
+        c, d, e [, f], 1/s.
+
+    Returns
+    -------
+    columns : ndarray, shape (n, p)
+        p = len(rates). The first two are dimensionless, the others in s.
+    slopes : ndarray, shape (n, p, p)
+        ``slopes[:, j, k]`` is the derivative of column j by the logarithm of rate k; zero for
+        j != k, since each column has a rate of its own.
+    """
+    columns, own = own_basis(t, rates)
+    slopes = np.zeros((*own.shape, own.shape[-1]))
+    index = np.arange(own.shape[-1])
+    slopes[:, index, index] = own
+    return columns, slopes
+
+
+def own_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns of `basis` and the derivative of each by the logarithm of its own rate.
+
+    Returns
+    -------
+    columns, own : ndarray, shape (n, p)
+    """
+    rate = check_rates(rates)
+    phase = np.multiply.outer(np.asarray(t, dtype=float), rate)
+    decay = np.exp(-phase)
+    columns = np.empty_like(phase)
+    own = np.empty_like(phase)
+    first, second = slice(0, _EXPONENTIALS), slice(_EXPONENTIALS, None)
+    columns[:, first] = -np.expm1(-phase[:, first])
+    own[:, first] = phase[:, first] * decay[:, first]
+    columns[:, second] = phase[:, second] / rate[second] * decay[:, second]
+    own[:, second] = -phase[:, second] * columns[:, second]
+    return columns, own
+
+
+def _flattening(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix from free coefficients (C, D [, F]) to (C, D, E [, F]), and its slopes."""
+    p = rates.size
+    matrix = np.zeros((p, p - 1))
+    matrix[0, 0] = matrix[1, 1] = 1.0
+    matrix[_EXPONENTIALS, :_EXPONENTIALS] = -rates[:_EXPONENTIALS]
+    if p == 4:
+        matrix[_EXPONENTIALS, 2] = -1.0
+        matrix[3, 2] = 1.0
+    by_rate = np.zeros((p, p - 1, p))
+    for k in range(_EXPONENTIALS):
+        by_rate[_EXPONENTIALS, k, k] = -rates[k]
+    return matrix, by_rate
+
+
+def flat_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns that C, D [, F] multiply when the slope at t = 0 must vanish.
+
+    As `basis`, with E = -(C c + D d [+ F]) eliminated: one column fewer.
+
+    Returns
+    -------
+    columns : ndarray, shape (n, p - 1)
+    slopes : ndarray, shape (n, p - 1, p)
+    """
+    rate = check_rates(rates)
+    columns, slopes = basis(t, rate)
+    matrix, by_rate = _flattening(rate)
+    bent = np.einsum("njk,jf->nfk", slopes, matrix) + np.einsum("nj,jfk->nfk", columns, by_rate)
+    return columns @ matrix, bent
+
+
+def full_coefficients(
+    free: Sequence[float] | np.ndarray, rates: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """Return (C, D, E [, F]) from the coefficients of `flat_basis`; m and m/s."""
+    matrix, _ = _flattening(check_rates(rates))
+    return matrix @ np.asarray(free, dtype=float)
+
+
+def model_from(
+    coefficients: Sequence[float] | np.ndarray, rates: Sequence[float] | np.ndarray
+) -> DeformationModel:
+    """Return the model with coefficients (C, D, E [, F]) in m, m/s and rates (c, d, e [, f])."""
+    C, D, E, *more = (float(value) for value in coefficients)
+    c, d, e, *last = (float(value) for value in check_rates(rates))
+    if len(more) != len(last):
+        raise InputError("deformation model: as many coefficients as rates are needed")
+    return DeformationModel(C, D, E, c, d, e, *more, *last)
+
+
+def step_response(t: np.ndarray | float, model: DeformationModel) -> np.ndarray:
+    """Return the displacement after a unit step of heat (Eqs. 8 and 18), m per unit, like `t`."""
+    at = np.asarray(t, dtype=float)
+    m = model
+    return (
+        -m.C * np.expm1(-m.c * at)
+        - m.D * np.expm1(-m.d * at)
+        + at * (m.E * np.exp(-m.e * at) + m.F * np.exp(-m.f * at))
+    )
+
+
+def transfer_function(s: np.ndarray | complex, model: DeformationModel) -> np.ndarray:
+    """Return displacement over heat input in the Laplace domain, m per unit heat input.
+
+    s times the transform of the step response; finite at s = 0, poles at minus the rates.
+    """
+    z = np.asarray(s, dtype=complex)
+    m = model
+    total = m.C * m.c / (z + m.c) + m.D * m.d / (z + m.d) + m.E * z / (z + m.e) ** 2
+    return total + m.F * z / (z + m.f) ** 2 if m.F else total
+
+
+def initial_slope(model: DeformationModel) -> float:
+    """Return dδ/dt at t = 0 after a unit step: C c + D d + E + F, m/s per unit heat input."""
+    return model.C * model.c + model.D * model.d + model.E + model.F

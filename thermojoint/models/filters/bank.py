@@ -1,0 +1,340 @@
+"""Banks of exponential states, advanced exactly between samples that may lie any distance apart.
+
+A bank is a transfer matrix in modal form,
+
+    y(s) = [slope s + constant + Σ_k (gain_k / (s - p_k) + double_k / (s - p_k)²) drive_k] u(s),
+
+every pole in the open left half plane; of a conjugate pair only the pole with Im >= 0 is kept and
+y is the real part. Between two samples u is either the straight line through them or a constant.
+For both the states at the end of the interval are known in closed form
+(`thermojoint.models.filters.phi`), so nothing is integrated numerically and a gap in the data is
+one long interval. A sample costs the same time and memory however long the run is.
+
+A bank may leak: its inputs then pass s/(s + λ) first, which has states of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import fsum
+
+import numpy as np
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.models.filters.phi import divided_differences, phi_functions
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """A stable linear system with ``n_in`` inputs, ``n_out`` outputs and ``m`` modes.
+
+    Attributes
+    ----------
+    poles : ndarray of complex, shape (m,)
+        p_k in 1/s, Re < 0, Im >= 0 (the conjugate is understood).
+    drive : ndarray, shape (m, n_in)
+        What each mode sees of the inputs.
+    gain, double : ndarray of complex, shape (n_out, m)
+        Coefficients of 1/(s - p_k) and 1/(s - p_k)²; the output is the real part of the sum, so a
+        pair with residues R and conj(R) has gain 2 R.
+    constant, slope : ndarray, shape (n_out, n_in)
+        Coefficients of 1 and of s.
+    leak : float
+        λ of s/(s + λ), which the inputs pass first, 1/s; 0: they do not.
+    """
+
+    poles: np.ndarray
+    drive: np.ndarray
+    gain: np.ndarray
+    double: np.ndarray
+    constant: np.ndarray
+    slope: np.ndarray
+    leak: float = 0.0
+
+    def __post_init__(self) -> None:
+        unstable = ~(self.poles.real < 0.0)
+        if unstable.any():
+            worst = self.poles[unstable][0]
+            raise InputError(
+                f"a bank of exponential states has the pole {worst:.4g} 1/s, which is not stable; "
+                "every rate must be positive"
+            )
+
+    @property
+    def n_state(self) -> int:
+        """Length of the real state vector."""
+        pair = self.poles.imag > 0.0
+        twice = self._has_double()
+        leaky = self.constant.shape[1] if self.leak else 0
+        return int(self.poles.size + pair.sum() + twice.sum() + (pair & twice).sum() + leaky)
+
+    def _has_double(self) -> np.ndarray:
+        return np.asarray((self.double != 0.0).any(axis=0))
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """What it gives of inputs that stand still, no leak, (n_out, n_in); no double poles.
+
+        Terms that are 100 000 times their sum cancel here. They are summed exactly, so that it is
+        the same number on every processor and in every exported program.
+        """
+        terms = (self.gain / -self.poles).real[:, :, None] * self.drive
+        sums = [[fsum(column) for column in one.T] for one in terms]
+        return self.constant + np.array(sums).reshape(self.constant.shape)
+
+    def transfer(self, s: np.ndarray) -> np.ndarray:
+        """Return the transfer matrix at `s` (complex, shape (k,)); shape (k, n_out, n_in)."""
+        s = np.asarray(s, dtype=complex)[:, None, None]
+        below, above = self.poles, self.poles.conj()
+        modal = 0.5 * (
+            self.gain / (s - below)
+            + self.double / (s - below) ** 2
+            + self.gain.conj() / (s - above)
+            + self.double.conj() / (s - above) ** 2
+        )
+        passed = s / (s + self.leak) if self.leak else 1.0
+        return (modal @ self.drive + self.constant + s * self.slope) * passed
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """A bank over one interval, as real matrices; ``N`` states, u from u0 to u1 in a straight line.
+
+    x1 = advance x0 + old u0 + new u1. The output at the end (left limit, where the slope of u is
+    that of this interval) is end x1 + end_old u0 + end_new u1; its mean over the interval is
+    mean x0 + mean_old u0 + mean_new u1. Where u is constant, u0 = u1.
+    """
+
+    advance: np.ndarray
+    old: np.ndarray
+    new: np.ndarray
+    end: np.ndarray
+    end_old: np.ndarray
+    end_new: np.ndarray
+    mean: np.ndarray
+    mean_old: np.ndarray
+    mean_new: np.ndarray
+
+
+@lru_cache(maxsize=256)
+def over_interval(bank: Bank, dt: float) -> Interval:
+    """Return the matrices of `bank` over an interval of `dt` seconds (dt > 0).
+
+    A double pole's second state obeys y' = p y + x, so it is the derivative of x with respect to p:
+    φ_k' = φ_k - k φ_{k+1}.
+    """
+    if bank.leak:
+        return _over_leaking_interval(bank, dt)
+    phi0, phi1, phi2, phi3, phi4 = phi_functions(bank.poles * dt)
+    twice = np.flatnonzero(bank._has_double())
+    slope1, slope2, slope3 = phi1 - phi2, phi2 - 2.0 * phi3, phi3 - 3.0 * phi4
+
+    def chain(head: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        return np.concatenate((head, tail[twice]))
+
+    modes = bank.poles.size
+    complex_poles = chain(bank.poles, bank.poles)
+    pair = np.flatnonzero(complex_poles.imag > 0.0)
+    total = complex_poles.size
+    basis = np.zeros((total, total + pair.size), dtype=complex)
+    basis[:, :total] = np.eye(total)
+    basis[pair, total + np.arange(pair.size)] = 1j
+
+    def carried(diagonal: np.ndarray, link: np.ndarray) -> np.ndarray:
+        """Return the map from the real state to complex modes: diagonal, plus head to tail."""
+        image = chain(diagonal, diagonal)[:, None] * basis
+        image[modes:] += (dt * link[twice])[:, None] * basis[twice]
+        return image
+
+    def real(image: np.ndarray) -> np.ndarray:
+        return np.concatenate((image.real, image.imag[pair]))
+
+    drive = np.concatenate((bank.drive, bank.drive[twice]))
+    ramp = chain(dt * phi2, dt * dt * slope2)[:, None] * drive
+    flat = chain(dt * phi1, dt * dt * slope1)[:, None] * drive
+    mean_ramp = chain(dt * phi3, dt * dt * slope3)[:, None] * drive
+    gains = np.concatenate((bank.gain, bank.double[:, twice]), axis=1)
+    rate = bank.slope / dt
+    return Interval(
+        advance=real(carried(phi0, phi0)),
+        old=real(flat - ramp),
+        new=real(ramp),
+        end=(gains @ basis).real,
+        end_old=-rate,
+        end_new=bank.constant + rate,
+        mean=(gains @ carried(phi1, slope1)).real,
+        mean_old=(gains @ (ramp - mean_ramp)).real + 0.5 * bank.constant - rate,
+        mean_new=(gains @ mean_ramp).real + 0.5 * bank.constant + rate,
+    )
+
+
+def _over_leaking_interval(bank: Bank, dt: float) -> Interval:
+    """Return the matrices of a bank that leaks; u goes on where it was, it must not jump.
+
+    w' = -λ w + u' with u' constant, hence w' = exp(-λ t) c, c = u' - λ w0. With 1/(s - p) =
+    -1/p + s / (p (s - p)) the modes are v' = p v + w'/p: they see changes alone, and their
+    residues, which nearly cancel, nothing that stands still. The states are (v, w).
+    """
+    at, z = -bank.leak * dt, bank.poles * dt
+    phi0, phi1 = phi_functions(z)[:2]
+    _, flow, mean_flow = (float(one.real[0]) for one in phi_functions(np.array([at + 0j]))[:3])
+    direct, mean = divided_differences(at, z)
+    pair = np.flatnonzero(bank.poles.imag > 0.0)
+    basis = np.concatenate((np.eye(z.size), 1j * np.eye(z.size)[:, pair]), axis=1)
+    inputs = bank.constant.shape[1]
+    leaks, nothing = np.eye(inputs), np.zeros((basis.shape[1], inputs))
+    drive = bank.drive / bank.poles[:, None]
+    rest = bank.at_rest
+
+    def real(image: np.ndarray) -> np.ndarray:
+        return np.concatenate((image.real, image.imag[pair]))
+
+    # What c does to the states, and to the mean of the outputs.
+    change = np.concatenate((real(dt * direct[:, None] * drive), dt * flow * leaks))
+    mean_change = (bank.gain @ (dt * mean[:, None] * drive)).real
+    mean_change += dt * mean_flow * rest + flow * bank.slope
+    advance = np.block([[real(phi0[:, None] * basis), nothing], [nothing.T, leaks]])
+    advance[:, -inputs:] -= bank.leak * change
+    held = rest - bank.leak * mean_change
+    # At the end u' - λ w is w'.
+    end = ((bank.gain @ basis).real, rest - bank.leak * bank.slope)
+    return Interval(
+        advance=advance,
+        old=-change / dt,
+        new=change / dt,
+        end=np.concatenate(end, axis=1),
+        end_old=-bank.slope / dt,
+        end_new=bank.slope / dt,
+        mean=np.concatenate(((bank.gain @ (phi1[:, None] * basis)).real, held), axis=1),
+        mean_old=-mean_change / dt,
+        mean_new=mean_change / dt,
+    )
+
+
+def simple_bank(poles: np.ndarray, gains: np.ndarray) -> Bank:
+    """Return Σ gain_k / (s - p_k): one input, one output; both arrays of shape (m,)."""
+    poles = np.asarray(poles, dtype=complex)
+    gain = np.asarray(gains, dtype=complex)[None, :]
+    nothing = np.zeros((1, 1))
+    return Bank(poles, np.ones((poles.size, 1)), gain, np.zeros_like(gain), nothing, nothing)
+
+
+def stacked(banks: list[Bank]) -> Bank:
+    """Return the bank whose outputs are those of `banks`, one below the other, on shared inputs.
+
+    Banks that leak cannot be put together; put them together first, then let the whole leak.
+    """
+    _tight(banks)
+    return Bank(
+        poles=np.concatenate([b.poles for b in banks]),
+        drive=np.concatenate([b.drive for b in banks]),
+        gain=_diagonal([b.gain for b in banks]),
+        double=_diagonal([b.double for b in banks]),
+        constant=np.concatenate([b.constant for b in banks]),
+        slope=np.concatenate([b.slope for b in banks]),
+    )
+
+
+def summed(banks: list[Bank]) -> Bank:
+    """Return the bank whose inputs are those of `banks` side by side, outputs added; no leaks."""
+    _tight(banks)
+    return Bank(
+        poles=np.concatenate([b.poles for b in banks]),
+        drive=_diagonal([b.drive for b in banks]),
+        gain=np.concatenate([b.gain for b in banks], axis=1),
+        double=np.concatenate([b.double for b in banks], axis=1),
+        constant=np.concatenate([b.constant for b in banks], axis=1),
+        slope=np.concatenate([b.slope for b in banks], axis=1),
+    )
+
+
+def leaking(bank: Bank, rate: float) -> Bank:
+    """Return `bank` times s/(s + rate): what stands still at its inputs fades from its outputs.
+
+    The leak stays a stage of its own. By partial fractions it would be one more pole of the bank,
+    and a pole that happens to lie near it would have residues that nearly cancel.
+
+    Parameters
+    ----------
+    bank : Bank
+        Without double poles.
+    rate : float
+        1/s, positive.
+    """
+    if bank._has_double().any():
+        raise InputError("a bank with double poles has no leaking form here")
+    return replace(bank, leak=rate)
+
+
+def respond_to_line(
+    bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (mean over each interval, value at its end) for the straight line through the samples.
+
+    Parameters
+    ----------
+    bank : Bank
+    times : ndarray, shape (k,)
+        Increasing, s.
+    inputs : ndarray, shape (k, n_in)
+        Samples of the inputs.
+    lead : float
+        The bank is at rest, its inputs zero, until `lead` seconds before the first sample.
+
+    Returns
+    -------
+    means, ends : ndarray, shape (k, n_out)
+    """
+    means, ends = _outputs(bank, times), _outputs(bank, times)
+    state, before = np.zeros(bank.n_state), np.zeros(inputs.shape[1])
+    for n, dt in enumerate(intervals(times, lead)):
+        over, now = over_interval(bank, dt), inputs[n]
+        means[n] = over.mean @ state + over.mean_old @ before + over.mean_new @ now
+        state = over.advance @ state + over.old @ before + over.new @ now
+        ends[n] = over.end @ state + over.end_old @ before + over.end_new @ now
+        before = now
+    return means, ends
+
+
+def respond_to_steps(bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: float) -> np.ndarray:
+    """Return the outputs at `times` where input n holds over the interval that ends at time n.
+
+    Parameters and result as in `respond_to_line`; the first input holds for `lead` seconds. The
+    bank must not leak: its inputs would jump.
+    """
+    _tight([bank])
+    ends = _outputs(bank, times)
+    state = np.zeros(bank.n_state)
+    for n, dt in enumerate(intervals(times, lead)):
+        over = over_interval(bank, dt)
+        state = over.advance @ state + (over.old + over.new) @ inputs[n]
+        ends[n] = over.end @ state + bank.constant @ inputs[n]
+    return ends
+
+
+def intervals(times: np.ndarray, lead: float) -> list[float]:
+    """Return the length of the interval that ends at each of `times`; the first is `lead`."""
+    return [float(lead), *np.diff(times).tolist()]
+
+
+def _outputs(bank: Bank, times: np.ndarray) -> np.ndarray:
+    return np.empty((len(times), bank.constant.shape[0]))
+
+
+def _tight(banks: list[Bank]) -> None:
+    if any(bank.leak for bank in banks):
+        raise InputError("banks that leak cannot be put together; let the whole leak")
+
+
+def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:
+    """Return the matrix with `blocks` on its diagonal; empty blocks keep their shape."""
+    rows = sum(b.shape[0] for b in blocks)
+    columns = sum(b.shape[1] for b in blocks)
+    whole = np.zeros((rows, columns), dtype=np.result_type(*blocks))
+    row = column = 0
+    for block in blocks:
+        whole[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row += block.shape[0]
+        column += block.shape[1]
+    return whole

@@ -1,0 +1,292 @@
+"""Rational approximation of stable transfer functions, with poles that are stable by construction.
+
+The transfer functions of the generalised model have a branch cut on the negative real axis and no
+finite set of poles; over the band that a run can excite, some twenty poles reproduce them to 1e-7
+and better. The poles are found by vector fitting (Gustavsen & Semlyen, IEEE Trans. Power Delivery
+14, 1999; relaxed as in Gustavsen, ibid. 21, 2006; entries condensed one by one as in Deschrijver et
+al., IEEE MWCL 18, 2008): linear least squares on the imaginary axis with real coefficients, a pole
+that crosses the axis mirrored back, all entries of a matrix sharing the poles. The error that was
+reached is part of the result, and one above the tolerance is an error, never a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.models.filters.bank import Bank, simple_bank
+from thermojoint.models.parameters import RingModel
+from thermojoint.models.ring_source import transfer_function
+
+Transfer = Callable[[np.ndarray], np.ndarray]
+
+#: Numbers of poles that are tried, and rounds of relocation for each.
+_ORDERS = (12, 16, 20, 24, 28, 32, 36, 40)
+_ROUNDS = 6
+#: Samples on the imaginary axis per decade, and how far past the Nyquist rate they reach: the
+#: straight lines between samples still have a spectrum there.
+_PER_DECADE = 60
+_BEYOND = 30.0
+_BELOW = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PoleResidue:
+    """constant + Σ_k residue_k / (s - p_k), conjugates understood.
+
+    Attributes
+    ----------
+    poles : ndarray of complex, shape (m,)
+        1/s, Re < 0, Im >= 0.
+    residues : ndarray of complex, shape (m, n_out, n_in)
+        Of the pole with Im >= 0; a real pole's are real.
+    constant : ndarray, shape (n_out, n_in)
+        Value at infinite frequency.
+    error : float
+        Largest error over the band, relative as asked.
+    band : tuple of float
+        Angular frequencies between which it was measured, 1/s.
+    """
+
+    poles: np.ndarray
+    residues: np.ndarray
+    constant: np.ndarray
+    error: float
+    band: tuple[float, float]
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Residues as the gains of a `Bank`: doubled where the conjugate is understood."""
+        pair = np.where(self.poles.imag > 0.0, 2.0, 1.0)
+        return self.residues * pair[:, None, None]
+
+
+def excited_band(dt_s: float, run_length_s: float) -> tuple[float, float]:
+    """Return the angular frequencies (1/s) that a run of this length and sampling excites.
+
+    Raises
+    ------
+    InputError
+        The sampling interval or the run length is not positive, or the run has no two samples.
+    """
+    if not 0.0 < dt_s < run_length_s < np.inf:
+        raise InputError(
+            f"sampling interval {dt_s:g} s and run length {run_length_s:g} s do not make a run; "
+            "give 0 < interval < length"
+        )
+    return _BELOW / run_length_s, _BEYOND * np.pi / dt_s
+
+
+def fit_strictly_proper(
+    transfer: Transfer, band: tuple[float, float], tolerance: float, what: str
+) -> PoleResidue:
+    """Fit a transfer function that vanishes at infinity; errors relative to its largest value.
+
+    Parameters
+    ----------
+    transfer : callable
+        s, complex, shape (k,), to values of shape (k, n_out, n_in); real on the real axis, analytic
+        for Re s >= 0.
+    band : tuple of float
+        Lowest and highest angular frequency, 1/s.
+    tolerance : float
+        Largest error that is accepted.
+    what : str
+        Names the function in the error.
+
+    Raises
+    ------
+    ConvergenceError
+        No number of poles reaches the tolerance.
+    """
+    frequencies, values = _sample(transfer, band, what)
+    weight = np.full(frequencies.size, 1.0 / np.linalg.norm(values, axis=(1, 2)).max())
+    return _fit(frequencies, values, weight, False, band, tolerance, what)
+
+
+def fit_proper(
+    transfer: Transfer, band: tuple[float, float], tolerance: float, what: str
+) -> PoleResidue:
+    """Fit a transfer function that is finite at infinity; errors relative at every frequency.
+
+    Parameters and errors as in `fit_strictly_proper`.
+    """
+    frequencies, values = _sample(transfer, band, what)
+    weight = 1.0 / np.linalg.norm(values, axis=(1, 2))
+    return _fit(frequencies, values, weight, True, band, tolerance, what)
+
+
+def direct_bank(
+    ring: RingModel, dt_s: float, run_length_s: float, tolerance: float, what: str
+) -> Bank:
+    """Return heat to temperature (Eqs. 1-3) as a bank of exponential states.
+
+    Parameters
+    ----------
+    ring : RingModel
+    dt_s, run_length_s : float
+        Sampling interval and length of the runs it is for, s.
+    tolerance : float
+        Error over the band, relative to the largest value of the transfer function.
+    what : str
+        Names the function in an error.
+    """
+
+    def transfer(s: np.ndarray) -> np.ndarray:
+        value = transfer_function(s, ring.K, ring.a, ring.alpha, ring.r, ring.r0)
+        return value[:, None, None]
+
+    fit = fit_strictly_proper(transfer, excited_band(dt_s, run_length_s), tolerance, what)
+    return simple_bank(fit.poles, fit.weights[:, 0, 0])
+
+
+def _sample(
+    transfer: Transfer, band: tuple[float, float], what: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return log-spaced angular frequencies over `band` and the values there."""
+    count = int(np.ceil(_PER_DECADE * np.log10(band[1] / band[0]))) + 1
+    frequencies = np.geomspace(*band, count)
+    values = np.asarray(transfer(1j * frequencies))
+    if not np.isfinite(values).all() or not (np.abs(values).max() > 0.0):
+        raise InputError(
+            f"{what}: the transfer function is zero or not finite between {band[0]:.3g} and "
+            f"{band[1]:.3g} 1/s; check the model's parameters"
+        )
+    return frequencies, values
+
+
+def _fit(
+    frequencies: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    proper: bool,
+    band: tuple[float, float],
+    tolerance: float,
+    what: str,
+) -> PoleResidue:
+    """Raise the number of poles until the weighted error is below `tolerance`."""
+    s = 1j * frequencies
+    flat = values.reshape(frequencies.size, -1)
+    best = np.inf
+    for order in _ORDERS:
+        poles = -np.geomspace(band[0] / _BELOW, band[1], order).astype(complex)
+        for _ in range(_ROUNDS):
+            poles = _relocated(s, flat, poles, weight, proper)
+            fitted, coefficients = _residues(s, flat, poles, weight, proper)
+            miss = np.linalg.norm(fitted - flat, axis=1) * weight
+            best = min(best, float(miss.max()))
+            if miss.max() <= tolerance:
+                residues, constant = _unpack(coefficients, poles, proper)
+                _, rows, columns = values.shape
+                return PoleResidue(
+                    poles,
+                    residues.reshape(-1, rows, columns),
+                    constant.reshape(rows, columns),
+                    float(miss.max()),
+                    band,
+                )
+    raise ConvergenceError(
+        f"{what}: {_ORDERS[-1]} poles reach a relative error of {best:.2g} between {band[0]:.3g} "
+        f"and {band[1]:.3g} 1/s, above {tolerance:.2g}; raise the tolerance or sample more slowly"
+    )
+
+
+def _basis(s: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """Return partial fractions with real coefficients; a pair has two columns. Shape (k, N)."""
+    columns = []
+    for pole in poles:
+        below = 1.0 / (s - pole)
+        if pole.imag == 0.0:
+            columns.append(below)
+        else:
+            above = 1.0 / (s - pole.conjugate())
+            columns += [below + above, 1j * (below - above)]
+    return np.stack(columns, axis=1)
+
+
+def _realified(matrix: np.ndarray) -> np.ndarray:
+    return np.concatenate((matrix.real, matrix.imag))
+
+
+def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve by least squares with the columns scaled to length one."""
+    length = np.linalg.norm(matrix, axis=0)
+    solution = np.linalg.lstsq(matrix / length, right, rcond=1e-15)[0]
+    return np.asarray((solution.T / length).T)
+
+
+def _residues(
+    s: np.ndarray, values: np.ndarray, poles: np.ndarray, weight: np.ndarray, proper: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the fitted values and the real coefficients, shape (N or N + 1, entries)."""
+    basis = _basis(s, poles)
+    if proper:
+        basis = np.column_stack((basis, np.ones(s.size)))
+    matrix = _realified(basis * weight[:, None])
+    coefficients = _least_squares(matrix, _realified(values * weight[:, None]))
+    return basis @ coefficients, coefficients
+
+
+def _relocated(
+    s: np.ndarray, values: np.ndarray, poles: np.ndarray, weight: np.ndarray, proper: bool
+) -> np.ndarray:
+    """Return the zeros of the relaxed scaling function: the next poles, mirrored if unstable."""
+    basis = _basis(s, poles)
+    scaling = np.column_stack((basis, np.ones(s.size)))
+    own = scaling if proper else basis
+    rows: list[np.ndarray] = []
+    for entry in values.T:
+        block = np.column_stack((own, -entry[:, None] * scaling)) * weight[:, None]
+        upper = np.asarray(np.linalg.qr(_realified(block), mode="r"))
+        rows.append(upper[own.shape[1] :, own.shape[1] :])
+    # Relaxation: the mean real part of the scaling function is one, so it cannot vanish.
+    size = np.linalg.norm(values * weight[:, None]) / s.size
+    rows.append(size * scaling.real.sum(axis=0)[None, :])
+    matrix = np.concatenate(rows)
+    right = np.zeros(matrix.shape[0])
+    right[-1] = size * s.size
+    solution = _least_squares(matrix, right)
+    companion, drive = _state_matrix(poles)
+    zeros = np.linalg.eigvals(companion - np.outer(drive, solution[:-1]) / solution[-1])
+    zeros = zeros[zeros.imag >= 0.0].astype(complex)
+    # A zero on the axis itself cannot be mirrored; it is moved in by its own magnitude's share.
+    inward = np.maximum(np.abs(zeros.real), 1e-6 * np.abs(zeros))
+    return -inward + 1j * zeros.imag
+
+
+def _state_matrix(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the real state matrix and input vector whose transfer is `_basis`."""
+    size = int(poles.size + (poles.imag > 0.0).sum())
+    matrix, drive = np.zeros((size, size)), np.zeros(size)
+    row = 0
+    for pole in poles:
+        if pole.imag == 0.0:
+            matrix[row, row], drive[row] = pole.real, 1.0
+            row += 1
+        else:
+            matrix[row : row + 2, row : row + 2] = [
+                [pole.real, pole.imag],
+                [-pole.imag, pole.real],
+            ]
+            drive[row] = 2.0
+            row += 2
+    return matrix, drive
+
+
+def _unpack(
+    coefficients: np.ndarray, poles: np.ndarray, proper: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return complex residues, shape (m, entries), and the constant, shape (entries,)."""
+    residues = np.empty((poles.size, coefficients.shape[1]), dtype=complex)
+    row = 0
+    for k, pole in enumerate(poles):
+        residues[k] = coefficients[row]
+        row += 1
+        if pole.imag > 0.0:
+            residues[k] += 1j * coefficients[row]
+            row += 1
+    constant = coefficients[-1] if proper else np.zeros(coefficients.shape[1])
+    return residues, constant

@@ -1,0 +1,308 @@
+"""A model learned from a log: displacement as a bounded linear filter of what is measured.
+
+    δ_c = zero_c + Σ_f w_cf φ_f,   φ_f = relaxation with τ_f of u_f,
+
+u_f is a temperature above its reference, or |x / scale|^p of a speed, power or load: its heat. With
+the weights goes their covariance, of what the log and the choice of structures leave open, so that
+the band grows where the log has not been. `calibrate.learning` makes it, `estimator.learned` runs
+it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json, validated
+from thermojoint.models.filters.relaxations import relax_all
+from thermojoint.models.parameters import STRICT
+
+FILE = JsonKind(
+    "thermojoint-learned-model", 1, "model", "written by 'thermojoint learn'", "learn again"
+)
+
+
+@dataclass(frozen=True)
+class Feature:
+    """What a weight multiplies.
+
+    Attributes
+    ----------
+    column : str
+        Of the log, with its unit.
+    tau_s : float
+        Time constant of the relaxation, s; 0 for the signal as it is.
+    exponent : float
+        p of a heat; 0 for a temperature, which is taken as a rise.
+    reference : float
+        What a temperature is a rise above, K.
+    scale : float
+        What a speed or power is relative to, SI.
+    """
+
+    __pydantic_config__ = STRICT
+
+    column: str
+    tau_s: NonNegativeFloat
+    exponent: NonNegativeFloat = 0.0
+    reference: float = 0.0
+    scale: PositiveFloat = 1.0
+
+    def signal(self, values: Array) -> Array:
+        """Return u of a column's values in SI, of the same shape."""
+        if self.exponent:
+            return np.asarray(np.abs(values / self.scale) ** self.exponent)
+        return np.asarray(values - self.reference)
+
+
+@dataclass(frozen=True)
+class LearnedChannel:
+    """One displacement.
+
+    Attributes
+    ----------
+    name : str
+        As in the log, with its unit.
+    zero : float
+        Displacement where every feature is zero, m, on the zero of the log that was learned from.
+    weights : tuple of float
+        Of each feature, m.
+    covariance : tuple of tuple of float
+        Of the weights, m2.
+    drift : float
+        Standard deviation of what no feature tells, m: the error on blocks of time held out.
+    span : tuple of float
+        Least and largest displacement of the log, m.
+    widening : float
+        Factor on the band, by which it held on blocks of time held out.
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    zero: float
+    weights: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    drift: PositiveFloat
+    span: tuple[float, float]
+    widening: PositiveFloat = 1.0
+
+
+@dataclass(frozen=True)
+class LearnedFrom:
+    """Where a model came from, and how its error compares.
+
+    Attributes
+    ----------
+    samples : int
+        Of the log.
+    files : tuple of str
+        Names.
+    faults : tuple of str
+        What was found wrong with sensors, and what was done.
+    warnings : tuple of str
+        What the log cannot tell.
+    errors_um : dict
+        Kind of model to the rms error of each displacement on blocks held out, µm.
+    versions : dict
+        Package to version.
+    """
+
+    __pydantic_config__ = STRICT
+
+    samples: int = 0
+    files: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    errors_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LogEnd:
+    """Where the log ended: a log whose clock goes on from there begins with what this one left.
+
+    Attributes
+    ----------
+    time_s : float
+        On the log's clock.
+    values : tuple of float
+        Of each column of the model, SI.
+    relaxations : tuple of float
+        Of each feature.
+    """
+
+    __pydantic_config__ = STRICT
+
+    time_s: float
+    values: tuple[float, ...]
+    relaxations: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class LearnedModel:
+    """A learned model.
+
+    Attributes
+    ----------
+    kind : str
+        ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
+    features : tuple of Feature
+        What is filtered.
+    channels : tuple of LearnedChannel
+        What is estimated.
+    spans : dict
+        Column to its least and largest value in the log, SI.
+    duration_s : float
+        Of the longest run, s.
+    learned_from : LearnedFrom
+        The log.
+    renamed : dict
+        What the log called a column, to what it is called here.
+    log_end : LogEnd, optional
+        Where the log ended.
+    """
+
+    __pydantic_config__ = STRICT
+
+    kind: str
+    features: tuple[Feature, ...]
+    channels: tuple[LearnedChannel, ...]
+    spans: dict[str, tuple[float, float]]
+    duration_s: PositiveFloat
+    learned_from: LearnedFrom = field(default_factory=LearnedFrom)
+    renamed: dict[str, str] = field(default_factory=dict)
+    log_end: LogEnd | None = None
+
+    def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
+        """Return how a log like that which was learned from is to be read.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            The columns that are needed; the clock is, always.
+        """
+        return {
+            theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
+        }
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that a log must have, in the order of the first feature of each."""
+        return tuple(dict.fromkeys(one.column for one in self.features))
+
+    @cached_property
+    def sensors(self) -> tuple[str, ...]:
+        """Temperatures among the columns."""
+        heats = {one.column for one in self.features if one.exponent}
+        return tuple(name for name in self.columns if name not in heats)
+
+    @cached_property
+    def taus(self) -> Array:
+        """Time constant of each feature, s."""
+        return np.array([one.tau_s for one in self.features])
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint: of another model it is another one."""
+        content = _MODEL.dump_python(self, mode="json")
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+_MODEL: TypeAdapter[LearnedModel] = TypeAdapter(LearnedModel)
+
+
+def signals(features: Sequence[Feature], columns: Sequence[str], values: Array) -> Array:
+    """Return the signal of each feature, shape (..., features), of values (..., columns) in SI."""
+    at = {name: k for k, name in enumerate(columns)}
+    return np.stack([one.signal(values[..., at[one.column]]) for one in features], axis=-1)
+
+
+def at_rest(features: Sequence[Feature], first: Array) -> Array:
+    """Return relaxations at the start of a run of which nothing earlier is known, shape (n,).
+
+    Temperatures have long been as they are; no heat has gone in before.
+    """
+    heats = np.array([one.exponent > 0.0 for one in features], dtype=bool)
+    return np.where(heats, 0.0, first)
+
+
+def features_of(
+    features: Sequence[Feature], columns: Sequence[str], run: tuple[Array, Array]
+) -> Array:
+    """Return the features of one run, shape (k, features); `run` is times and values in SI."""
+    times, values = run
+    found = signals(features, columns, values)
+    taus = np.array([one.tau_s for one in features])
+    return relax_all(times, found, taus, at_rest(features, found[0]))
+
+
+def write_learned(model: LearnedModel, path: Path | str) -> None:
+    """Write a learned model, whole or not at all.
+
+    Parameters
+    ----------
+    model : LearnedModel
+        What `learn` returns.
+    path : Path or str
+        JSON to write.
+
+    Raises
+    ------
+    InputError
+        A value is not finite.
+    """
+    content = FILE.header | _MODEL.dump_python(model, mode="json")
+    try:
+        text = json.dumps(content, indent=1, allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"{path}: the model has a value that is not finite") from error
+    write_text(Path(path), text + "\n")
+
+
+def read_learned(path: Path | str) -> LearnedModel:
+    """Read a learned model.
+
+    Parameters
+    ----------
+    path : Path or str
+        JSON written by `write_learned`.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, of another kind or version, or its parts do not fit.
+    """
+    content = read_json(path, FILE)
+    found = validated(_MODEL, content, str(path), FILE.remedy)
+    count = len(found.features)
+    for one in found.channels:
+        shape = {len(one.weights), len(one.covariance), *map(len, one.covariance)}
+        if shape != {count}:
+            raise InputError(f"{path}: {one.name}: {count} weights and their covariance needed")
+    missing = set(found.columns) - set(found.spans)
+    end = found.log_end
+    if end and (len(end.values), len(end.relaxations)) != (len(found.columns), count):
+        raise InputError(f"{path}: log_end: a value for each column and feature needed")
+    if missing or not found.channels:
+        raise InputError(f"{path}: spans or channels are missing; learn again")
+    return found
+
+
+def is_learned(path: Path | str) -> bool:
+    """Whether a file says that it is a learned model; what cannot be read is none."""
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("schema") == FILE.schema

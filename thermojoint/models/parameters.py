@@ -1,0 +1,217 @@
+"""The calibrated model: every parameter of Tables 1-3, in SI, as frozen data.
+
+`calibrate` makes it, `estimator` runs it; `thermojoint.models.model_file` stores it as JSON by
+these very classes, whose types say what a file may hold. The heat input is relative to the
+reference step (dimensionless), so `K` is in kelvin per unit of heat input.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+
+from pydantic import ConfigDict, NonNegativeFloat, PositiveFloat
+
+#: A file is refused for an unknown key, a number given as text, NaN and infinity.
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class RingModel:
+    """Generalised thermal model (Eqs. 1-3): a ring source on a plate that convects.
+
+    Attributes
+    ----------
+    K : float
+        Gain, K per unit heat input.
+    a : float
+        Convection parameter, 1/m2.
+    alpha : float
+        Apparent diffusivity, m2/s.
+    r, r0 : float
+        Distance of the point and radius of the ring, m.
+    """
+
+    __pydantic_config__ = STRICT
+
+    K: float
+    a: PositiveFloat
+    alpha: PositiveFloat
+    r: NonNegativeFloat
+    r0: PositiveFloat
+
+
+@dataclass(frozen=True)
+class Regularisation:
+    """Regularisation function f_R = (A t + B t2) exp(-gamma t) (Eq. 7); K/s, K/s2 and 1/s.
+
+    Its unit is that of the step response it is added to: K per unit heat input.
+    """
+
+    __pydantic_config__ = STRICT
+
+    A: float
+    B: float
+    gamma: PositiveFloat
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Direct thermal model as a relaxation spectrum: sum of c_k (1 - exp(-lambda_k t)).
+
+    Attributes
+    ----------
+    amplitudes : tuple of float
+        c_k, K per unit heat input.
+    rates : tuple of float
+        lambda_k, 1/s, positive.
+    """
+
+    __pydantic_config__ = STRICT
+
+    amplitudes: tuple[float, ...]
+    rates: tuple[PositiveFloat, ...]
+
+
+@dataclass(frozen=True)
+class DeformationModel:
+    """Step response of a displacement (Eq. 8; Eq. 18 with the last term).
+
+    C + D - C exp(-c t) - D exp(-d t) + E t exp(-e t) + F t exp(-f t), with C, D in m per unit of
+    heat input, E, F in m/s per unit and the rates in 1/s. Eq. 8 has F = f = 0.
+    """
+
+    __pydantic_config__ = STRICT
+
+    C: float
+    D: float
+    E: float
+    c: PositiveFloat
+    d: PositiveFloat
+    e: PositiveFloat
+    F: float = 0.0
+    f: NonNegativeFloat = 0.0
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Table 1: what the structure does at the reference input, taken as proportional to it.
+
+    Attributes
+    ----------
+    thermal : RingModel
+        Heat input to temperature difference (a) - (b).
+    regularisation : Regularisation
+        f_R of its inverse.
+    deformation : dict
+        Axis name (e.g. "x", "y") to its Eq. 8 model.
+    direct : dict
+        Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
+    """
+
+    __pydantic_config__ = STRICT
+
+    thermal: RingModel
+    regularisation: Regularisation
+    deformation: dict[str, DeformationModel]
+    direct: dict[str, RingModel | Relaxation]
+
+
+@dataclass(frozen=True)
+class FictitiousSource:
+    """One fictitious contact heat source: its row of Tables 2 and 3.
+
+    Attributes
+    ----------
+    K, a, alpha, r0 : float
+        As in `RingModel`; the distances stand in `Model.distances`.
+    strengths : dict
+        Calibration heat input to the source's step strength q there.
+    regularisation : Regularisation
+        f_R of its inverse.
+    deformation : dict
+        Axis name to the Eq. 18 model per unit strength, calibrated to steps (Table 3).
+    driven : dict
+        The same, calibrated to the strengths that the inverse filters estimate
+        (`calibrate.driven_deformation`). Where it is given, the estimator uses it; empty for the
+        paper's own scheme.
+    """
+
+    __pydantic_config__ = STRICT
+
+    K: float
+    a: PositiveFloat
+    alpha: PositiveFloat
+    r0: PositiveFloat
+    strengths: dict[float, float]
+    regularisation: Regularisation
+    deformation: dict[str, DeformationModel]
+    driven: dict[str, DeformationModel] = field(default_factory=dict)
+
+    @property
+    def applied(self) -> dict[str, DeformationModel]:
+        """The deformation models that the estimator uses."""
+        return self.driven or self.deformation
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a calibration has seen: beyond it a model only extrapolates.
+
+    Attributes
+    ----------
+    duration_s : float
+        Length of the calibration runs from rest, s.
+    heat : tuple of float
+        Smallest and largest heat input, rest included, 1.
+    temperatures : dict
+        Channel ("delta_T", "T1", ...) to its smallest and largest value, K.
+    """
+
+    __pydantic_config__ = STRICT
+
+    duration_s: PositiveFloat
+    heat: tuple[float, float]
+    temperatures: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything the estimator of Figure 5 needs.
+
+    Attributes
+    ----------
+    linear : LinearModel
+        Table 1.
+    sources : tuple of FictitiousSource
+        Tables 2 and 3.
+    distances : tuple of tuple of float
+        r_ij, m: from source i to sensor T_j, fixed by the geometry (Eq. 16).
+    sensors : dict
+        Role ("a", "b", "T1", "T2") to the position in m.
+    reference_power_W : float
+        Heat at heat input 1, W, as the reference response states it. A simulated one states the
+        case's figure: of one source by its ``reading``, per source or total; of several the sum.
+    span : Span
+        What the calibration has seen.
+    leak : float
+        Rate at which a deviation ∂T that stands still fades from the strengths, 1/s: what lasts
+        longer than the calibration is not told from an error of block 3. 0 in the paper's own
+        scheme.
+    """
+
+    __pydantic_config__ = STRICT
+
+    linear: LinearModel
+    sources: tuple[FictitiousSource, ...]
+    distances: tuple[tuple[PositiveFloat, ...], ...]
+    sensors: dict[str, tuple[float, float, float]]
+    reference_power_W: PositiveFloat
+    span: Span
+    leak: NonNegativeFloat = 0.0
+
+    @property
+    def digest(self) -> str:
+        """Digest of every parameter: the same wherever the model is read."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,143 @@
+"""The sensors of the generalised models: their roles, and where a response has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
+from thermojoint.artefacts.response import probes_of
+from thermojoint.models.parameters import Model
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Near the heat source: ΔT = T_a - T_b (Eqs. 1-6).
+HEAT_SENSORS = ("a", "b")
+#: At the joint: one for each fictitious source (Eq. 16).
+JOINT_SENSORS = ("T1", "T2")
+ROLES = (*HEAT_SENSORS, *JOINT_SENSORS)
+
+#: A probe this near to a sensor of the model is that sensor, m.
+SAME_PLACE = 1e-6
+
+
+@dataclass(frozen=True)
+class Readings:
+    """All that the estimator of Figure 5 may know of a structure.
+
+    Attributes
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    delta_T : ndarray, shape (k,)
+        T_a - T_b, K.
+    temperatures : ndarray, shape (k, n)
+        T1, T2, ... above the current ambient, K.
+    """
+
+    times: Array
+    delta_T: Array
+    temperatures: Array
+
+
+def readings(
+    response: xr.Dataset,
+    joint: Sequence[str] = JOINT_SENSORS,
+    roles: Mapping[str, str] | None = None,
+    noise: Mapping[str, Array] | None = None,
+) -> Readings:
+    """Return the temperatures the estimator needs, and nothing else of the response.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `thermojoint.artefacts.response` says. Its temperatures are above the initial ambient:
+        ``ambient``, if it is there, is subtracted from those at the joint.
+    joint : sequence of str
+        Roles of the sensors at the joint.
+    roles : mapping, optional
+        Role ("a", "b", "T1", ...) to the name of the probe; by default the same.
+    noise : mapping, optional
+        Role to what is added to its temperature, K, shape (k,).
+
+    Raises
+    ------
+    InputError
+        A probe is missing, or noise is given for a role that does not exist.
+    """
+    rise, above = _rises(response, (*HEAT_SENSORS, *joint), roles, noise)
+    joined = np.stack([rise[role] for role in joint], axis=1)
+    if above is not None:
+        joined = joined - above[:, None]
+    return Readings(response["time"].to_numpy(), rise["a"] - rise["b"], joined)
+
+
+def rises(
+    response: xr.Dataset,
+    roles: Mapping[str, str] | None = None,
+    noise: Mapping[str, Array] | None = None,
+) -> Array:
+    """Return a, b, T1 and T2 above the current ambient, K, shape (k, 4); as `readings`."""
+    rise, above = _rises(response, ROLES, roles, noise)
+    table = np.stack([rise[role] for role in ROLES], axis=1)
+    return table if above is None else table - above[:, None]
+
+
+def _rises(
+    response: xr.Dataset,
+    wanted: Sequence[str],
+    roles: Mapping[str, str] | None,
+    noise: Mapping[str, Array] | None,
+) -> tuple[dict[str, Array], Array | None]:
+    """Return role to its temperature above the initial ambient, and the ambient if it moves."""
+    names = dict(roles or {})
+    added = dict(noise or {})
+    for role in (*names, *added):
+        if role not in wanted:
+            raise unknown_name("sensor role", role, wanted, "validation")
+    known = probes_of(response)
+    signals = {}
+    for role in wanted:
+        name = names.get(role, role)
+        if name not in known:
+            raise unknown_name("probe", name, known, f"response, role {role}")
+        temperature = response["temperature"].isel(probe=known.index(name)).to_numpy()
+        signals[role] = temperature + added.get(role, 0.0)
+    return signals, response["ambient"].to_numpy() if "ambient" in response else None
+
+
+def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
+    """Return sensor role to the name of the probe in a response.
+
+    The probe of the role's own name, unless it lies elsewhere than the model's sensor: then the
+    probe that lies there.
+
+    Raises
+    ------
+    InputError
+        A role has no probe.
+    """
+    names = probes_of(response)
+    found = {}
+    for role in (*HEAT_SENSORS, *model.linear.direct):
+        if "probe_position" not in response or role not in model.sensors:
+            found[role] = role  # whether it exists is checked where it is read
+            continue
+        apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
+        distance = np.linalg.norm(apart, axis=1)
+        if role in names and distance[names.index(role)] <= SAME_PLACE:
+            found[role] = role
+        elif distance.min() <= SAME_PLACE:
+            found[role] = names[int(distance.argmin())]
+        else:
+            raise InputError(
+                f"response: no probe at sensor {role!r} of the model, "
+                f"{shown_point(model.sensors[role])} m; the nearest, "
+                f"{names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
+            )
+    return found

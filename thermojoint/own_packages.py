@@ -1,0 +1,36 @@
+"""A file of the user's that hides a package of this distribution is named before it does harm."""
+
+from __future__ import annotations
+
+import sys
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+#: The packages beside this one that stand at the top level, with names a script may have too.
+BESIDE = ("calibrate", "estimator", "fesim", "meshes")
+
+
+def check_not_hidden() -> None:
+    """Check that the packages beside this one are those that an import finds.
+
+    Raises
+    ------
+    ImportError
+        In one line: another file or folder of that name comes first on the path.
+    """
+    for name in BESIDE:
+        if hiding := _hiding(name):
+            raise ImportError(f"{hiding} hides the package {name!r} of thermojoint; rename it")
+
+
+def _hiding(name: str) -> str:
+    """Path of what an import of `name` finds in place of ours; empty if it finds ours."""
+    ours = Path(__file__).parents[1] / name / "__init__.py"
+    if (loaded := sys.modules.get(name)) is not None:
+        found = getattr(loaded, "__file__", None)
+    elif (spec := PathFinder.find_spec(name)) is not None:
+        # A folder without `__init__.py` has places and no origin.
+        found = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
+    else:  # an editable installation is found after the path
+        return ""
+    return "" if found is None or Path(found).resolve() == ours.resolve() else str(found)

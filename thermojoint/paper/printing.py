@@ -1,0 +1,165 @@
+"""The tables of the reproduced paper, and of its validation, on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from thermojoint.console import number, rounded, titled
+from thermojoint.paper import paper_values
+
+if TYPE_CHECKING:
+    from estimator.rows import Row
+    from thermojoint.paper.summary import Convergence, PressureShare, SchemeErrors
+    from thermojoint.paper.tables import PrintedTable
+    from thermojoint.paper.verdict import ErrorTable
+
+
+def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
+    """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
+    from thermojoint.paper.tables import NOTE
+
+    for printed in tables:
+        table = Table()
+        table.add_column("parameter")
+        table.add_column("unit")
+        table.add_column("ours", justify="right")
+        table.add_column("paper", justify="right")
+        for block in printed.blocks:
+            table.add_section()
+            table.add_row(block.title, style="bold")
+            for row in block.rows:
+                table.add_row(
+                    row.name,
+                    row.unit,
+                    f"{number(row.ours)}{' *' if row.at_bound else ''}",
+                    number(row.paper),
+                )
+        titled(console, printed.title, table)
+    console.print(NOTE)
+    console.print(f"Paper: {paper_values.CITATION}.")
+
+
+def show_validation(console: Console, rows: Sequence[Row]) -> None:
+    """Print the errors of the estimators, from temperatures alone."""
+    from thermojoint.paper.verdict import paper_claim
+
+    table = Table()
+    title = "Validation from temperatures alone (µm)"
+    for name in ("case", "estimator", "axis"):
+        table.add_column(name, no_wrap=True)
+    for name in ("max error", "rms error", "peak", "nonlinear peak", "paper's error"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        claim = paper_claim(row)
+        table.add_row(
+            str(row["case"]),
+            str(row["estimator"]),
+            str(row["axis"]),
+            *(
+                _figure(row[name])
+                for name in (
+                    "max_abs_error_um",
+                    "rms_error_um",
+                    "peak_total_um",
+                    "peak_nonlinear_um",
+                )
+            ),
+            number(claim),
+        )
+    titled(console, title, table)
+
+
+def show_estimators(console: Console, table: ErrorTable) -> None:
+    """Print the largest errors of all estimators beside each other, a line for a case and axis."""
+    shown = Table()
+    for name in ("case", "axis"):
+        shown.add_column(name, no_wrap=True)
+    for name in (*table.estimators, "paper"):
+        shown.add_column(name.replace("-", "-\n"), justify="right")
+    for row in table.rows:
+        shown.add_row(row.case, row.axis, *map(rounded, row.errors), number(row.paper))
+    titled(console, "Largest error of the estimated displacement, from temperatures (µm)", shown)
+
+
+def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
+    """Print the two ways of calibrating Eq. 18 beside the linear estimator."""
+    table = Table()
+    for name in ("case", "axis"):
+        table.add_column(name)
+    for name in ("linear", "FCHS, calibrated to steps", "FCHS, to estimated strengths"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        errors = (number(value, 3) for value in (row.linear, row.steps, row.estimated))
+        table.add_row(row.case, row.axis, *errors)
+    titled(console, "Largest error by the calibration of Eq. 18 (µm)", table)
+
+
+def show_blocks(console: Console, rows: Sequence[Row]) -> None:
+    """Print which block of Figure 5 an error comes from."""
+    if not rows:
+        return
+    table = Table()
+    title = "Largest error by what drives the blocks (µm)"
+    for name in ("case", "driven by", "axis"):
+        table.add_column(name)
+    for name in ("linear", "nonlinear", "total"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(
+            str(row["case"]),
+            str(row["driven_by"]),
+            str(row["axis"]),
+            *(_figure(row[f"{part}_error_um"]) for part in ("linear", "nonlinear", "total")),
+        )
+    titled(console, title, table)
+
+
+def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
+    """Print the solver's figures of each response, then the thermal model they had."""
+    table = Table()
+    title = "Solver"
+    table.add_column("response")
+    for name in ("steps", "gap residual (m)", "heat balance", "iterations", "most", "cuts"):
+        table.add_column(name, justify="right")
+    for name, row in rows.items():
+        table.add_row(
+            name,
+            str(row.steps),
+            f"{row.gap_residual:.1e}",
+            f"{row.heat_balance:.1e}",
+            str(row.iterations),
+            str(row.most_iterations),
+            str(row.cuts),
+        )
+    titled(console, title, table)
+    # Responses of one run mostly share one set-up: one line then, not one for each.
+    for model in dict.fromkeys(row.thermal_model for row in rows.values()):
+        console.print(f"Thermal model: {model}.")
+
+
+def show_share(console: Console, share: PressureShare) -> None:
+    """Print how far the contact pressure of each contact element has come by a given time."""
+    from thermojoint.paper.summary import STILL
+
+    table = Table()
+    title = (
+        f"Change of contact pressure after {share.at_s:g} s "
+        f"(paper, under compression: {paper_values.PRESSURE_SHARE:.0%} of the final change)"
+    )
+    table.add_column("contact element", justify="right")
+    for name in (f"after {share.at_s:g} s (MPa)", "at the end (MPa)", "share"):
+        table.add_column(name, justify="right")
+    for row in share.rows:
+        part = "–" if row.share is None else f"{round(100 * row.share)} %"
+        table.add_row(str(row.contact), f"{row.early_MPa:+.2f}", f"{row.final_MPa:+.2f}", part)
+    titled(console, title, table)
+    console.print(f"No share where the final change is below {STILL:.0%} of the largest one.")
+
+
+def _figure(value: str | float | None) -> str:
+    """Return a figure of a row as a table shows it."""
+    return number(None if value is None else float(value), 3)

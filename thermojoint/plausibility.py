@@ -1,0 +1,409 @@
+"""Values that can be, but hardly are what was meant: one line each, with the unit that was meant.
+
+Nothing here is an error: the ranges are those of engineering, not of physics. Zero is never
+implausible; where it is not allowed, the schema refuses it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fesim.case.history import read_samples
+from fesim.case.schema import Case
+from fesim.case.thermal_sections import SampledInput
+from meshes.units import USUAL_SIZE
+from thermojoint.artefacts.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from meshes.structure import Structure
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A unit that a number may have been given in.
+
+    Attributes
+    ----------
+    name : str
+        Of the unit, as it is printed behind the number.
+    factor, offset : float
+        The number in the unit that is asked for is factor * number + offset.
+    into : str
+        What stands behind that number, where it is not the unit that is asked for.
+    """
+
+    name: str
+    factor: float
+    offset: float = 0.0
+    into: str = ""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What values of a quantity are plausible, and how they are mistaken.
+
+    Attributes
+    ----------
+    unit : str
+        The unit that is asked for; empty for ratios.
+    low, high : float
+        Plausible values.
+    typical : float
+        Of the slips that make a value plausible, the one that brings it nearest to this is named.
+    slips : tuple of Slip
+        Units that are mistaken for it.
+    """
+
+    unit: str
+    low: float
+    high: float
+    typical: float
+    slips: tuple[Slip, ...] = ()
+
+
+_PERCENT = Slip("%", 0.01)
+_ABSOLUTE = Slip("K, as an absolute temperature,", 1.0, -293.15, "K above an ambient of 20 °C")
+
+HEAT_INPUT = Quantity("times the reference step", -10.0, 10.0, 1.0, (_PERCENT,))
+POWER = Quantity(
+    "W", 0.5, 1e5, 200.0, (Slip("kW", 1e3), Slip("mW", 1e-3), Slip("µW", 1e-6), Slip("MW", 1e6))
+)
+LENGTH = Quantity("mm", 1.0, 5e4, 300.0, (Slip("m", 1e3), Slip("µm", 1e-3)))
+#: What a thermometer in a workshop reads.
+AMBIENT = Quantity(
+    "°C", -40.0, 50.0, 20.0, (Slip("K", 1.0, -273.15), Slip("°F", 5.0 / 9.0, -160.0 / 9.0))
+)
+READING = Quantity("°C", -60.0, 250.0, 30.0, (Slip("K", 1.0, -273.15),))
+FILM = Quantity(
+    "W/(m2 K)",
+    0.1,
+    1e5,
+    10.0,
+    (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("µW/(m2 K)", 1e-6)),
+)
+#: Of a property, where its constant stands beside it.
+FACTOR = Quantity("times the constant", 0.05, 20.0, 1.0, (_PERCENT,))
+#: Temperatures above that of the surroundings.
+RISE = Quantity("K above ambient", -150.0, 250.0, 20.0, (_ABSOLUTE,))
+#: The same where a measurement begins.
+RISE_AT_START = Quantity(
+    "K above ambient at the start",
+    -10.0,
+    10.0,
+    0.0,
+    (
+        _ABSOLUTE,
+        Slip("°C as read", 1.0, -20.0, "K above an ambient of 20 °C"),
+        Slip("°F as read", 5.0 / 9.0, -160.0 / 9.0 - 20.0, "K above an ambient of 20 °C"),
+    ),
+)
+DISPLACEMENT = Quantity("m", -0.02, 0.02, 1e-4, (Slip("µm", 1e-6), Slip("mm", 1e-3)))
+POSITION = Quantity("m", -50.0, 50.0, 0.5, (Slip("mm", 1e-3), Slip("µm", 1e-6)))
+#: The longest side of a structure.
+EXTENT = Quantity(
+    "m",
+    *USUAL_SIZE,
+    0.5,
+    (Slip("read as m from a mesh in mm", 1e-3), Slip("read as mm from a mesh in m", 1e3)),
+)
+
+#: Place in a case to its quantity; ``*`` stands for any name or number.
+CASE = {
+    "materials.*.conductivity_W_mK": Quantity(
+        "W/(m K)",
+        0.02,
+        2500.0,
+        45.0,
+        (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2), Slip("kW/(m K)", 1e3)),
+    ),
+    "materials.*.density_kg_m3": Quantity(
+        "kg/m3",
+        20.0,
+        2.3e4,
+        7000.0,
+        (Slip("g/cm3", 1e3), Slip("lb/in3", 27679.9), Slip("kg/mm3", 1e9), Slip("t/mm3", 1e12)),
+    ),
+    "materials.*.heat_capacity_J_kgK": Quantity(
+        "J/(kg K)", 100.0, 5000.0, 500.0, (Slip("kJ/(kg K)", 1e3), Slip("cal/(g K)", 4186.8))
+    ),
+    # The reference machine has a screw of 2940 GPa: a stiffness that stands for another shape.
+    "materials.*.youngs_modulus_GPa": Quantity(
+        "GPa",
+        0.2,
+        5000.0,
+        150.0,
+        (Slip("Pa", 1e-9), Slip("MPa", 1e-3), Slip("TPa", 1e3), Slip("psi", 6.894757e-6)),
+    ),
+    "materials.*.expansion_1_K": Quantity(
+        "1/K", -1e-4, 5e-4, 12e-6, (Slip("1e-6/K", 1e-6), Slip("mm/(m K)", 1e-3))
+    ),
+    "joints.*.preload_MPa": Quantity(
+        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
+    ),
+    "joints.*.reference_pressure_MPa": Quantity(
+        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
+    ),
+    "joints.*.initial_opening_um": Quantity(
+        "µm", 0.05, 2000.0, 20.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.conductance.value_W_m2K": Quantity(
+        "W/(m2 K)",
+        0.5,
+        1e7,
+        5000.0,
+        (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("kW/(m2 K)", 1e3)),
+    ),
+    "joints.*.gap.gas_conductivity_W_mK": Quantity(
+        "W/(m K)", 0.003, 1.0, 0.026, (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2))
+    ),
+    "joints.*.gap.temperature_jump_um": Quantity(
+        "µm", 0.01, 100.0, 0.4, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.gap.mean_temperature_degC": Quantity(
+        "°C", -100.0, 1000.0, 30.0, (Slip("K", 1.0, -273.15),)
+    ),
+    "joints.*.roughness_um": Quantity(
+        "µm", 0.005, 200.0, 1.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+    ),
+    "joints.*.asperity_slope": Quantity(
+        "rad", 0.005, 2.0, 0.15, (Slip("degrees", math.pi / 180.0), _PERCENT, Slip("mrad", 1e-3))
+    ),
+    "joints.*.hardness_GPa": Quantity(
+        "GPa",
+        0.02,
+        120.0,
+        2.0,
+        (Slip("kgf/mm2 (HB, HV)", 9.80665e-3), Slip("MPa", 1e-3), Slip("Pa", 1e-9)),
+    ),
+    "joints.*.friction_coefficient": Quantity("", 0.0, 2.0, 0.2, (_PERCENT,)),
+    "joints.*.tangential_stiffness_ratio": Quantity("", 0.05, 5.0, 0.8, (_PERCENT,)),
+    "supports.springs.*.stiffness_N_um.*": Quantity(
+        "N/µm", 1e-3, 1e5, 100.0, (Slip("N/m", 1e-6), Slip("N/mm", 1e-3), Slip("kN/µm", 1e3))
+    ),
+    "convection_W_m2K.*": FILM,
+    "cavities.*.film_W_m2K": FILM,
+    "sources.*.reference_power_W": POWER,
+    "heat_input.level": HEAT_INPUT,
+    "heat_input.peak": HEAT_INPUT,
+    "sources.*.heat_input.level": HEAT_INPUT,
+    "sources.*.heat_input.peak": HEAT_INPUT,
+    "held_temperatures.*.rise_K": RISE,
+    "initial_temperature.rise_K": RISE,
+    "materials.*.conductivity_factor.factor.*": FACTOR,
+    "materials.*.expansion_factor.factor.*": FACTOR,
+    "convection_factor.*.factor.*": FACTOR,
+    "radiation.*.ambient_degC": AMBIENT,
+    "loads.*.force_N.*": Quantity(
+        "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
+    ),
+    "loads.*.pressure_MPa": Quantity(
+        "MPa", -1000.0, 1000.0, 1.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3))
+    ),
+    "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
+    "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, (Slip("N", 1e-3), Slip("MN", 1e3))),
+    "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, (Slip("m", 1e3), Slip("cm", 10.0))),
+    "bolts.*.clamped_length_mm": LENGTH,
+    "bolts.*.stiffness_N_um": Quantity(
+        "N/µm", 1.0, 1e5, 300.0, (Slip("N/mm", 1e-3), Slip("N/m", 1e-6))
+    ),
+    "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, (Slip("ms", 1e-3), Slip("µs", 1e-6))),
+    "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
+    "structure.element_size_mm": LENGTH,
+    "structure.joint_element_size_mm": LENGTH,
+    "structure.dimensions_mm.*": LENGTH,
+    "candidates.*.spacing_mm": LENGTH,
+}
+
+
+def implausible(place: str, value: float, quantity: Quantity) -> list[str]:
+    """Return the line about a value that is hardly meant; none if it is plausible.
+
+    Parameters
+    ----------
+    place : str
+        File and key.
+    value : float
+        As it was given.
+    quantity : Quantity
+        What it is.
+    """
+    if _plausible(value, quantity):
+        return []
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    said = f"{place} = {value:g} is implausible, usual is {quantity.low:g} to {quantity.high:g}"
+    meant = [(slip, slip.factor * value + slip.offset) for slip in quantity.slips]
+    found = [
+        (_away(true, quantity.typical), slip, true)
+        for slip, true in meant
+        if _plausible(true, quantity)
+    ]
+    if not found:
+        return [f"{said}{unit}"]
+    _, slip, true = min(found, key=lambda one: one[0])
+    into = f" {slip.into}" if slip.into else unit
+    return [f"{said}{unit}; {value:g} {slip.name} would be {true:.5g}{into}"]
+
+
+def _plausible(value: float, quantity: Quantity) -> bool:
+    return value == 0.0 or quantity.low <= value <= quantity.high
+
+
+def _away(value: float, typical: float) -> float:
+    """How far a value is from the typical one: in size where both have one, else in itself."""
+    return abs(math.log(abs(value / typical))) if value and typical else abs(value - typical)
+
+
+def of_case(case: Case, where: str) -> list[str]:
+    """Return a line for every implausible value of a case and of the histories it names.
+
+    Parameters
+    ----------
+    case : Case
+        A valid one.
+    where : str
+        Name of its file.
+    """
+    return of_cases([case], where)
+
+
+def of_cases(cases: Iterable[Case], where: str) -> list[str]:
+    """Return the same for several cases: one line for each place and each history."""
+    told: dict[str, list[str]] = {}
+    histories: dict[tuple[Path, str, Quantity], None] = {}
+    for case in cases:
+        data = case.model_dump()
+        for pattern, quantity in CASE.items():
+            for place, value in _values(data, pattern.split(".")):
+                if lines := implausible(f"{where}: {place}", value, quantity):
+                    told.setdefault(place, lines)
+        histories |= dict.fromkeys(_histories(case))
+    return [line for lines in told.values() for line in lines] + [
+        line for history in histories for line in of_history(*history)
+    ]
+
+
+def _values(data: Any, pattern: Sequence[str]) -> Iterator[tuple[str, float]]:  # noqa: ANN401
+    """Yield place and value of every number that a pattern fits."""
+    if not pattern:
+        if isinstance(data, int | float):
+            yield "", data
+        return
+    first, *rest = pattern
+    parts = dict(enumerate(data)) if isinstance(data, list | tuple) else data
+    for key in parts if isinstance(parts, dict) else ():
+        if first in ("*", key):
+            for place, value in _values(parts[key], rest):
+                yield f"{key}.{place}".removesuffix("."), value
+
+
+def _histories(case: Case) -> Iterator[tuple[Path, str, Quantity]]:
+    for given in (case.heat_input, *(source.heat_input for source in case.sources.values())):
+        if isinstance(given, SampledInput):
+            yield given.file, "heat_input", HEAT_INPUT
+    if case.ambient is not None:
+        yield case.ambient.file, "ambient_degC", AMBIENT
+    for held in case.held_temperatures.values():
+        if held.file is not None:
+            yield held.file, "rise_K", RISE
+
+
+def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
+    """Return the line about a history whose values, or whose columns, are hardly as meant.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV with ``time_s`` and `column`; one that cannot be read is not told here.
+    column : str
+        Name of the column of values.
+    quantity : Quantity
+        What they are.
+    """
+    try:
+        times, values = read_samples(path, column)
+    except InputError:
+        return []
+    if not values.size or not np.isfinite([times, values]).all():
+        return []
+    furthest = float(values[np.argmax(np.abs(values - quantity.typical))])
+    lines = implausible(f"{path}: {column}", furthest, quantity)
+    taken_for_values = all(_plausible(float(time), quantity) for time in times)
+    if lines and values.size > 1 and taken_for_values and bool((np.diff(values) > 0.0).all()):
+        return [
+            f"{path}: the columns look swapped: {column} rises from {values[0]:g} to "
+            f"{values[-1]:g} in every row, time_s only goes from {times[0]:g} to {times[-1]:g}"
+        ]
+    return lines
+
+
+def of_structure(structure: Structure, where: str) -> list[str]:
+    """Return the line about a structure of implausible size."""
+    return implausible(
+        f"{where}: longest side", float(np.ptp(structure.mesh.p, axis=1).max()), EXTENT
+    )
+
+
+def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
+    """Return a line for every temperature of a measured row that is hardly in its column's unit.
+
+    Parameters
+    ----------
+    sample : mapping
+        Name of a column, with its unit at its end, to its value.
+    where : str
+        Name of the file.
+    """
+    lines = []
+    for name, value in sample.items():
+        if name == "ambient_degC":
+            lines += implausible(f"{where}: {name}", value, AMBIENT)
+        elif name.endswith("_degC"):
+            lines += implausible(f"{where}: {name}", value, READING)
+        elif name.endswith("_K"):
+            lines += implausible(f"{where}: {name}", value, RISE)
+    return lines
+
+
+def of_response(response: xr.Dataset, where: str) -> list[str]:
+    """Return a line for every variable of a measured response that is hardly in its unit.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A checked one; one that carries its case is simulated, and right.
+    where : str
+        Name of its file.
+    """
+    if "case" in response.attrs:
+        return []
+    lines = []
+    if response["temperature"].size:
+        start = float(np.median(response["temperature"].to_numpy()[0]))
+        lines += implausible(f"{where}: temperature", start, RISE_AT_START)
+        lines = lines or implausible(
+            f"{where}: temperature", _largest(response["temperature"]), RISE
+        )
+    for name, quantity in (
+        ("displacement", DISPLACEMENT),
+        ("heat_input", HEAT_INPUT),
+        ("probe_position", POSITION),
+    ):
+        if name in response and response[name].size:
+            lines += implausible(f"{where}: {name}", _largest(response[name]), quantity)
+    power = response.attrs.get("reference_power_W")
+    if isinstance(power, int | float):
+        lines += implausible(f"{where}: reference_power_W", float(power), POWER)
+    return lines
+
+
+def _largest(values: xr.DataArray) -> float:
+    flat = values.to_numpy().ravel()
+    return float(flat[np.argmax(np.abs(flat))])

@@ -1,0 +1,60 @@
+"""How a record of a test is evaluated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.standards.iso230_3.parameters import Parameter, distortion, environment, unsettled
+from thermojoint.standards.iso230_3.period import Period, asked_for, running, whole
+from thermojoint.standards.iso230_3.protocol import Protocol
+from thermojoint.standards.iso230_3.record import Record
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a record of a test says.
+
+    Attributes
+    ----------
+    protocol : Protocol
+    period : Period
+        Of the test.
+    parameters : tuple of Parameter
+    unsettled : dict
+        Channel to range over the last 60 min, relative to the first 60 min; empty for ETVE.
+    """
+
+    protocol: Protocol
+    period: Period
+    parameters: tuple[Parameter, ...]
+    unsettled: dict[str, float]
+
+
+def evaluate(
+    protocol: Protocol, record: Record, begin: float | None = None, end: float | None = None
+) -> Evaluation:
+    """Return the parameters of a test.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Which test was recorded.
+    record : Record
+    begin, end : float, optional
+        Of the running period, s. By default it is read off the drive; without a drive it is the
+        whole record. ETVE takes the whole record.
+
+    Raises
+    ------
+    InputError
+        The record does not cover the test, or a period is given for ETVE.
+    """
+    if protocol is Protocol.ETVE:
+        if begin is not None or end is not None:
+            raise InputError("etve: is taken over the whole record; cut the record instead")
+        return Evaluation(protocol, whole(record), environment(record), {})
+    drive = record.drive
+    found = whole(record) if drive is None else running(record.times, drive)
+    period = asked_for(record, found, begin, end)
+    return Evaluation(protocol, period, distortion(record, period), unsettled(record, period))

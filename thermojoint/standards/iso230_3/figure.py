@@ -1,0 +1,136 @@
+"""The picture of a test: displacement, tilt and temperature against time, the parameters marked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.standards.iso230_3.evaluation import Evaluation
+from thermojoint.standards.iso230_3.parameters import FIRST, Parameter, Quantity
+from thermojoint.standards.iso230_3.protocol import Protocol
+from thermojoint.standards.iso230_3.record import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Quantity to the factor from SI, and what stands on the axis.
+SHOWN: dict[Quantity, tuple[float, str, str]] = {
+    "displacement": (1e6, "µm", "displacement (µm)"),
+    "tilt": (1e6, "µm/m", "tilt (µm/m)"),
+    "temperature": (1.0, "K", "temperature (°C or K)"),
+}
+_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
+_STYLES = ("-", "--", "-.", ":")
+#: What is shown before and after the test, relative to its length.
+_BEFORE, _AFTER = 0.1, 0.5
+
+
+def figure_of(record: Record, evaluation: Evaluation) -> Figure:
+    """Return the figure: a panel for each quantity, one above the other, time in hours.
+
+    An arrow spans the range of each displacement and each tilt over each period; upright lines are
+    the ends of the periods.
+
+    Parameters
+    ----------
+    record : Record
+    evaluation : Evaluation
+        Of the same record.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
+    if record.tilts:
+        groups.append(("tilt", record.tilts))
+    if record.temperatures:
+        groups.append(("temperature", record.temperatures))
+    figure = Figure(figsize=(8.5, 1.0 + 2.6 * len(groups)), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = list(figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0])
+    first, last = _shown(record, evaluation)
+    inside = (record.times >= first) & (record.times <= last)
+    for panel, (quantity, channels) in zip(panels, groups, strict=True):
+        shown = {name: values[inside] for name, values in channels.items()}
+        _draw(panel, record.times[inside], quantity, shown)
+        _mark_periods(panel, evaluation)
+        if quantity != "temperature":
+            marked = [one for one in evaluation.parameters if one.quantity == quantity]
+            _mark_ranges(panel, list(channels), marked)
+    panels[-1].set_xlim(first / 3600.0, last / 3600.0)
+    panels[-1].set_xlabel("time (h)")
+    return figure
+
+
+def _shown(record: Record, evaluation: Evaluation) -> tuple[float, float]:
+    """Return from when to when a figure goes, s: the test and a part of what is around it."""
+    begin, end = evaluation.period
+    first = max(float(record.times[0]), begin - _BEFORE * evaluation.period.length)
+    last = min(float(record.times[-1]), end + _AFTER * evaluation.period.length)
+    return first, last
+
+
+def _draw(panel: Axes, times: Array, quantity: Quantity, channels: Mapping[str, Array]) -> None:
+    factor, _, label = SHOWN[quantity]
+    for k, (name, values) in enumerate(channels.items()):
+        read = np.isfinite(values)
+        panel.plot(
+            times[read] / 3600.0,
+            factor * values[read],
+            color=_shade(k),
+            linestyle=_STYLES[(k // len(_SHADES)) % len(_STYLES)],
+            linewidth=1.2,
+            label=name,
+        )
+    panel.set_ylabel(label)
+    panel.grid(visible=True, color="0.88", linewidth=0.6)
+    panel.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+
+
+def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
+    begin, end = evaluation.period
+    moments = [begin, end]
+    if evaluation.protocol is not Protocol.ETVE:
+        moments.insert(1, begin + FIRST)
+    for moment in moments:
+        panel.axvline(moment / 3600.0, color="0.4", linewidth=0.8, linestyle=":")
+
+
+def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) -> None:
+    """Draw an arrow from the lowest to the highest value of a period, side by side within it."""
+    for one in parameters:
+        k = channels.index(one.channel)
+        factor = SHOWN[one.quantity][0]
+        found = one.extremes
+        apart = one.period.length / (len(channels) + 1)
+        at = (one.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
+        low, high = factor * found.low, factor * found.high
+        arrow = {
+            "arrowstyle": "<->",
+            "color": _shade(k),
+            "linewidth": 0.9,
+            "shrinkA": 0.0,
+            "shrinkB": 0.0,
+        }
+        panel.annotate("", xy=(at, low), xytext=(at, high), arrowprops=arrow)
+        middle = 0.5 * (low + high)
+        panel.text(
+            at,
+            middle,
+            one.symbol,
+            color=_shade(k),
+            fontsize=7,
+            rotation=90,
+            ha="right",
+            va="center",
+        )
+        for moment, value in ((found.low_at, low), (found.high_at, high)):
+            panel.plot(moment / 3600.0, value, "o", markersize=2.5, color=_shade(k))
+
+
+def _shade(index: int) -> str:
+    return _SHADES[index % len(_SHADES)]

@@ -1,0 +1,142 @@
+"""The parameters of the tests: ranges of displacement, tilt and temperature over their periods.
+
+Every parameter is a range, highest less lowest value, so none depends on where a sensor was zeroed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.standards.iso230_3.extremes import Extremes, extremes
+from thermojoint.standards.iso230_3.period import Period, whole
+from thermojoint.standards.iso230_3.record import Record
+
+#: The first part of a test with motion, which the standard evaluates by itself, s.
+FIRST = 3600.0
+
+Quantity = Literal["displacement", "tilt", "temperature"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One figure of a test.
+
+    Attributes
+    ----------
+    symbol : str
+        E.g. ``d(X)60``.
+    quantity : str
+        ``displacement`` (m), ``tilt`` (rad) or ``temperature`` (K).
+    channel : str
+        Of the record.
+    period : Period
+        Over which it is taken.
+    extremes : Extremes
+        Its `range` is the figure.
+    """
+
+    symbol: str
+    quantity: Quantity
+    channel: str
+    period: Period
+    extremes: Extremes
+
+    @property
+    def value(self) -> float:
+        """Range, m, rad or K."""
+        return self.extremes.range
+
+
+def environment(record: Record) -> tuple[Parameter, ...]:
+    """Return the environmental temperature variation error of every channel.
+
+    ETVE(c) is the range over the whole record of a machine on which nothing runs; ΔT(c) the range
+    of a temperature over the same time.
+    """
+    period = whole(record)
+    return tuple(
+        _parameter(
+            record,
+            f"{'ΔT' if quantity == 'temperature' else 'ETVE'}({channel})",
+            quantity,
+            channel,
+            values,
+            period,
+        )
+        for quantity, channel, values in _channels(record)
+    )
+
+
+def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
+    """Return the thermal distortion that a motion causes, spindle's or axis', of every channel.
+
+    d(c)60 is the range over the first 60 min, d(c)t over the whole running period t; ΔT(c)60 and
+    ΔT(c)t the ranges of a temperature.
+
+    Raises
+    ------
+    InputError
+        The period is shorter than 60 min, or a channel does not cover it.
+    """
+    if period.length < FIRST * (1.0 - 1e-9):
+        raise InputError(
+            f"running period: {period.length / 60.0:g} min; the test is evaluated over its first "
+            "60 min, so let it run for longer"
+        )
+    first = Period(period.begin, min(period.begin + FIRST, period.end))
+    return tuple(
+        _parameter(
+            record,
+            f"{'ΔT' if quantity == 'temperature' else 'd'}({channel}){mark}",
+            quantity,
+            channel,
+            values,
+            over,
+        )
+        for quantity, channel, values in _channels(record)
+        for mark, over in (("60", first), ("t", period))
+    )
+
+
+def unsettled(record: Record, period: Period) -> dict[str, float]:
+    """Return how much each channel still moved at the end: last 60 min over first 60 min.
+
+    The ratio of the two ranges; a test that has come to rest has a small one. It is left out where
+    the first 60 min moved nothing.
+
+    Parameters
+    ----------
+    record : Record
+    period : Period
+        60 min or longer.
+    """
+    length = min(FIRST, period.length)
+    first = Period(period.begin, period.begin + length)
+    last = Period(period.end - length, period.end)
+    found = {}
+    for quantity, channel, values in _channels(record):
+        if quantity != "temperature":
+            early, late = (extremes(record.times, values, *one, channel) for one in (first, last))
+            if early.range > 0.0:
+                found[channel] = late.range / early.range
+    return found
+
+
+def _channels(record: Record) -> Iterator[tuple[Quantity, str, Array]]:
+    for channel, values in record.displacements.items():
+        yield "displacement", channel, values
+    for channel, values in record.tilts.items():
+        yield "tilt", channel, values
+    for channel, values in record.temperatures.items():
+        yield "temperature", channel, values
+
+
+def _parameter(
+    record: Record, symbol: str, quantity: Quantity, channel: str, values: Array, period: Period
+) -> Parameter:
+    found = extremes(record.times, values, period.begin, period.end, channel)
+    return Parameter(symbol, quantity, channel, period, found)

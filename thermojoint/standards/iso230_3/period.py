@@ -1,0 +1,69 @@
+"""When a test ran: the whole record, or while something turned or moved."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.standards.iso230_3.record import Record
+
+
+class Period(NamedTuple):
+    """From `begin` to `end`, s."""
+
+    begin: float
+    end: float
+
+    @property
+    def length(self) -> float:
+        """How long it is, s."""
+        return self.end - self.begin
+
+
+def whole(record: Record) -> Period:
+    """Return the period of the whole record."""
+    return Period(float(record.times[0]), float(record.times[-1]))
+
+
+def running(times: Array, drive: Array) -> Period:
+    """Return the period from the first to the last motion.
+
+    Stops in between belong to it: a spectrum of speeds has some.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    drive : ndarray, shape (n,)
+        Speed or heat input of the interval that ends at the sample; NaN is no motion.
+
+    Raises
+    ------
+    InputError
+        Nothing ever moves.
+    """
+    moving = np.flatnonzero(np.nan_to_num(drive) != 0.0)
+    if not moving.size:
+        raise InputError("drive: zero throughout; name the column of the speed, or give the period")
+    return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
+
+
+def asked_for(record: Record, found: Period, begin: float | None, end: float | None) -> Period:
+    """Return a period with the ends that a person gave (s) in place of those found.
+
+    Raises
+    ------
+    InputError
+        It ends before it begins, or lies outside of the record.
+    """
+    period = Period(found.begin if begin is None else begin, found.end if end is None else end)
+    first, last = whole(record)
+    if not first <= period.begin < period.end <= last:
+        raise InputError(
+            f"period: {period.begin / 60.0:g} to {period.end / 60.0:g} min, the record has "
+            f"{first / 60.0:g} to {last / 60.0:g} min; give a period within it"
+        )
+    return period

@@ -1,0 +1,201 @@
+"""What was recorded in a test: displacements, tilts, temperatures and the drive, against time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.response import axes_of, columns_of, probes_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Most temperatures of a response that are taken if none is named: candidates come by the hundred.
+MOST_PROBES = 6
+#: Celsius' zero, K.
+_ICE = 273.15
+#: An axis along which less moves than this has not moved, m: a plane of symmetry, for instance.
+STILL = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A recorded test.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s, strictly increasing.
+    displacements : mapping
+        Channel to displacement, m, shape (n,); NaN where nothing was read.
+    temperatures : mapping
+        Channel to temperature, °C or K above the start, shape (n,); NaN where nothing was read.
+    tilts : mapping
+        Channel to angle, rad, shape (n,); see `with_tilts`.
+    drive : ndarray, shape (n,), optional
+        Speed or heat input: 0 where the machine stands still.
+    """
+
+    times: Array
+    displacements: Mapping[str, Array]
+    temperatures: Mapping[str, Array]
+    tilts: Mapping[str, Array] = field(default_factory=dict)
+    drive: Array | None = None
+
+
+def response_record(
+    response: xr.Dataset, axes: Mapping[str, str] | None = None, probes: list[str] | None = None
+) -> Record:
+    """Return the record of a response, simulated or measured.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        As `thermojoint.artefacts.response` says.
+    axes : mapping, optional
+        Channel of the record to axis of the response; default every axis that moves, by its name.
+    probes : list of str, optional
+        Default the first `MOST_PROBES`. The ambient comes with them where it changes.
+
+    Raises
+    ------
+    InputError
+        An axis or a probe is missing, or nothing moves.
+    """
+    if axes is None:
+        moved = np.abs(response["displacement"].to_numpy()).max(axis=0) > STILL
+        axes = {name: name for name, moves in zip(axes_of(response), moved, strict=True) if moves}
+        if not axes:
+            raise InputError("response: no displacement in it changes; give one where something is")
+    chosen = probes_of(response)[:MOST_PROBES] if probes is None else probes
+    temperatures = dict(zip(chosen, columns_of(response, "temperature", chosen).T, strict=True))
+    if "ambient" in response and bool(response["ambient"].any()):
+        temperatures["ambient"] = response["ambient"].to_numpy().astype(float)
+    moved_along = columns_of(response, "displacement", list(axes.values())).T
+    return Record(
+        times=response["time"].to_numpy().astype(float),
+        displacements=dict(zip(axes, moved_along, strict=True)),
+        temperatures=temperatures,
+        drive=response["heat_input"].to_numpy().astype(float),
+    )
+
+
+def log_record(
+    log: Log,
+    displacements: Mapping[str, str] | None = None,
+    temperatures: list[str] | None = None,
+    speed: str | None = None,
+) -> Record:
+    """Return the record of a machine's log; its time is counted from the first sample.
+
+    Parameters
+    ----------
+    log : Log
+        One run.
+    displacements : mapping, optional
+        Channel of the record to column of the log; default every length, by its name without unit.
+    temperatures : list of str, optional
+        Columns; default every temperature.
+    speed : str, optional
+        Column that is 0 where the machine stands still; default the speed, if there is just one.
+
+    Raises
+    ------
+    InputError
+        A column is missing or of another quantity, there are several runs, or no displacement.
+    """
+    if len(log.starts) > 1:
+        raise InputError("log: its clock begins anew in between; give the file of one test")
+    lengths = {column.base: column.name for column in log.columns if column.quantity == "length"}
+    wanted = lengths if displacements is None else displacements
+    if not wanted:
+        raise InputError("log: no displacement; rename its column to end in _um, _mm or _m")
+    speeds = log.of("speed")
+    if speed is None and len(speeds) == 1:
+        speed = speeds[0]
+    return Record(
+        times=log.times - log.times[0],
+        displacements={name: _column(log, column, "length") for name, column in wanted.items()},
+        temperatures={
+            log.columns[log.index(name)].base: _celsius(log, name)
+            for name in (log.of("temperature") if temperatures is None else temperatures)
+        },
+        drive=None if speed is None else log.at(speed),
+    )
+
+
+def _column(log: Log, name: str, quantity: str) -> Array:
+    column = log.columns[log.index(name)]
+    if column.quantity != quantity:
+        raise InputError(f"log: column {column.name!r} is a {column.quantity}, not a {quantity}")
+    return log.at(name)
+
+
+def _celsius(log: Log, name: str) -> Array:
+    """Return temperatures as a person reads them: °C, or K as they stand in the log."""
+    values = _column(log, name, "temperature")
+    return values if log.columns[log.index(name)].unit == "K" else values - _ICE
+
+
+def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
+    """Return the record with the displacements of the same run at a second point.
+
+    Parameters
+    ----------
+    record, second : Record
+        Read at the same times.
+    suffix : str
+        What the channels of the second point get behind their names.
+
+    Raises
+    ------
+    InputError
+        The times differ, or a name is there already.
+    """
+    same = record.times.shape == second.times.shape and np.allclose(
+        record.times, second.times, rtol=1e-9, atol=1e-6
+    )
+    if not same:
+        raise InputError("second point: read at other times than the first; give the same run")
+    added = {f"{name}{suffix}": values for name, values in second.displacements.items()}
+    for name in added:
+        if name in record.displacements:
+            raise InputError(f"second point: a channel {name!r} is there already; rename it")
+    return replace(record, displacements={**record.displacements, **added})
+
+
+def with_tilts(record: Record, pairs: Mapping[str, tuple[str, str]], distance: float) -> Record:
+    """Return the record with the tilts that pairs of parallel displacements show.
+
+    A body that turns by a small angle moves two of its points, l apart, by displacements that
+    differ by the angle times l: tilt = (first - second) / l. The order of a pair is its sign.
+
+    Parameters
+    ----------
+    record : Record
+    pairs : mapping
+        Name of the tilt to (first, second) channel.
+    distance : float
+        l, m, between the two points, across the displacement.
+
+    Raises
+    ------
+    InputError
+        A channel is missing, or the distance is not positive.
+    """
+    if not 0.0 < distance < np.inf:
+        raise InputError(f"distance of the sensors: {distance:g} m; give a positive length")
+    tilts = dict(record.tilts)
+    for name, pair in pairs.items():
+        for channel in pair:
+            if channel not in record.displacements:
+                raise unknown_name("displacement", channel, record.displacements, f"tilt {name}")
+        first, second = (record.displacements[channel] for channel in pair)
+        tilts[name] = (first - second) / distance
+    return replace(record, tilts=tilts)

@@ -1,0 +1,104 @@
+"""The report of a test: one self-contained HTML page, and the same figures as JSON."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.svg import as_svg
+from thermojoint.standards.iso230_3.evaluation import Evaluation
+from thermojoint.standards.iso230_3.figure import SHOWN, figure_of
+from thermojoint.standards.iso230_3.parameters import Parameter
+from thermojoint.standards.iso230_3.protocol import Protocol
+from thermojoint.standards.iso230_3.record import Record
+
+SCHEMA, SCHEMA_VERSION = "thermojoint-iso230-3", 1
+
+
+def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
+    """Return the parameters for a JSON file, units in the names of the keys.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    origin : str
+        What was evaluated, e.g. the name of a file.
+    """
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "test": str(evaluation.protocol),
+        "origin": origin,
+        "begin_s": evaluation.period.begin,
+        "end_s": evaluation.period.end,
+        "parameters": [_row(one) for one in evaluation.parameters],
+        "last_60_min_over_first": evaluation.unsettled,
+    }
+
+
+def report_html(
+    record: Record, evaluation: Evaluation, origin: str, facts: Sequence[tuple[str, str]] = ()
+) -> str:
+    """Return the page; everything in it is escaped, nothing is loaded from elsewhere.
+
+    Parameters
+    ----------
+    record : Record
+    evaluation : Evaluation
+        Of the record.
+    origin : str
+        What was evaluated.
+    facts : sequence of (str, str)
+        Further lines on what was tested, e.g. the distance of two sensors.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("thermojoint.standards.iso230_3"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    drawn = base64.b64encode(as_svg(figure_of(record, evaluation), "iso230-3")).decode("ascii")
+    return environment.get_template("report.html.j2").render(
+        title=evaluation.protocol.heading,
+        moves=evaluation.protocol is not Protocol.ETVE,
+        facts=[("record", origin), *facts],
+        period=evaluation.period,
+        rows=[_row(one) for one in evaluation.parameters],
+        unsettled=evaluation.unsettled,
+        picture=f"data:image/svg+xml;base64,{drawn}",
+    )
+
+
+def write_report(page: str, path: Path) -> None:
+    """Write a page to `path`, whole or not at all."""
+    write_text(Path(path), page)
+
+
+def write_parameters(content: dict[str, Any], path: Path) -> None:
+    """Write parameters to `path` (JSON), whole or not at all."""
+    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
+    write_text(Path(path), text + "\n")
+
+
+def _row(one: Parameter) -> dict[str, Any]:
+    factor, unit, _ = SHOWN[one.quantity]
+    return {
+        "symbol": one.symbol,
+        "quantity": one.quantity,
+        "channel": one.channel,
+        "value": factor * one.value,
+        "unit": unit,
+        "begin_s": one.period.begin,
+        "end_s": one.period.end,
+        "lowest": factor * one.extremes.low,
+        "lowest_at_s": one.extremes.low_at,
+        "highest": factor * one.extremes.high,
+        "highest_at_s": one.extremes.high_at,
+    }

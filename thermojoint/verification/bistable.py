@@ -1,0 +1,222 @@
+"""Barber's bistable rod from a case file: cold it stands off a hot wall, with air between.
+
+The air warms the rod, the rod grows towards the wall, and air and contact conduct the better for
+it. Between two temperatures of the wall the rod has three steady states (Barber, Dundurs and
+Comninou 1980): one open, one closed, and one between that no rod stays in. `steady_states` finds
+them without finite elements: with the end at T_L = T2 Bi/(1 + Bi), Bi = h L/k, the growth
+alpha L T_L/2 of the rod closes the clearance and is pressed back by p L/E.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import erfc, erfcinv
+from skfem import MeshHex
+
+from fesim.case.schema import Case, case_from_data
+from fesim.joint.conductance import FixedConductance
+from fesim.march.machine import State
+from fesim.march.stepping import march, staggered
+from fesim.setup.loads import thermal_inputs
+from fesim.setup.machine import Setup, set_up
+from fesim.simulate import simulate
+from meshes.exchange import write_structure
+from meshes.structure import Probe, Structure
+from thermojoint.verification.check import Check
+from thermojoint.verification.rod import FOREVER
+
+#: Length and width of the rod, m.
+LENGTH, WIDTH = 0.1, 0.02
+#: Conductivity, W/(m K), modulus, Pa, and expansion, 1/K, of the rod; conductivity of the wall.
+CONDUCTIVITY, MODULUS, EXPANSION, BEHIND = 180.0, 70e9, 23e-6, 45.0
+#: Clearance between rod and wall when cold, m.
+CLEARANCE = 20e-6
+#: Roughness, m, slope and hardness, Pa, of the joint; C and n of Eq. 11.
+ROUGHNESS, SLOPE, HARDNESS, FACTOR, EXPONENT = 1.25e-6, 0.14, 1.2e9, 1.45, 0.985
+#: Conductivity of the air, W/(m K), and its temperature jump distance, m.
+AIR, JUMP = 0.026, 0.4e-6
+#: Temperature of the wall, K, at which there are three states, and one at which only the closed is.
+WALL, HOTTER = 24.0, 30.0
+STATES = ("open", "middle", "closed")
+
+
+def at_opening(opening: float, wall: float) -> tuple[float, float, float]:
+    """Return the rod's lack of balance (m), its pressure (Pa) and its end's temperature (K).
+
+    Parameters
+    ----------
+    opening : float
+        From the state when cold, m: closing is negative.
+    wall : float
+        T2 above the temperature of the rod's other end, K.
+    """
+    touching = np.sqrt(2.0) * ROUGHNESS * erfcinv(2e-6)
+    apart = touching + CLEARANCE + opening
+    pressure = 0.5 * HARDNESS * erfc(apart / (np.sqrt(2.0) * ROUGHNESS))
+    harmonic = 2.0 * CONDUCTIVITY * BEHIND / (CONDUCTIVITY + BEHIND)
+    contact = FACTOR * SLOPE / ROUGHNESS * harmonic * (pressure / HARDNESS) ** EXPONENT
+    biot = (contact + AIR / (apart + JUMP)) * LENGTH / CONDUCTIVITY
+    end = wall * biot / (1.0 + biot)
+    growth = 0.5 * EXPANSION * LENGTH * end
+    return opening + growth - pressure * LENGTH / MODULUS, float(pressure), float(end)
+
+
+def steady_states(wall: float) -> list[tuple[float, float, float]]:
+    """Return opening (m), pressure (Pa) and end temperature (K) of each, the most open first."""
+    grid = np.linspace(0.0, -CLEARANCE - 3.0 * ROUGHNESS, 1001)
+    lack = [at_opening(float(opening), wall)[0] for opening in grid]
+    found = []
+    for ends, (before, after) in zip(pairwise(grid), pairwise(lack), strict=True):
+        if before * after < 0.0:
+            opening = brentq(lambda g: at_opening(g, wall)[0], *ends, xtol=1e-18, rtol=1e-14)
+            found.append((opening, *at_opening(opening, wall)[1:]))
+    return found
+
+
+def rod(elements: int = 20) -> Structure:
+    """Return the rod along x; `wall_side` is its free end."""
+    mesh = MeshHex.init_tensor(
+        np.linspace(0.0, LENGTH, elements + 1), *(np.linspace(0.0, WIDTH, 2) for _ in "yz")
+    )
+    facets = mesh.boundary_facets()
+    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    return Structure(
+        mesh=mesh,
+        bodies={"rod": np.arange(mesh.nelements)},
+        surfaces={
+            "foot": facets[x < 1e-9],
+            "wall_side": facets[x > LENGTH - 1e-9],
+            "bottom": facets[y < 1e-9],
+            "back": facets[z < 1e-9],
+        },
+        probes={"end": Probe((LENGTH, 0.5 * WIDTH, 0.5 * WIDTH), "rod")},
+    )
+
+
+def case_of(
+    folder: Path, step: float = 20.0, thermal: str = "full", end: float | None = None
+) -> Case:
+    """Return the case of `rod.vtu` in a folder: cold at first, or with its end warm (K)."""
+    metal = {"density_kg_m3": 2700.0, "heat_capacity_J_kgK": 900.0, "expansion_1_K": EXPANSION}
+    metal |= {"youngs_modulus_GPa": 1e-9 * MODULUS, "poisson_ratio": 0.0}
+    data: dict[str, Any] = {
+        "title": "bistable rod",
+        "structure": {"kind": "mesh", "file": "rod.vtu"},
+        "walls": {"wall": {"faces": "wall_side"}},
+        "materials": {
+            "rod": metal | {"conductivity_W_mK": CONDUCTIVITY},
+            "wall": metal | {"conductivity_W_mK": BEHIND},
+        },
+        "bodies": {"rod": "rod", "wall": "wall"},
+        "joints": {
+            "tip": {
+                "side_a": "wall_side",
+                "side_b": "wall",
+                "preload_MPa": 0.0,
+                "initial_opening_um": 1e6 * CLEARANCE,
+                "reference_pressure_MPa": 5.0,
+                "along": 1,
+                "roughness_um": 1e6 * ROUGHNESS,
+                "asperity_slope": SLOPE,
+                "hardness_GPa": 1e-9 * HARDNESS,
+                "friction_coefficient": 0.0,
+                "gap": {"gas_conductivity_W_mK": AIR, "temperature_jump_um": 1e6 * JUMP},
+            }
+        },
+        "supports": {"symmetry": {"foot": "x", "bottom": "y", "back": "z"}},
+        "held_temperatures": {"foot": {"rise_K": 0.0}, "wall": {"rise_K": WALL}},
+        "march": {
+            "step_s": step,
+            "duration_min": max(240.0, step / 60.0),
+            "coupling": "iterated",
+            "thermal": thermal,
+        },
+        "displacement": {"point": "end"},
+        "probes": {"tip": {"position_mm": [1e3 * LENGTH, 10.0, 10.0], "body": "rod"}},
+    }
+    if end is not None:
+        data["initial_temperature"] = {"expression_K": f"{end!r} * x_m / {LENGTH}"}
+    return case_from_data(data, "bistable rod", folder)
+
+
+def found_near(still: Setup, case: Case, conductance: float) -> State:
+    """Steady state of the machine near a conductance of its joint, W/(m2 K), stable or not.
+
+    `still` has a time step of `FOREVER`; the state is that whose joint conducts what it is given.
+    """
+    [(law, count)], inputs = still.machine.laws, thermal_inputs(case)
+
+    def state(given: float) -> State:
+        fixed = replace(law, conductance=FixedConductance(given), gap=None)
+        machine = replace(still.machine, laws=[(fixed, count)])
+        return next(march(machine, inputs, staggered)).state
+
+    def lack(logarithm: float) -> float:
+        found = state(float(np.exp(logarithm)))
+        own = law.conducts(found.pressure, found.gap[0], np.zeros(1))
+        return float(np.log(own[0])) - logarithm
+
+    middle = np.log(conductance)
+    return state(float(np.exp(brentq(lack, middle - 0.02, middle + 0.02, xtol=1e-13))))
+
+
+def checks() -> Iterator[Check]:
+    """Three steady states; the march settles in two of them and leaves the third."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        write_structure(rod(), folder / "rod.vtu")
+        yield from _checks(folder)
+
+
+def _checks(folder: Path) -> Iterator[Check]:
+    expected = steady_states(WALL)
+    still_case = case_of(folder, FOREVER)
+    still = set_up(still_case)
+    rows = still.probe_rows
+    for name, (_, pressure, end) in zip(STATES, expected, strict=True):
+        # The end's temperature gives the conductance: k T_L/L = h (T2 - T_L).
+        state = found_near(still, still_case, CONDUCTIVITY / LENGTH * end / (WALL - end))
+        yield _check(
+            f"{name} state",
+            "temperature of the end",
+            "K",
+            end,
+            float((rows @ state.temperature)[0]),
+        )
+        if name != "open":
+            yield _check(
+                f"{name} state", "pressure", "MPa", 1e-6 * pressure, 1e-6 * float(state.pressure[0])
+            )
+    for thermal in ("full", "reduced"):
+        cold = simulate(case_of(folder, thermal=thermal)).response["temperature"]
+        yield _check(
+            f"cold rod, {thermal}", "temperature of the end", "K", expected[0][2], cold[-1].item()
+        )
+    middle = expected[1][2]
+    kept = simulate(case_of(folder, end=middle)).response["temperature"].sel(time=600.0).item()
+    yield _check("middle state, kept for ten minutes", "temperature of the end", "K", middle, kept)
+    for way, factor, end in (("down", 0.99, expected[0][2]), ("up", 1.01, expected[2][2])):
+        left = simulate(case_of(folder, end=factor * middle)).response["temperature"]
+        yield _check(
+            f"middle state left {way}wards", "temperature of the end", "K", end, left[-1].item()
+        )
+
+
+def _check(name: str, quantity: str, unit: str, reference: float, computed: float) -> Check:
+    return Check(
+        name=f"bistable rod from a case file, {name}: {quantity}",
+        quantity=quantity,
+        unit=unit,
+        reference=reference,
+        computed=computed,
+        tolerance=1e-6,
+        source="balance of the rod",
+    )

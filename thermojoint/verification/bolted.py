@@ -1,0 +1,114 @@
+"""Bolts from case files: the joint diagram, a sleeve that grows, the sum of the contact pressures.
+
+Bars along z without lateral contraction are one-dimensional, and a bolt that takes hold of a whole
+end of one pulls it evenly. A bolt of stiffness k_b clamps parts of stiffness k_c. A force F that
+parts them, at their ends, changes the bolt's by F k_b/(k_b + k_c) (Roetscher's diagram). A bolt
+through a sleeve that is warmed with it by T gets F0 + (alpha_s - alpha_b) L T / (1/k_b + 1/k_s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import brentq
+
+from fesim.case.schema import case_from_data
+from fesim.simulate import simulate
+from thermojoint.verification.check import Check
+from thermojoint.verification.loaded import AREA, HALF, MODULUS, column_case, joint, separation
+
+#: Force after tightening and one that parts the joint, N; rise of the temperature, K.
+FORCE, PARTING, RISE = 20e3, 6e3, 40.0
+#: The bolt: diameter and length, m, modulus, Pa; expansions of bolt and sleeve, 1/K.
+DIAMETER, LENGTH, BOLT_MODULUS = 0.016, 2.0 * HALF, 206e9
+BOLT_EXPANSION, SLEEVE_EXPANSION = 12e-6, 23e-6
+STIFFNESS = BOLT_MODULUS * 0.25 * np.pi * DIAMETER**2 / LENGTH
+#: Of the column, as a spring.
+COLUMN = MODULUS * AREA / LENGTH
+
+BOLT: dict[str, Any] = {
+    "head": {"surface": "top"},
+    "thread": {"surface": "foot"},
+    "force_kN": 1e-3 * FORCE,
+    "material": "steel",
+    "diameter_mm": 1e3 * DIAMETER,
+}
+
+
+def checks() -> Iterator[Check]:
+    """Forces of bolts and contact pressures."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        yield from _diagram_checks(folder)
+        yield from _sleeve_checks(folder)
+
+
+def bolted(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of a case: a column with a bolt of steel through it."""
+    data = column_case(folder, split, {"bolts": {"bolt": BOLT}})
+    steel = {"youngs_modulus_GPa": 1e-9 * BOLT_MODULUS, "expansion_1_K": BOLT_EXPANSION}
+    data["materials"]["steel"] = data["materials"]["iron"] | steel
+    return data | changes
+
+
+def _diagram_checks(folder: Path) -> Iterator[Check]:
+    """Two bars on a joint without preload, which the bolt presses; a force that comes and parts."""
+    (folder / "parting.csv").write_text("time_s,factor\n0,0\n20,0\n60,1\n")
+    force = {"surface": "top", "force_N": [0.0, 0.0, PARTING], "file": "parting.csv"}
+    at = 1e-6 * FORCE / AREA
+    pressed = joint(preload_MPa=0.0, initial_opening_um=0.0, reference_pressure_MPa=at)
+    data = bolted(folder, True, {"joints": {"joint": pressed}, "loads": {"part": force}})
+    response = simulate(case_from_data(data, "bolted", folder)).response
+    rest, last = response.isel(time=0), response.isel(time=-1)
+    yield _check("joint, after tightening", FORCE, _contact(rest), "equilibrium")
+    # The joint is a nonlinear spring in series with the bars: its change of opening is known.
+    free = separation(FORCE / AREA)
+
+    def out_of_balance(pull: float) -> float:
+        pressed_by = (pull - PARTING) / AREA
+        grown = (PARTING - (pull - FORCE)) / COLUMN + separation(pressed_by) - free
+        return pull - FORCE - STIFFNESS * grown
+
+    pull = float(brentq(out_of_balance, PARTING + 1.0, FORCE + PARTING, xtol=1e-9))
+    yield _check("bolt, parted by a force", pull, float(last["bolt_force"][0]), "joint diagram")
+    yield _check("joint, parted by a force", pull - PARTING, _contact(last), "joint diagram")
+    # Without the joint: a column in one piece.
+    whole = bolted(folder, False, {"loads": {"part": force}})
+    end = simulate(case_from_data(whole, "bolted", folder)).response.isel(time=-1)
+    share = STIFFNESS / (STIFFNESS + COLUMN)
+    found = float(end["bolt_force"][0]) - FORCE
+    yield _check("bolt on one bar, change by a force", PARTING * share, found, "joint diagram")
+
+
+def _sleeve_checks(folder: Path) -> Iterator[Check]:
+    """A bolt through a sleeve, both warmed evenly."""
+    warm = {name: {"rise_K": RISE} for name in ("foot", "top", "back", "side")}
+    data = bolted(folder, False, {"held_temperatures": warm})
+    data["materials"]["iron"] |= {"expansion_1_K": SLEEVE_EXPANSION}
+    data["march"] = {"step_s": 3600.0, "duration_min": 600.0, "thermal": "full"}
+    last = simulate(case_from_data(data, "bolted", folder)).response.isel(time=-1)
+    grown = (SLEEVE_EXPANSION - BOLT_EXPANSION) * LENGTH * RISE
+    reference = FORCE + grown / (1.0 / STIFFNESS + 1.0 / COLUMN)
+    found = float(last["bolt_force"][0])
+    yield _check("bolt through a warm sleeve", reference, found, "closed form")
+
+
+def _contact(row: xr.Dataset) -> float:
+    return float(row["pressure"] @ row["contact_area"])
+
+
+def _check(name: str, reference: float, computed: float, source: str) -> Check:
+    return Check(
+        name=f"bolts, {name}",
+        quantity="force",
+        unit="N",
+        reference=reference,
+        computed=computed,
+        tolerance=1e-7,
+        source=source,
+    )

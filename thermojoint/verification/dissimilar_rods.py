@@ -1,0 +1,195 @@
+"""Two dissimilar rods between walls: the march against a one-dimensional solution by other means.
+
+Steel and aluminium press on each other between a hot wall and a cold one; their joint conducts the
+better the more it is pressed. When the aluminium is warmed its expansion raises the pressure, and
+with it the heat that it gets; the steel, which then cools, lowers the pressure, later but in the
+end by more, as its alpha L^2/k is the larger. So there is one steady state, and it can be unstable
+(Barber and Zhang, 1988): with a wall cold enough the pressure oscillates without end. Both cases
+are marched.
+
+The reference shares no code with the march: finite volumes, the closed form of the mechanics, and
+an implicit Runge-Kutta method of order 5 with error control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from fesim.joint.law import BackBurdekinLaw, JointLaw
+from fesim.march.stepping import march, staggered
+from fesim.solid.materials import Material
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.verification.check import Check
+from thermojoint.verification.rods import NO_FRICTION, Rods, rods
+from thermojoint.verification.structures import STEEL
+
+ALUMINIUM = Material(
+    conductivity=200.0,
+    density=2700.0,
+    heat_capacity=900.0,
+    youngs_modulus=70e9,
+    poisson_ratio=0.0,
+    expansion=23e-6,
+)
+MATERIALS = (replace(STEEL, poisson_ratio=0.0), ALUMINIUM)
+LENGTHS = (0.06, 0.07)
+#: Approach of the joint's sides = COEFFICIENT sqrt(p), m/Pa^0.5.
+COEFFICIENT = 3e-9
+PRELOAD = 9.5e6
+#: Conductance = CONDUCTANCE (p / 1 MPa)^2, W/(m2 K).
+CONDUCTANCE = 200.0
+#: Temperatures of the walls at last, K, and the time in which they approach them, s.
+HOT, RAMP = 100.0, 200.0
+COLD = {"settling": -20.0, "oscillating": -36.0}
+#: When the two solutions are compared, s.
+TIMES = np.linspace(100.0, 900.0, 9)
+
+ELEMENTS = (160, 160)
+STEPS = (0.5, 0.25, 0.125)
+CELLS = 240
+
+QUANTITIES = (
+    ("temperature of the steel at the joint", "K", 1.0),
+    ("temperature of the aluminium at the joint", "K", 1.0),
+    ("contact pressure", "MPa", 1e-6),
+)
+
+
+def wall_temperatures(time: float, cold: float) -> Array:
+    """Temperatures (2,) of the hot and the cold wall, K."""
+    return np.array([HOT, cold]) * -np.expm1(-time / RAMP)
+
+
+def conductance(pressure: Array) -> Array:
+    """Conductance of the joint, W/(m2 K)."""
+    return CONDUCTANCE * (1e-6 * pressure) ** 2
+
+
+@dataclass(frozen=True)
+class FiniteVolumes:
+    """The rods in one dimension, `CELLS` cells of temperature in each."""
+
+    cold: float
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Lengths of the cells of each rod, m."""
+        return LENGTHS[0] / CELLS, LENGTHS[1] / CELLS
+
+    def pressure(self, temperature: Array) -> float:
+        """Pressure, Pa, of cell temperatures (2 `CELLS`,).
+
+        c (sqrt p0 - sqrt p) + growth = (p - p0) B with B = L1/E1 + L2/E2, solved for sqrt p.
+        """
+        backing = sum(
+            length / m.youngs_modulus for length, m in zip(LENGTHS, MATERIALS, strict=True)
+        )
+        growth = sum(
+            m.expansion * size * float(part.sum())
+            for m, size, part in zip(MATERIALS, self.sizes, np.split(temperature, 2), strict=True)
+        )
+        known = COEFFICIENT * np.sqrt(PRELOAD) + backing * PRELOAD + growth
+        inside = COEFFICIENT**2 + 4.0 * backing * max(known, 0.0)
+        return float(((np.sqrt(inside) - COEFFICIENT) / (2.0 * backing)) ** 2)
+
+    def joint(self, temperature: Array) -> tuple[Array, float]:
+        """Temperatures of both sides and pressure (3,), and the heat flux, W/m2."""
+        pressure = self.pressure(temperature)
+        first, second = (
+            size / 2.0 / m.conductivity for size, m in zip(self.sizes, MATERIALS, strict=True)
+        )
+        contact = float(conductance(np.array(pressure)))
+        ends = temperature[CELLS - 1], temperature[CELLS]
+        flux = (ends[0] - ends[1]) * contact / (1.0 + contact * (first + second))
+        return np.array([ends[0] - flux * first, ends[1] + flux * second, pressure]), flux
+
+    def rate(self, time: float, temperature: Array) -> Array:
+        """dT/dt of the cells, K/s."""
+        walls = wall_temperatures(time, self.cold)
+        _, flux = self.joint(temperature)
+        first, second = np.split(temperature, 2)
+        one, other = (m.conductivity / size for size, m in zip(self.sizes, MATERIALS, strict=True))
+        flows = (
+            np.concatenate([[2.0 * one * (walls[0] - first[0])], -one * np.diff(first), [flux]]),
+            np.concatenate(
+                [[flux], -other * np.diff(second), [2.0 * other * (second[-1] - walls[1])]]
+            ),
+        )
+        return np.concatenate(
+            [
+                -np.diff(flow) / (size * m.density * m.heat_capacity)
+                for flow, size, m in zip(flows, self.sizes, MATERIALS, strict=True)
+            ]
+        )
+
+
+def reference(cold: float) -> Array:
+    """Joint temperatures and pressure at `TIMES`, shape (3, times), by finite volumes."""
+    volumes = FiniteVolumes(cold)
+    solution = solve_ivp(
+        volumes.rate,
+        (0.0, TIMES[-1]),
+        np.zeros(2 * CELLS),
+        method="Radau",
+        t_eval=TIMES,
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    if not solution.success:
+        raise ConvergenceError(f"two dissimilar rods, reference: {solution.message}")
+    return np.array([volumes.joint(temperature)[0] for temperature in solution.y.T]).T
+
+
+def joint_law() -> JointLaw:
+    """Return the joint of the rods."""
+    return JointLaw(BackBurdekinLaw(COEFFICIENT, 0.5, PRELOAD), NO_FRICTION, conductance)
+
+
+def marched(built: Rods, cold: float, step: float) -> Array:
+    """Return the same by the march with a time step (s)."""
+    at_joint = np.abs(built.x - LENGTHS[0]) < 1e-9
+    second = np.arange(built.x.size) >= built.second
+    sides = [at_joint & ~second, at_joint & second]
+    steps = march(
+        built.machine(step),
+        lambda time: np.concatenate([[0.0], wall_temperatures(time, cold)]),
+        staggered,
+    )
+    every = round(TIMES[0] / step)
+    states = [s.state for s in islice(steps, every - 1, every * len(TIMES), every)]
+    return np.array(
+        [[*(s.temperature[side].mean() for side in sides), s.pressure[0]] for s in states]
+    ).T
+
+
+def extrapolated(built: Rods, cold: float) -> Array:
+    """March with three time steps, each half of the one before; take out errors of dt and dt^2."""
+    coarse, middle, fine = (marched(built, cold, step) for step in STEPS)
+    return (4.0 * (2.0 * fine - middle) - (2.0 * middle - coarse)) / 3.0
+
+
+def checks() -> Iterator[Check]:
+    """Both sides of the joint and its pressure, at the time when they agree least."""
+    built = rods(MATERIALS, LENGTHS, ELEMENTS, joint_law(), ["x0", "x1"])
+    for name, cold in COLD.items():
+        expected, found = reference(cold), extrapolated(built, cold)
+        for (quantity, unit, factor), known, computed in zip(
+            QUANTITIES, expected, found, strict=True
+        ):
+            at = int(np.argmax(np.abs(computed - known)))
+            yield Check(
+                name=f"two dissimilar rods, {name}: {quantity}",
+                quantity=quantity,
+                unit=unit,
+                reference=factor * float(known[at]),
+                computed=factor * float(computed[at]),
+                tolerance=1e-3,
+                source="one-dimensional finite volumes; relative to the range",
+                scale=factor * float(np.ptp(known)),
+            )

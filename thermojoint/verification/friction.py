@@ -1,0 +1,248 @@
+"""Friction: a pressed block pushed to and fro, and round in a circle.
+
+Two bodies are so stiff that only the joint between them gives way; the far face of one is fixed,
+that of the other is driven. Force and work are those of a spring k_t A in series with a slider
+mu P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from fesim.joint.gap import Equilibrium, gap_problem
+from fesim.joint.law import (
+    Friction,
+    JointLaw,
+    SurfaceNormalLaw,
+    evaluate,
+    stiffness_at_rest,
+)
+from fesim.march.machine import gap_solver
+from fesim.solid.condensation import ElasticCondensation, condense_elasticity
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.joint_operators import joint_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces
+from meshes.pairing import pair_joint
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.verification.check import Check
+from thermojoint.verification.series import HARDNESS, ROUGHNESS, law_at
+from thermojoint.verification.structures import IRON, SECTION, bars
+
+#: Largest gap residual, m: far below the march's, so that only the law is compared.
+RESIDUAL = 1e-18
+TOLERANCE = 1e-8
+
+COEFFICIENT = 0.3
+#: The bodies' share of the compliance is below 1e-9: k_t times their length over their modulus.
+RIGID = replace(IRON, youngs_modulus=1e22, expansion=0.0)
+STIFFNESS = 1e12
+PRELOAD = 1.0e6
+PRESSURES = (1.0e6, 4.41e6)
+#: Direction of the push from the joint's first tangent, rad: neither tangent is special.
+DIRECTION = 0.5
+#: Amplitude of the push, in micro-slip lengths mu p / k_t, and steps to one of them. They meet the
+#: kinks of the loop, so that the trapezoidal rule gives its area without error.
+AMPLITUDE, PER_LENGTH = 3, 2
+#: Steps to one round of the circle. Return mapping is implicit Euler: its error falls like 1/steps.
+ROUND = 1440
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """Two bodies and the equations of the joint between them.
+
+    Attributes
+    ----------
+    law : JointLaw
+        Its law.
+    condensed : ElasticCondensation
+        Its linear side.
+    contacts : int
+        Number of contact elements.
+    nodes : int
+        Number of temperatures.
+    """
+
+    law: JointLaw
+    condensed: ElasticCondensation
+    contacts: int
+    nodes: int
+
+    @property
+    def area(self) -> Array:
+        """Area of each contact element, m2."""
+        return self.condensed.area[: self.contacts]
+
+    def follow(self, thermal_gaps: Iterable[Array]) -> Iterator[tuple[Array, Equilibrium]]:
+        """Yield (slip before, equilibrium) for one thermal gap (3 m,) after another."""
+        laws = [(self.law, self.contacts)]
+        problem = gap_problem(
+            self.condensed.compliance * self.condensed.area,
+            self.condensed.reference,
+            stiffness_at_rest(laws),
+            lambda gap, slip: evaluate(self.law, gap, slip),
+        )
+        settle = gap_solver(problem, laws, RESIDUAL)
+        gap, slip = np.zeros((3, self.contacts)), np.zeros((2, self.contacts))
+        for thermal_gap in thermal_gaps:
+            found = settle(thermal_gap, slip, gap)
+            yield slip, found
+            gap, slip = found.gap, found.traction.slip
+
+
+def pressed(
+    structure: Structure,
+    materials: dict[str, Material],
+    law: JointLaw,
+    grid: tuple[int, int],
+    fixed: list[str],
+    rollers: dict[str, str],
+) -> Pressed:
+    """Condense a structure on its joint, with reference springs as stiff as the joint itself."""
+    spaces = make_spaces(structure.mesh)
+    operators = joint_operators([pair_joint(structure, "joint", *grid)], spaces)
+    elastic = elastic_operators(structure, spaces, materials, fixed, rollers)
+    contacts = len(operators.area)
+    springs = np.full(3 * contacts, law.friction.stiffness)
+    no_probes = csr_array((0, spaces.displacement_size))
+    condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
+    return Pressed(law, condensed, contacts, int(spaces.heat.N))
+
+
+def checks() -> Iterator[Check]:
+    """The block at each pressure, and round its circle."""
+    for pressure in PRESSURES:
+        yield from block_checks(pressure)
+    yield circle_check()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the driver of the block feels.
+
+    Attributes
+    ----------
+    force : ndarray, shape (steps, 2)
+        Along the two tangents of the joint, N.
+    dissipated : ndarray, shape (steps, m)
+        Shear times slip of each contact element, J.
+    """
+
+    force: Array
+    dissipated: Array
+
+
+def drive_block(path: Array) -> Drive:
+    """Move the block along `path`, shape (steps, 3): opening and tangential displacements, m.
+
+    Moving the driven face by U moves the block rigidly, which strains nothing but the reference
+    springs: in the gap equations this is the thermal gap (1 - C A k) U.
+    """
+    law = replace(law_at(PRELOAD), friction=Friction(COEFFICIENT, STIFFNESS))
+    block = pressed(
+        bars("hexahedra", (2, 2, 2), (2, 3, 2)),
+        {"left": RIGID, "right": RIGID},
+        law,
+        (3, 2),
+        ["x0", "x1"],
+        {},
+    )
+    springs = block.condensed.area * block.condensed.reference
+    each = np.repeat(path, block.contacts, axis=1)
+    moves = each - (each * springs) @ block.condensed.compliance
+    force, dissipated = [], []
+    for before, found in block.follow(moves):
+        shear = -found.traction.value[1:]
+        force.append(shear @ block.area)
+        dissipated.append((shear * (found.traction.slip - before)).sum(axis=0) * block.area)
+    return Drive(np.array(force), np.array(dissipated))
+
+
+def approach(pressure: float) -> float:
+    """Opening that brings the block's joint from its preload to `pressure`, m."""
+    there, here = (SurfaceNormalLaw(HARDNESS, ROUGHNESS, p) for p in (pressure, PRELOAD))
+    return there.separation - here.separation
+
+
+def block_checks(pressure: float) -> Iterator[Check]:
+    """A push to one side and two full cycles.
+
+    What is to be zero is relative to mu P, or to the work of a cycle.
+    """
+    length = COEFFICIENT * pressure / STIFFNESS
+    top, cycle = AMPLITUDE * PER_LENGTH, 4 * AMPLITUDE * PER_LENGTH
+    # 0 to the top, then twice down and up again.
+    count = np.concatenate(
+        [np.arange(top + 1), *2 * [np.abs(np.arange(1 - 2 * top, 2 * top + 1)) - top]]
+    )
+    pushed = length / PER_LENGTH * count
+    along = np.array([np.cos(DIRECTION), np.sin(DIRECTION)])
+    opening = np.full(len(pushed), approach(pressure))
+    drive = drive_block(np.column_stack([opening, np.outer(pushed, along)]))
+    force = drive.force @ along
+    work = np.append(0.0, 0.5 * (force[1:] + force[:-1]) * np.diff(pushed))
+    dissipated = drive.dissipated.sum(axis=1)
+    first, second = slice(top + 1, top + 1 + cycle), slice(top + 1 + cycle, None)
+    area, limit = SECTION[0] * SECTION[1], COEFFICIENT * pressure * SECTION[0] * SECTION[1]
+    loop = 4.0 * limit * (pushed.max() - length)
+    name = f"friction, block at {1e-6 * pressure:g} MPa"
+    for quantity, unit, reference, computed, source in (
+        ("pre-sliding stiffness", "N/m", STIFFNESS * area, force[1] / pushed[1], "k_t A"),
+        ("sliding force", "N", limit, force[top], "mu P"),
+        ("work of a cycle", "J", loop, work[second].sum(), "4 mu P (u - mu p/k_t)"),
+        ("dissipation of a cycle", "J", loop, dissipated[second].sum(), "its work"),
+    ):
+        yield Check(
+            f"{name}: {quantity}", quantity, unit, reference, float(computed), TOLERANCE, source
+        )
+    across = drive.force @ np.array([-along[1], along[0]])
+    apart = force[second] - force[first]
+    for quantity, unit, computed, scale, source in (
+        ("force across the push", "N", np.abs(across).max(), limit, "none"),
+        ("second cycle less the first", "N", np.abs(apart).max(), limit, "none"),
+        ("least dissipation of a step", "J", drive.dissipated.min(), loop, "none while it sticks"),
+    ):
+        yield Check(
+            f"{name}: {quantity}",
+            quantity,
+            unit,
+            0.0,
+            float(computed),
+            TOLERANCE,
+            source,
+            scale=float(scale),
+        )
+
+
+def circle_check() -> Check:
+    """The block led round a circle: the slider follows like a trailer on a taut elastic rope.
+
+    The rope, mu p / k_t long, is tangent to the slider's own circle, of radius r with
+    r^2 + (mu p / k_t)^2 = R^2. So one round costs 2 pi r mu P.
+    """
+    length = COEFFICIENT * PRELOAD / STIFFNESS
+    radius = 2.0 * length
+    angle = 2.0 * np.pi * np.arange(1, 2 * ROUND + 1) / ROUND
+    start = np.linspace(0.0, radius, 11)[1:]
+    path = np.vstack(
+        [
+            np.column_stack([0.0 * start, start, 0.0 * start]),
+            radius * np.column_stack([0.0 * angle, np.cos(angle), np.sin(angle)]),
+        ]
+    )
+    limit = COEFFICIENT * PRELOAD * SECTION[0] * SECTION[1]
+    return Check(
+        name="friction, block round a circle: dissipation of a round",
+        quantity="dissipation of a round",
+        unit="J",
+        reference=2.0 * np.pi * np.sqrt(radius**2 - length**2) * limit,
+        computed=float(drive_block(path).dissipated[-ROUND:].sum()),
+        tolerance=2e-3,
+        source="closed form",
+    )

@@ -1,0 +1,131 @@
+"""NAFEMS LE11 from a case file: a cylinder, taper and sphere with the temperature r + z.
+
+The section (radius, height) is bounded by A (1, 0), B (1.4, 0), an arc of radius 1.4 m about the
+origin up to 30 degrees, D, a taper to (1, 1.39), a cylinder to I (1, 1.79), H (0.7071, 1.79), a
+cylinder down to 45 degrees, and an arc of radius 1 m back to A. Top and bottom stay in their
+planes. Wanted is the axial stress at A; the benchmark's value is -105 MPa (NAFEMS, The Standard
+NAFEMS Benchmarks, TNSB Rev. 3, 1990).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from skfem import MeshHex, MeshHex2
+
+from fesim.case.schema import Case, case_from_data
+from fesim.simulate import simulate
+from meshes.exchange import write_structure
+from meshes.structure import Probe, Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.verification.check import Check
+
+#: Axial stress at A, Pa.
+STRESS = -105e6
+#: Elements through the wall, around the quarter, and along each of the four parts of the section.
+COARSE, FINE = (4, 5, 3), (6, 6, 4)
+#: Ends of the parts on the outside: the sphere's, the taper's middle and end, the top (r, z), m.
+_TAPER = ((1.4 * np.cos(np.pi / 6), 0.7), (1.1062, 1.045), (1.0, 1.39), (1.0, 1.79))
+_NECK = np.sqrt(0.5)
+
+
+def section(through: Array, along: Array) -> Array:
+    """Return (r, z) of the section, shape (2, n), m.
+
+    Parameters
+    ----------
+    through : ndarray, shape (n,)
+        0 inside, 1 outside.
+    along : ndarray, shape (n,)
+        0 at the bottom, 4 at the top; whole numbers end a part.
+    """
+    arc = np.minimum(along, 2.0) * np.pi / 8.0
+    middle = 0.5 * (_NECK + 1.79)
+    inner = np.array(
+        [
+            np.cos(arc),
+            np.where(along <= 2.0, np.sin(arc), np.interp(along, [2, 3, 4], [_NECK, middle, 1.79])),
+        ]
+    )
+    ball = np.minimum(along, 1.0) * np.pi / 6.0
+    radii, heights = zip(*_TAPER, strict=True)
+    straight = np.array([np.interp(along, [1, 2, 3, 4], line) for line in (radii, heights)])
+    outer = np.where(along <= 1.0, 1.4 * np.array([np.cos(ball), np.sin(ball)]), straight)
+    return np.asarray((1.0 - through) * inner + through * outer)
+
+
+def quarter(through: int, around: int, along: int) -> Structure:
+    """Return a quarter of the body in curved hexahedra; their numbers as for `COARSE`."""
+    lines = (
+        np.linspace(0.0, 1.0, through + 1),
+        np.linspace(0.0, 0.5 * np.pi, around + 1),
+        np.linspace(0.0, 4.0, 4 * along + 1),
+    )
+    straight = MeshHex.init_tensor(*lines)
+    curved = MeshHex2.from_mesh(straight)
+    wall, angle, part = curved.doflocs
+    radius, height = section(wall, part)
+    mesh = MeshHex2(np.array([radius * np.cos(angle), radius * np.sin(angle), height]), curved.t)
+    facets = mesh.boundary_facets()
+    _, turned, up = straight.p[:, straight.facets[:, facets]].mean(axis=1)
+    near = {
+        "bottom": up < 1e-9,
+        "top": up > 4.0 - 1e-9,
+        "start": turned < 1e-9,
+        "end": turned > 0.5 * np.pi - 1e-9,
+    }
+    return Structure(
+        mesh=mesh,
+        bodies={"body": np.arange(mesh.nelements)},
+        surfaces={name: facets[chosen] for name, chosen in near.items()},
+        probes={"A": Probe((1.0, 0.0, 0.0), "body")},
+    )
+
+
+def case_of(folder: Path, mesh: str) -> Case:
+    """Return the case of a mesh in a folder; row zero of its response is the benchmark."""
+    data: dict[str, Any] = {
+        "title": "NAFEMS LE11",
+        "structure": {"kind": "mesh", "file": mesh},
+        "materials": {
+            "steel": {
+                "conductivity_W_mK": 45.0,
+                "density_kg_m3": 7850.0,
+                "heat_capacity_J_kgK": 470.0,
+                "youngs_modulus_GPa": 210.0,
+                "poisson_ratio": 0.3,
+                "expansion_1_K": 2.3e-4,
+            }
+        },
+        "bodies": {"body": "steel"},
+        "supports": {"symmetry": {"start": "y", "end": "x", "bottom": "z", "top": "z"}},
+        "initial_temperature": {"expression_K": "hypot(x_m, y_m) + z_m"},
+        "march": {"step_s": 1.0, "duration_min": 0.1, "thermal": "full"},
+        "displacement": {"point": "A"},
+        "probes": {"A": {"position_mm": [1000.0, 0.0, 0.0]}},
+        "output": {"stress_probes": ["A"]},
+    }
+    return case_from_data(data, "LE11", folder)
+
+
+def checks() -> Iterator[Check]:
+    """The axial stress at A on two meshes."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        for name, counts in (("coarse", COARSE), ("fine", FINE)):
+            write_structure(quarter(*counts), folder / f"{name}.vtu")
+            response = simulate(case_of(folder, f"{name}.vtu")).response
+            found = response["stress"].isel(time=0).sel(stress_probe="A", component="zz").item()
+            yield Check(
+                name=f"NAFEMS LE11, {name} mesh: axial stress at A",
+                quantity="axial stress at A",
+                unit="MPa",
+                reference=1e-6 * STRESS,
+                computed=1e-6 * found,
+                tolerance=5e-3,
+                source="NAFEMS",
+            )

@@ -1,0 +1,177 @@
+"""Mechanical loads from case files: a column under its weight, joints in series with a force.
+
+Bars along z without lateral contraction are one-dimensional. A column of height L on a firm base
+sinks by rho g L^2/(2 E) at its top. On a joint without preload it presses by p = rho g L besides,
+and a force F on two bars in series changes the pressure of their joint by F/A: what the joint gives
+way by follows from p = (H/2) erfc(Y/(sqrt 2 sigma)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.special import erfcinv
+from skfem import MeshHex
+
+from fesim.case.schema import case_from_data
+from fesim.simulate import simulate
+from meshes.exchange import write_structure
+from meshes.structure import Probe, Structure
+from thermojoint.verification.check import Check, closed_form
+
+#: Half of the column, and its width, m.
+HALF, WIDTH = 0.2, 0.05
+AREA = WIDTH**2
+MODULUS, DENSITY, GRAVITY = 104e9, 7200.0, 9.81
+ROUGHNESS, HARDNESS = 1.25e-6, 1.961e9
+#: Preload, Pa, and the force on the top, N; the times at which it is none, half and whole, s.
+PRELOAD, FORCE = 2e6, -8000.0
+TIMES = (0.0, 60.0, 120.0)
+
+_check = partial(closed_form, "loads")
+
+
+def column(split: bool) -> Structure:
+    """Return a column along z; `split` into two bodies with a joint between them."""
+    halves = [
+        MeshHex.init_tensor(
+            np.linspace(0.0, WIDTH, 3),
+            np.linspace(0.0, WIDTH, 3),
+            np.linspace(start, start + length, 5),
+        )
+        for start, length in ([(0.0, HALF), (HALF, HALF)] if split else [(0.0, 2.0 * HALF)])
+    ]
+    shift = halves[0].p.shape[1]
+    mesh = MeshHex(
+        np.hstack([half.p for half in halves]),
+        np.hstack([half.t + k * shift for k, half in enumerate(halves)]),
+    )
+    facets = mesh.boundary_facets()
+    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    near = {"foot": z < 1e-9, "top": z > 2.0 * HALF - 1e-9, "back": x < 1e-9, "side": y < 1e-9}
+    cells, each = np.arange(mesh.nelements), halves[0].nelements
+    lower = mesh.f2t[0, facets] < each
+    middle = np.abs(z - HALF) < 1e-9
+    if split:
+        near |= {"joint.a": middle & lower, "joint.b": middle & ~lower}
+    return Structure(
+        mesh=mesh,
+        bodies={"lower": cells[:each], "upper": cells[each:]} if split else {"lower": cells},
+        surfaces={name: facets[chosen] for name, chosen in near.items()},
+        joints={"joint": ("joint.a", "joint.b")} if split else {},
+        probes={"top": Probe((0.5 * WIDTH, 0.5 * WIDTH, 2.0 * HALF))},
+    )
+
+
+def column_case(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str, Any]:
+    """Write the mesh of a column into a folder; return the data of a case with some changes."""
+    write_structure(column(split), folder / f"column{split:d}.vtu")
+    data: dict[str, Any] = {
+        "title": "column",
+        "structure": {"kind": "mesh", "file": f"column{split:d}.vtu"},
+        "materials": {
+            "iron": {
+                "conductivity_W_mK": 47.0,
+                "density_kg_m3": DENSITY,
+                "heat_capacity_J_kgK": 500.0,
+                "youngs_modulus_GPa": 1e-9 * MODULUS,
+                "poisson_ratio": 0.0,
+                "expansion_1_K": 11e-6,
+            }
+        },
+        "bodies": {"lower": "iron", "upper": "iron"} if split else {"lower": "iron"},
+        "supports": {"symmetry": {"foot": "z", "back": "x", "side": "y"}},
+        "march": {"step_s": 20.0, "duration_min": TIMES[-1] / 60.0},
+        "displacement": {"point": "top"},
+        "probes": {"P": {"position_mm": [10.0, 10.0, 100.0], "body": "lower"}},
+    }
+    return data | changes
+
+
+def joint(**said: float | str) -> dict[str, Any]:
+    """Return a joint of four contact elements, with what is said of it."""
+    surface = {"along": 2, "across": 2, "asperity_slope": 0.14, "friction_coefficient": 0.2}
+    return surface | {"roughness_um": 1e6 * ROUGHNESS, "hardness_GPa": 1e-9 * HARDNESS} | said
+
+
+WEIGHT = {"weight": {"acceleration_m_s2": [0.0, 0.0, -GRAVITY]}}
+STANDING = {
+    "walls": {"floor": {"faces": "foot"}},
+    "bodies": {"lower": "iron", "floor": "iron"},
+    "supports": {"symmetry": {"back": "x", "side": "y"}},
+    "joints": {
+        "feet": joint(
+            side_a="foot",
+            side_b="floor",
+            preload_MPa=0.0,
+            initial_opening_um=0.0,
+            reference_pressure_MPa=0.03,
+        )
+    },
+    "loads": WEIGHT,
+}
+
+
+def separation(pressure: float) -> float:
+    """Distance of the mean planes at a pressure (Pa), m."""
+    return float(np.sqrt(2.0) * ROUGHNESS * erfcinv(2.0 * pressure / HARDNESS))
+
+
+def checks() -> Iterator[Check]:
+    """Displacements and pressures under weight and force."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        yield from _weight_checks(folder)
+        yield from _force_checks(folder)
+
+
+def _weight_checks(folder: Path) -> Iterator[Check]:
+    height = 2.0 * HALF
+    sunk = -DENSITY * GRAVITY * height**2 / (2.0 * MODULUS)
+    held = simulate(case_from_data(column_case(folder, False, {"loads": WEIGHT}), "column", folder))
+    top = float(held.response["displacement"].sel(axis="z")[-1])
+    yield _check("column under its weight: top", "displacement", "m", sunk, top)
+    stands = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
+    pressure = DENSITY * GRAVITY * height
+    # The joint without preload gives way from where its surfaces touch.
+    given = separation(pressure) - separation(1e-6 * HARDNESS)
+    last = stands.response.isel(time=-1)
+    yield _check(
+        "column on a joint without preload: top",
+        "displacement",
+        "m",
+        sunk + given,
+        float(last["displacement"].sel(axis="z")),
+    )
+    force = float(last["pressure"] @ last["contact_area"])
+    yield _check(
+        "column on a joint without preload: joint", "contact force", "N", pressure * AREA, force
+    )
+
+
+def _force_checks(folder: Path) -> Iterator[Check]:
+    rows = "\n".join(
+        f"{time:g},{factor:g}" for time, factor in zip(TIMES, (0.0, 0.5, 1.0), strict=True)
+    )
+    (folder / "cutting.csv").write_text(f"time_s,factor\n{rows}\n")
+    force = {"surface": "top", "force_N": [0.0, 0.0, FORCE], "file": "cutting.csv"}
+    changes = {"joints": {"joint": joint(preload_MPa=1e-6 * PRELOAD)}, "loads": {"cut": force}}
+    data = column_case(folder, True, changes)
+    response = simulate(case_from_data(data, "column", folder)).response
+    for time, factor in zip(TIMES[1:], (0.5, 1.0), strict=True):
+        pressure = PRELOAD - factor * FORCE / AREA
+        given = separation(pressure) - separation(PRELOAD)
+        moved = given + factor * FORCE / AREA * 2.0 * HALF / MODULUS
+        then = response.sel(time=time)
+        name = f"two bars and a joint under {-factor * FORCE:g} N"
+        yield _check(
+            f"{name}: top", "displacement", "m", moved, float(then["displacement"].sel(axis="z"))
+        )
+        found = float(then["pressure"].mean())
+        # The gap equations are solved to 1e-13 m, some 1e-1 Pa here.
+        yield _check(f"{name}: joint", "pressure", "Pa", pressure, found, 1e-6)

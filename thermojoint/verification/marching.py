@@ -1,0 +1,290 @@
+"""The march against a plain assembly that condenses nothing, and its errors in the time step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array, kron
+
+from fesim.joint.law import Friction, JointLaw
+from fesim.march.machine import CondensedMachine
+from fesim.march.reduced import (
+    DISPLACEMENT_ERROR,
+    GAP_ERROR,
+    TEMPERATURE_ERROR,
+    USUAL_POWER,
+    ThermalModes,
+    project_elasticity,
+    project_heat,
+    thermal_modes,
+)
+from fesim.march.stepping import Advance, Inputs, iterated, march, staggered
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import DisplacementField, condense_elasticity, condense_heat
+from fesim.solid.elasticity import ElasticOperators, elastic_operators
+from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces, probe_rows
+from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
+from meshes.pairing import PairedJoint, pair_joint
+from meshes.structure import Probe, Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.verification.check import Check
+from thermojoint.verification.manufactured import WITHIN
+from thermojoint.verification.plain_march import PlainStep, plain_march
+from thermojoint.verification.series import law_at
+from thermojoint.verification.structures import IRON, LEFT, SECTION, STEEL, bars
+
+#: Largest gap residual, m: far below the march's, so that nothing but the method is compared.
+RESIDUAL = 1e-17
+TOLERANCE = 1e-9
+
+#: Coupled steps of each comparison; heat after so many of them, W; rise of the ambient in one, K.
+COUNT = 10
+HISTORY = np.array([[0.0, 6.0, 8.0], [0.0, 2000.0, -4000.0]])
+WARMING = 0.1
+
+#: What the reduced model may be off by at so much heat: K and m; pressure, of the largest.
+_HEAT = np.abs(HISTORY[1]).max() / USUAL_POWER
+ALLOWED = {
+    "temperature": _HEAT * TEMPERATURE_ERROR,
+    "displacement": _HEAT * DISPLACEMENT_ERROR,
+    "probed displacement": _HEAT * DISPLACEMENT_ERROR,
+    "gap": _HEAT * GAP_ERROR,
+    "slip": _HEAT * GAP_ERROR,
+}
+ALLOWED_PRESSURE = 1e-3
+
+#: Step lengths, s, and the time at which marches of different step length are compared, s.
+STEPS, TIME = (2.0, 1.0, 0.5), 48.0
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """A structure's operators as they are assembled, and the machine condensed from them.
+
+    Attributes
+    ----------
+    heat, elastic, joints
+        Operators of the whole structure.
+    probes : scipy.sparse.csr_array, shape (k, n)
+        Rows of the displacement probes.
+    thermometer : scipy.sparse.csr_array, shape (1, n)
+        Row of a temperature probe.
+    machine : CondensedMachine
+        What marches.
+    field : DisplacementField
+        Displacements from its results.
+    """
+
+    heat: HeatOperators
+    elastic: ElasticOperators
+    joints: JointOperators
+    probes: csr_array
+    thermometer: csr_array
+    machine: CondensedMachine
+    field: DisplacementField
+
+
+def assemble(
+    structure: Structure,
+    joint: PairedJoint,
+    materials: dict[str, Material],
+    law: JointLaw,
+    step: float,
+    films: dict[str, float],
+    source: HeatSource,
+    fixed: list[str],
+    rollers: dict[str, str],
+    probe: Probe,
+) -> Assembled:
+    """Assemble a structure with one joint, and condense it."""
+    spaces = make_spaces(structure.mesh)
+    joints = joint_operators([joint], spaces)
+    heat = heat_operators(structure, spaces.heat, materials, films, [source])
+    elastic = elastic_operators(structure, spaces, materials, fixed, rollers)
+    measured = {"probe": probe}
+    probes = csr_array(kron(probe_rows(spaces.elastic, structure, measured), eye_array(3)))
+    thermometer = probe_rows(spaces.heat, structure, measured)
+    springs = reference_springs(structure, materials, [joint])
+    condensed, field = condense_elasticity(elastic, joints, springs, probes)
+    laws = [(law, len(joints.area))]
+    thermal = condense_heat(heat, joints, step)
+    machine = CondensedMachine(thermal, condensed, laws, RESIDUAL)
+    return Assembled(heat, elastic, joints, probes, thermometer, machine, field)
+
+
+def heated_bars(kind: str, law: JointLaw, step: float) -> Assembled:
+    """Return bars of iron and steel between two walls whose meshes do not match; input 1 is 1 W.
+
+    Heat on one side and air on the other turn the joint; the unlike expansion makes it slide.
+    """
+    structure = bars(kind, (2, 3, 1), (2, 2, 2))
+    return assemble(
+        structure,
+        pair_joint(structure, "joint", 3, 2),
+        {"left": IRON, "right": STEEL},
+        law,
+        step,
+        {"y0": 50.0},
+        HeatSource(1.0, surface="y1"),
+        ["x0", "x1"],
+        {"z0": "z"},
+        Probe((LEFT, *SECTION), "left"),
+    )
+
+
+def coarse_machine(law: JointLaw, step: float) -> Assembled:
+    """Return half of the reference milling machine on elements of 100 mm; input 1 is 1 W."""
+    structure = box_milling_machine(MillingMachineDimensions(), element_size=0.1)
+    materials = {"column": IRON, "table": IRON}
+    materials["screw"] = replace(IRON, youngs_modulus=2940e9)
+    return assemble(
+        structure,
+        pair_joint(structure, "knee", 9, 3),
+        materials,
+        law,
+        step,
+        {"exterior": 6.0},
+        HeatSource(1.0 / structure.symmetry_factor, surface="bearings"),
+        ["column_base", "screw_foot"],
+        {"symmetry": "z"},
+        structure.probes["A"],
+    )
+
+
+def condensed_checks() -> Iterator[Check]:
+    """Condensed and plain march side by side, then the reduced one of the largest structure."""
+    law = replace(law_at(4.41e6), friction=Friction(0.1, 1e12))
+    for kind in ("hexahedra", "tetrahedra"):
+        made = heated_bars(kind, law, 2.0)
+        yield from compared(f"condensed march, bars, {kind}", made, plain_steps(made))
+    made = coarse_machine(law, 60.0)
+    plain = plain_steps(made)
+    yield from compared("condensed march, milling machine", made, plain)
+    modes = modes_of(made)
+    reduced = replace(made, machine=reduced_machine(made, modes))
+    yield from compared("reduced march, milling machine", reduced, plain, modes)
+
+
+def plain_steps(made: Assembled) -> list[PlainStep]:
+    """March without condensing anything."""
+    marching = plain_march(made.heat, made.elastic, made.joints, made.machine, driven(made))
+    return list(islice(marching, COUNT))
+
+
+def modes_of(made: Assembled) -> ThermalModes:
+    """Return the modes that a case of this structure would march on."""
+    machine = made.machine
+    step = machine.thermal.step
+    return thermal_modes(made.heat, made.joints, machine.elastic, made.thermometer, step)
+
+
+def reduced_machine(made: Assembled, modes: ThermalModes) -> CondensedMachine:
+    """Return the machine on its modes."""
+    machine = made.machine
+    thermal = project_heat(made.heat, made.joints, machine.thermal.step, modes)
+    return replace(machine, thermal=thermal, elastic=project_elasticity(machine.elastic, modes))
+
+
+def driven(made: Assembled) -> Inputs:
+    """Return heat and ambient of `made` at a time, s."""
+
+    def inputs(time: float) -> Array:
+        steps = time / made.machine.thermal.step
+        return np.array([np.interp(steps, *HISTORY), WARMING * steps])
+
+    return inputs
+
+
+def compared(
+    name: str, made: Assembled, plain: Sequence[PlainStep], modes: ThermalModes | None = None
+) -> Iterator[Check]:
+    """Check each quantity at its worst step and place, relative to its largest value in the run.
+
+    Parameters
+    ----------
+    name : str
+        Beginning of the checks' names.
+    made : Assembled
+        Its machine marches.
+    plain : sequence of PlainStep
+        The same steps by the plain march.
+    modes : ThermalModes, optional
+        What the machine's temperatures are made of, if it is a reduced one.
+    """
+    found: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
+    for theirs, step in zip(plain, march(made.machine, driven(made), staggered), strict=False):
+        state = step.state
+        temperature = state.temperature if modes is None else modes.basis @ state.temperature
+        for key, ours, reference in (
+            (("temperature", "K"), temperature, theirs.temperature),
+            (
+                ("displacement", "m"),
+                made.field.solve(temperature, step.remainder),
+                theirs.displacement,
+            ),
+            (("probed displacement", "m"), step.displacement, made.probes @ theirs.displacement),
+            (("pressure", "Pa"), state.pressure, theirs.pressure),
+            (("gap", "m"), state.gap.ravel(), made.joints.gap @ theirs.displacement),
+            (("slip", "m"), state.slip.ravel(), theirs.slip.ravel()),
+        ):
+            found.setdefault(key, []).append((reference, ours))
+    for (quantity, unit), pairs in found.items():
+        reference, ours = (np.array(side) for side in zip(*pairs, strict=True))
+        at = np.unravel_index(int(np.argmax(np.abs(ours - reference))), ours.shape)
+        scale = float(np.abs(reference).max())
+        allowed = ALLOWED.get(quantity, ALLOWED_PRESSURE * scale) / scale
+        yield Check(
+            name=f"{name}: {quantity}",
+            quantity=quantity,
+            unit=unit,
+            reference=float(reference[at]),
+            computed=float(ours[at]),
+            tolerance=TOLERANCE if modes is None else allowed,
+            source="plain assembly",
+            scale=scale,
+        )
+
+
+def splitting_checks() -> Iterator[Check]:
+    """Orders in the time step, between the two finest of three."""
+    law = replace(law_at(0.2e6), friction=Friction(0.3, 1e12))
+    made = heated_bars("hexahedra", law, STEPS[0])
+    ends = {
+        advance: [end_of(made, step, advance) for step in STEPS]
+        for advance in (staggered, iterated)
+    }
+    for quantity, at in (("temperature", 0), ("pressure", 1)):
+        loose, tight = ([end[at] for end in ends[advance]] for advance in (staggered, iterated))
+        apart = [np.abs(one - other).max() for one, other in zip(loose, tight, strict=True)]
+        yield order(f"splitting, staggered less iterated: order of the {quantity}", apart)
+        for how, series in (("staggered", loose), ("iterated", tight)):
+            steps = [np.abs(one - other).max() for one, other in pairwise(series)]
+            yield order(f"splitting, {how} march in dt: order of the {quantity}", steps)
+
+
+def end_of(made: Assembled, step: float, advance: Advance) -> tuple[Array, Array]:
+    """Temperature and pressure at `TIME` by steps of a length, s."""
+    machine = replace(made.machine, thermal=condense_heat(made.heat, made.joints, step))
+    inputs = np.array([600.0, 0.0])
+    steps = march(machine, lambda _: inputs, advance)
+    state = next(islice(steps, round(TIME / step) - 1, None)).state
+    return state.temperature, state.pressure
+
+
+def order(name: str, errors: list[float]) -> Check:
+    """Check an order of one by the last two errors; each belongs to half the step before."""
+    return Check(
+        name=name,
+        quantity=name.split(": ")[1],
+        unit="1",
+        reference=1.0,
+        computed=float(np.log2(errors[-2] / errors[-1])),
+        tolerance=WITHIN,
+        source="theory; difference of orders",
+    )

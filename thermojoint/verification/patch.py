@@ -1,0 +1,223 @@
+"""Patch tests: fields that every element must reproduce, on meshes shaken out of shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.sparse import csr_array
+
+from fesim.joint.gap import gap_problem
+from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
+from fesim.march.machine import gap_solver
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import condense_elasticity
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.joint_operators import joint_operators
+from fesim.solid.spaces import Spaces, make_spaces
+from fesim.solid.stress import stress_at
+from meshes.pairing import pair_joint
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.verification.check import Check
+from thermojoint.verification.series import law_at
+from thermojoint.verification.solving import solve_given
+from thermojoint.verification.structures import (
+    IRON,
+    LEFT,
+    RIGHT,
+    SECTION,
+    block,
+    box_grid,
+    shaken,
+    two_bars,
+)
+
+TOLERANCE = 1e-9
+#: Share of the spacing by which nodes inside are moved.
+SHAKE = 0.2
+ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
+
+
+def heat_checks() -> Iterator[Check]:
+    """A linear temperature, given on the boundary, is found exactly inside."""
+    for kind, (element, _) in ELEMENTS.items():
+        structure = shaken_block(kind)
+        basis = make_spaces(structure.mesh).heat
+        heat = heat_operators(structure, basis, {"block": IRON}, {}, [])
+        exact = np.array([3.0, 20.0, -50.0, 40.0]) @ np.vstack([np.ones(basis.N), basis.doflocs])
+        outside = basis.get_dofs(structure.mesh.boundary_facets()).all()
+        found = solve_given(
+            heat.conduction, np.zeros(basis.N), outside, exact[outside], "heat patch"
+        )
+        yield worst(
+            f"heat patch test, {element}",
+            "temperature",
+            "K",
+            found,
+            exact,
+            "linear temperature",
+            scale=float(np.ptp(exact)),
+        )
+
+
+def elastic_checks() -> Iterator[Check]:
+    """A uniform strain, given on the boundary; a uniform expansion without stress."""
+    strain = 1e-4 * np.array([[1.0, 0.4, -0.3], [0.4, -0.7, 0.5], [-0.3, 0.5, 0.2]])
+    lam, mu = IRON.lame
+    stress = lam * np.trace(strain) * np.eye(3) + 2.0 * mu * strain
+    for kind, (_, element) in ELEMENTS.items():
+        structure = shaken_block(kind)
+        spaces = make_spaces(structure.mesh)
+        materials = {"block": IRON}
+        elastic = elastic_operators(
+            structure, spaces, materials, [], {"x0": "x", "y0": "y", "z0": "z"}
+        )
+        exact = (strain @ spaces.elastic.doflocs).T.ravel()
+        outside = spaces.elastic.get_dofs(structure.mesh.boundary_facets()).all()
+        given = (3 * outside[:, None] + np.arange(3)).ravel()
+        load = np.zeros(exact.size)
+        found = solve_given(elastic.stiffness, load, given, exact[given], "elastic patch")
+        cold = np.zeros(spaces.heat.N)
+        name = f"elastic patch test, {element}"
+        yield worst(name, "displacement", "m", found, exact, "uniform strain")
+        yield worst(
+            name,
+            "stress",
+            "Pa",
+            stress_inside(structure, spaces, found, cold),
+            np.broadcast_to(stress, (structure.mesh.nelements, 3, 3)),
+            "uniform strain",
+        )
+        rise = 20.0
+        hot = np.full(spaces.heat.N, rise)
+        held = np.setdiff1d(np.arange(exact.size), elastic.free)
+        free = (IRON.expansion * rise * spaces.elastic.doflocs).T.ravel()
+        found = solve_given(
+            elastic.stiffness, elastic.thermal_load @ hot, held, 0.0, "expansion patch"
+        )
+        name = f"expansion patch test, {element}"
+        yield worst(name, "displacement", "m", found, free, "u = alpha T x")
+        yield worst(
+            name,
+            "stress",
+            "Pa",
+            stress_inside(structure, spaces, found, hot),
+            np.zeros((structure.mesh.nelements, 3, 3)),
+            "none; relative to E alpha T",
+            scale=IRON.youngs_modulus * IRON.expansion * rise,
+        )
+
+
+def contact_checks() -> Iterator[Check]:
+    """Two hot bars between walls press evenly on a joint whose sides do not match."""
+    rise, law = 20.0, law_at(4.41e6)
+    pressure = wall_pressure(rise, law)
+    for kind in ELEMENTS:
+        structure = shaken_bars(kind)
+        spaces = make_spaces(structure.mesh)
+        materials = {"left": IRON, "right": IRON}
+        joints = [pair_joint(structure, "joint", 3, 2)]
+        operators = joint_operators(joints, spaces)
+        rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
+        elastic = elastic_operators(structure, spaces, materials, [], rollers)
+        springs = reference_springs(structure, materials, joints)
+        no_probes = csr_array((0, spaces.displacement_size))
+        condensed, field = condense_elasticity(elastic, operators, springs, no_probes)
+        hot = np.full(spaces.heat.N, rise)
+        laws = [(law, len(operators.area))]
+        problem = gap_problem(
+            condensed.compliance * condensed.area,
+            condensed.reference,
+            stiffness_at_rest(laws),
+            lambda gap, slip: evaluate(law, gap, slip),
+        )
+        zero = np.zeros((3, len(operators.area)))
+        # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
+        settle = gap_solver(problem, laws, 1e-16)
+        found = settle(condensed.thermal_gap @ hot, zero[1:], zero)
+        name = f"contact patch test, non-matching {kind}"
+        source = "bars and joint in series"
+        contact = found.traction.value[0] + law.preload
+        yield worst(
+            name, "contact pressure", "Pa", contact, np.full_like(contact, pressure), source
+        )
+        remainder = found.traction.value.ravel() + condensed.reference * found.gap.ravel()
+        moved = field.solve(hot, remainder)
+        # The field is that of the pressure above the preload.
+        along = np.zeros((3, 3))
+        along[0, 0] = law.preload - pressure
+        yield worst(
+            name,
+            "stress",
+            "Pa",
+            stress_inside(structure, spaces, moved, hot),
+            np.broadcast_to(along, (structure.mesh.nelements, 3, 3)),
+            source,
+        )
+
+
+def wall_pressure(rise: float, law: JointLaw) -> float:
+    """Pressure, Pa: g + alpha dT L = (p(g) - p0) L / E, as walls hold the ends of both bars."""
+    length = LEFT + RIGHT
+
+    def misfit(opening: float) -> float:
+        excess = float(law.normal.pressure(np.array([opening]))[0]) - law.preload
+        return opening + IRON.expansion * rise * length - excess * length / IRON.youngs_modulus
+
+    opening = brentq(misfit, -1e-4, 1e-4, xtol=1e-20, rtol=1e-15)
+    return float(law.normal.pressure(np.array([opening]))[0])
+
+
+def shaken_block(kind: str) -> Structure:
+    """Return a block of 3 x 3 x 3 cells (or that times six), its inner nodes moved."""
+    return block(shaken(box_grid(kind, (3, 3, 3), (0.3, 0.2, 0.1)), SHAKE, seed=4))
+
+
+def shaken_bars(kind: str) -> Structure:
+    """Return two bars whose meshes do not match, with moved nodes inside."""
+    return two_bars(
+        shaken(box_grid(kind, (3, 3, 2), (LEFT, *SECTION)), SHAKE, seed=5),
+        shaken(box_grid(kind, (3, 4, 3), (RIGHT, *SECTION), (LEFT, 0.0, 0.0)), SHAKE, seed=6),
+    )
+
+
+def stress_inside(
+    structure: Structure, spaces: Spaces, displacement: Array, temperature: Array
+) -> Array:
+    """Stress at the mean of each cell's corners, shape (cells, 3, 3), Pa; all bodies of iron."""
+    mesh = structure.mesh
+    return stress_at(
+        structure,
+        spaces,
+        dict.fromkeys(structure.bodies, IRON),
+        displacement,
+        temperature,
+        mesh.p[:, mesh.t].mean(axis=1),
+        np.arange(mesh.nelements),
+    )
+
+
+def worst(
+    name: str,
+    quantity: str,
+    unit: str,
+    found: Array,
+    exact: Array,
+    source: str,
+    scale: float = 0.0,
+) -> Check:
+    """Check a field at its worst value, relative to `scale` or to the largest exact value."""
+    at = np.unravel_index(int(np.argmax(np.abs(found - exact))), found.shape)
+    return Check(
+        name=f"{name}: {quantity}",
+        quantity=quantity,
+        unit=unit,
+        reference=float(exact[at]),
+        computed=float(found[at]),
+        tolerance=TOLERANCE,
+        source=source,
+        scale=scale or float(np.abs(exact).max()),
+    )

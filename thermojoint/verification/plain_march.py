@@ -1,0 +1,107 @@
+"""The staggered march without condensation: every matrix whole, assembled and factorised anew.
+
+It takes the same operators and joint laws as the product's march and shares nothing else with it:
+the unknowns are all temperatures and displacements, Newton's method works on the forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import block_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from fesim.march.machine import CondensedMachine
+from fesim.march.stepping import Inputs
+from fesim.solid.elasticity import ElasticOperators
+from fesim.solid.heat import HeatOperators
+from fesim.solid.joint_operators import JointOperators
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ConvergenceError
+
+MAX_ITERATIONS, SHORTEST_STEP = 60, 2.0**-10
+#: The last step of Newton's method is smaller than this, m: micrometres are compared, and a solve
+#: leaves 1e-17 of them by rounding.
+SETTLED = 1e-15
+
+
+@dataclass(frozen=True)
+class PlainStep:
+    """One step of `plain_march`.
+
+    Attributes
+    ----------
+    temperature, displacement : ndarray
+        At every unknown, K and m.
+    pressure, slip : ndarray, shapes (m,) and (2, m)
+        Of the contact elements, Pa and m.
+    """
+
+    temperature: Array
+    displacement: Array
+    pressure: Array
+    slip: Array
+
+
+def plain_march(
+    heat: HeatOperators,
+    elastic: ElasticOperators,
+    joints: JointOperators,
+    machine: CondensedMachine,
+    inputs: Inputs,
+) -> Iterator[PlainStep]:
+    """Yield the staggered march's steps, every matrix whole and factorised anew each time.
+
+    Nothing of `machine` counts but its joint laws and its step length. No surface may have a held
+    temperature.
+    """
+    free, step = elastic.free, machine.thermal.step
+    jump, gap = joints.jump, csr_array(joints.gap[:, free])
+    stiffness = elastic.stiffness[free][:, free]
+    area, area3, count = joints.area, np.tile(joints.area, 3), machine.contacts
+    rate = heat.capacity / step
+    temperature, pressure = np.zeros(heat.inputs.shape[0]), machine.preload
+    u, slip = np.zeros(free.size), np.zeros((2, count))
+    index = 0
+    while True:
+        index += 1
+        joint = jump.T @ diags_array(machine.conductance(pressure) * area) @ jump
+        temperature = _solve(
+            rate + heat.conduction + heat.convection + joint,
+            rate @ temperature + heat.inputs @ inputs(index * step),
+        )
+        load = (elastic.thermal_load @ temperature)[free]
+        before = slip
+        law = machine.traction((gap @ u).reshape(3, count), before)
+        forces = stiffness @ u - load - gap.T @ (area3 * law.value.ravel())
+        for _ in range(MAX_ITERATIONS):
+            blocks = [[diags_array(area * law.tangent[i, j]) for j in range(3)] for i in range(3)]
+            move = -_solve(stiffness - gap.T @ block_array(blocks) @ gap, forces)
+            length, norm = 1.0, np.linalg.norm(forces)
+            while True:
+                trial = u + length * move
+                law = machine.traction((gap @ trial).reshape(3, count), before)
+                forces = stiffness @ trial - load - gap.T @ (area3 * law.value.ravel())
+                if np.linalg.norm(forces) < norm or length < SHORTEST_STEP:
+                    break
+                length /= 2.0
+            u = trial
+            if np.abs(move).max() < SETTLED:
+                break
+        else:
+            raise ConvergenceError(
+                f"plain march: step to t = {index * step:g} s: Newton's last step is still "
+                f"{np.abs(move).max():.1e} m"
+            )
+        slip, pressure = law.slip, machine.preload + law.value[0]
+        displacement = np.zeros(elastic.stiffness.shape[0])
+        displacement[free] = u
+        yield PlainStep(temperature, displacement, pressure, slip)
+
+
+def _solve(matrix: csr_array, load: Array) -> Array:
+    """Solve, for a matrix of symmetric pattern."""
+    factor = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return np.asarray(factor.solve(load), dtype=np.float64)

@@ -1,0 +1,92 @@
+"""Results of the suite as JSON data and as the docs page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from textwrap import fill
+
+from thermojoint.verification.check import Check
+from thermojoint.verification.suite import Result
+
+_FIELDS = (
+    "name",
+    "quantity",
+    "unit",
+    "reference",
+    "computed",
+    "relative_error",
+    "tolerance",
+    "source",
+)
+
+_HEAD = """# Verification
+
+This page is written by the suite itself:
+
+```sh
+thermojoint verify --out verify.json --markdown docs/verification.md
+```
+
+The command prints the same table, writes it as JSON and ends with exit code 1 if anything is out of
+tolerance. The cases are the modules of `verification/`. They use the simulator's own operators,
+joint laws and solver of the gap equations, and its march or heat step where time passes.
+Temperatures are those of all nodes; the reduced thermal model, a case's default
+([reduction.md](reduction.md)), has rows of its own. The error is relative to the reference unless
+said otherwise.
+"""
+
+
+def results_data(
+    results: Sequence[Result],
+) -> dict[str, list[dict[str, str | float | None]]]:
+    """Return what ``verify --out`` writes: {"cases": [...]}, one entry for each check.
+
+    A number that is not finite (its check fails) becomes None: JSON knows only finite ones.
+    """
+    checks = [check for result in results for check in result.checks]
+    return {"cases": [{name: _plain(getattr(check, name)) for name in _FIELDS} for check in checks]}
+
+
+def _plain(value: str | float) -> str | float | None:
+    if isinstance(value, str):
+        return value
+    return float(value) if math.isfinite(value) else None
+
+
+def markdown(results: Sequence[Result]) -> str:
+    """Return the docs page."""
+    checks = [check for result in results for check in result.checks]
+    good = sum(check.passed for check in checks)
+    parts = [_HEAD, f"{good} of {len(checks)} checks are within tolerance.\n"]
+    for result in results:
+        text = fill(result.group.about, width=104, break_long_words=False, break_on_hyphens=False)
+        about = f"{text}\n\n" if text else ""
+        parts.append(f"## {result.group.title}\n\n{about}{_table(result.checks)}")
+    return "\n".join(parts)
+
+
+def _table(checks: Sequence[Check]) -> str:
+    lines = [
+        "| quantity | reference | computed | error | tolerance | source |",
+        "|---|---|---|---|---|---|",
+    ]
+    for check in checks:
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in shown(check)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def shown(check: Check) -> tuple[str, str, str, str, str, str]:
+    """Return what is compared, reference, computed, error, tolerance and source as text."""
+    named = check.quantity in check.name
+    what = check.name if named else f"{check.name}: {check.quantity}"
+    unit = "" if check.unit == "1" else f", {check.unit}"
+    mark = "" if check.passed else " **out**"
+    return (
+        f"{what}{unit}",
+        f"{check.reference:.7g}",
+        f"{check.computed:.7g}",
+        f"{check.relative_error:.1e}{mark}",
+        f"{check.tolerance:.1e}",
+        check.source,
+    )

@@ -1,0 +1,84 @@
+"""Two rods in line between walls, one-dimensional: meshed, assembled and ready to march."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.sparse import csr_array
+
+from fesim.joint.law import Friction, JointLaw
+from fesim.march.machine import CondensedMachine
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import HeatOperators, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import make_spaces
+from meshes.pairing import pair_joint
+from thermojoint.artefacts.arrays import Array
+from thermojoint.verification.structures import box_grid, two_bars
+
+#: Width and depth of a rod, m. Without lateral contraction they do not matter.
+SECTION = (0.1, 0.1)
+#: Nothing moves along the joint.
+NO_FRICTION = Friction(0.0, 1e12)
+
+
+@dataclass(frozen=True)
+class Rods:
+    """Two rods in line along x, ready to be condensed for any time step.
+
+    Attributes
+    ----------
+    heat : HeatOperators
+        Heat in both rods; the inputs are the ambient and the held surfaces.
+    operators : JointOperators
+        Their joint: one contact element.
+    elastic : ElasticCondensation
+        Both rods between walls.
+    law : JointLaw
+        What happens at the joint.
+    x : ndarray, shape (n,)
+        Of the temperature unknowns, m; the second rod's begin at `second`.
+    second : int
+        Number of the first unknown of the second rod.
+    """
+
+    heat: HeatOperators
+    operators: JointOperators
+    elastic: ElasticCondensation
+    law: JointLaw
+    x: Array
+    second: int
+
+    def machine(self, step: float) -> CondensedMachine:
+        """Condense for a time step (s)."""
+        thermal = condense_heat(self.heat, self.operators, step)
+        return CondensedMachine(thermal, self.elastic, [(self.law, 1)])
+
+
+def rods(
+    materials: tuple[Material, Material],
+    lengths: tuple[float, float],
+    elements: tuple[int, int],
+    law: JointLaw,
+    held: list[str],
+) -> Rods:
+    """Mesh, assemble and condense two rods between walls; `held` names surfaces of given T."""
+    first, second = (
+        box_grid("hexahedra", (count, 1, 1), (length, *SECTION), (start, 0.0, 0.0))
+        for count, length, start in zip(elements, lengths, (0.0, lengths[0]), strict=True)
+    )
+    structure = two_bars(first, second)
+    by_body = dict(zip(("left", "right"), materials, strict=True))
+    spaces = make_spaces(structure.mesh)
+    joints = [pair_joint(structure, "joint", 1, 1)]
+    operators = joint_operators(joints, spaces)
+    rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
+    elastic = elastic_operators(structure, spaces, by_body, [], rollers)
+    springs = reference_springs(structure, by_body, joints)
+    no_probes = csr_array((0, spaces.displacement_size))
+    condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
+    heat = heat_operators(structure, spaces.heat, by_body, {}, [], held)
+    return Rods(heat, operators, condensed, law, spaces.heat.doflocs[0], first.p.shape[1])

@@ -1,0 +1,152 @@
+"""Two bars in series through a joint: q = dT / (L1/k1 + 1/h_c(p) + L2/k2), by one long step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.special import erfcinv
+
+from fesim.case.joint_sections import JointSection
+from fesim.joint.law import (
+    Friction,
+    JointLaw,
+    SurfaceNormalLaw,
+    exact_conductance,
+    harmonic_conductivity,
+)
+from fesim.march.machine import CondensedMachine
+from fesim.march.stepping import march, staggered
+from fesim.setup.laws import law_of
+from fesim.setup.machine import reference_springs
+from fesim.solid.condensation import condense_elasticity, condense_heat
+from fesim.solid.elasticity import elastic_operators
+from fesim.solid.heat import heat_operators
+from fesim.solid.joint_operators import joint_operators
+from fesim.solid.spaces import make_spaces
+from meshes.pairing import pair_joint
+from meshes.structure import Structure
+from thermojoint.verification.check import Check
+from thermojoint.verification.structures import IRON, LEFT, RIGHT, SECTION, STEEL, bars
+
+#: Temperatures of the ends, K.
+HOT, COLD = 100.0, 20.0
+#: Pressures of the joint, Pa.
+PRESSURES = (0.1e6, 1.0e6, 4.41e6, 40.0e6)
+ROUGHNESS, SLOPE, HARDNESS = 1.25e-6, 0.14, 1.961e9
+#: So long an implicit Euler step ends in the steady state, s.
+FOREVER = 1e15
+
+MESHES = {
+    "matching hexahedra": ("hexahedra", (3, 3, 2), (4, 3, 2)),
+    "non-matching hexahedra": ("hexahedra", (3, 3, 2), (2, 4, 3)),
+    "matching tetrahedra": ("tetrahedra", (2, 2, 2), (3, 2, 2)),
+    "non-matching tetrahedra": ("tetrahedra", (2, 2, 2), (3, 3, 2)),
+}
+
+
+def law_at(pressure: float) -> JointLaw:
+    """Return a joint of iron on steel at a preload (Pa), with the conductance of the CMY model."""
+    normal = SurfaceNormalLaw(HARDNESS, ROUGHNESS, pressure)
+    ends = (np.array([m.conductivity]) for m in (IRON, STEEL))
+    conductivity = float(harmonic_conductivity(*ends)[0])
+    conductance = exact_conductance(SLOPE, ROUGHNESS, conductivity, HARDNESS)
+    return JointLaw(normal, Friction(0.6, 1e12), conductance)
+
+
+def steady_machine(structure: Structure) -> CondensedMachine:
+    """Two bars between rollers with held ends, one step of which leads to the steady state.
+
+    The bars do not expand, so that the joint keeps its preload.
+    """
+    materials = {"left": replace(IRON, expansion=0.0), "right": replace(STEEL, expansion=0.0)}
+    spaces = make_spaces(structure.mesh)
+    joints = [pair_joint(structure, "joint", 3, 2)]
+    operators = joint_operators(joints, spaces)
+    heat = heat_operators(structure, spaces.heat, materials, {}, [], ["x0", "x1"])
+    rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
+    elastic = elastic_operators(structure, spaces, materials, [], rollers)
+    springs = reference_springs(structure, materials, joints)
+    no_probes = csr_array((0, spaces.displacement_size))
+    condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
+    thermal = condense_heat(heat, operators, FOREVER)
+    return CondensedMachine(thermal, condensed, [(law_at(PRESSURES[0]), len(joints[0].area))])
+
+
+#: What a case says of a joint whose conductance is another than Eq. 11, and its h, W/(m2 K).
+_OPEN = {"preload_MPa": 0.0, "reference_pressure_MPa": 1.0, "initial_opening_um": 30.0}
+AIR, JUMP, WARM, EMISSIVITIES = 0.026, 0.4e-6, 60.0, (0.3, 0.8)
+OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
+    "fixed conductance": (
+        {"preload_MPa": 1.0, "conductance": {"law": "fixed", "value_W_m2K": 800.0}},
+        800.0,
+    ),
+    "air in an open gap": (
+        _OPEN | {"gap": {"gas_conductivity_W_mK": AIR, "temperature_jump_um": 1e6 * JUMP}},
+        # The mean planes of rough surfaces that touch are lambda roughnesses apart:
+        # erfc(lambda / sqrt 2) / 2 = 1e-6.
+        AIR / (30e-6 + math.sqrt(2.0) * float(erfcinv(2e-6)) * ROUGHNESS + JUMP),
+    ),
+    "radiation across an open gap": (
+        _OPEN
+        | {
+            "gap": {
+                "emissivity_a": EMISSIVITIES[0],
+                "emissivity_b": EMISSIVITIES[1],
+                "mean_temperature_degC": WARM,
+            }
+        },
+        4.0 * 5.670374419e-8 * (WARM + 273.15) ** 3 / (sum(1.0 / e for e in EMISSIVITIES) - 1.0),
+    ),
+}
+
+
+def other_checks() -> Iterator[Check]:
+    """Heat flow through the two bars with the conductances beside Eq. 11."""
+    cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
+    surface = {
+        "along": 3,
+        "across": 2,
+        "roughness_um": 1e6 * ROUGHNESS,
+        "asperity_slope": SLOPE,
+        "hardness_GPa": 1e-9 * HARDNESS,
+        "friction_coefficient": 0.6,
+    }
+    for name, (said, conductance) in OTHER_LAWS.items():
+        section = JointSection(**surface | said)
+        given = section.initial_opening_um
+        opening = None if given is None else np.full(cold.contacts, 1e-6 * float(given))
+        law = law_of(section, np.full(cold.contacts, IRON.conductivity), opening)
+        yield _flow_check(f"two bars, {name}", replace(cold, laws=[(law, 6)]), conductance)
+
+
+def checks() -> Iterator[Check]:
+    """Heat flow through the two bars on every mesh at every pressure."""
+    for mesh, (kind, left, right) in MESHES.items():
+        cold = steady_machine(bars(kind, left, right))
+        for pressure in PRESSURES:
+            law = law_at(pressure)
+            contact = float(law.conductance(np.array([pressure]))[0])
+            machine = replace(cold, laws=[(law, cold.contacts)])
+            yield _flow_check(f"two bars, {mesh}, {1e-6 * pressure:g} MPa", machine, contact)
+    yield from other_checks()
+
+
+def _flow_check(name: str, machine: CondensedMachine, conductance: float) -> Check:
+    # Inputs: the ambient, then the two held ends.
+    inputs = np.array([0.0, HOT, COLD])
+    step = next(march(machine, lambda _: inputs, staggered))
+    resistance = LEFT / IRON.conductivity + 1.0 / conductance + RIGHT / STEEL.conductivity
+    return Check(
+        name=f"{name}: heat flow",
+        quantity="heat flow",
+        unit="W",
+        reference=SECTION[0] * SECTION[1] * (HOT - COLD) / resistance,
+        computed=float(step.heat_flow.sum()),
+        tolerance=1e-6,
+        source="closed form",
+    )

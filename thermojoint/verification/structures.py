@@ -1,0 +1,119 @@
+"""Structures that the verification cases share: blocks and pairs of bars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import Mesh, MeshHex, MeshTet
+
+from fesim.solid.materials import Material
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+
+IRON = Material(
+    conductivity=47.0,
+    density=7200.0,
+    heat_capacity=500.0,
+    youngs_modulus=104e9,
+    poisson_ratio=0.27,
+    expansion=13.7e-6,
+)
+STEEL = Material(
+    conductivity=16.0,
+    density=7800.0,
+    heat_capacity=460.0,
+    youngs_modulus=200e9,
+    poisson_ratio=0.31,
+    expansion=11.0e-6,
+)
+
+#: Cells a verification case is run on.
+KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
+
+
+def box_grid(
+    kind: str,
+    divisions: tuple[int, int, int],
+    size: tuple[float, float, float],
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Mesh:
+    """Return a regular mesh of a box with a corner at `start`; lengths in m."""
+    lines = [
+        np.linspace(low, low + length, count + 1)
+        for low, length, count in zip(start, size, divisions, strict=True)
+    ]
+    return KINDS[kind].init_tensor(*lines)
+
+
+def shaken(mesh: Mesh, share: float, seed: int) -> Mesh:
+    """Move the nodes inside a regular mesh at random, by up to `share` of the spacing."""
+    low, high = mesh.p.min(axis=1, keepdims=True), mesh.p.max(axis=1, keepdims=True)
+    slack = 1e-9 * (high - low)
+    inside = ((mesh.p > low + slack) & (mesh.p < high - slack)).all(axis=0)
+    spacing = [float(np.diff(np.unique(np.round(line, 9))).min()) for line in mesh.p]
+    points = mesh.p.copy()
+    moves = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, int(inside.sum())))
+    points[:, inside] += share * np.array(spacing)[:, None] * moves
+    return type(mesh)(points, mesh.t)
+
+
+def bent(mesh: Mesh, move: Callable[[Array], Array]) -> Mesh:
+    """Move every node x (3, n) by move(x) (3, n), m."""
+    return type(mesh)(mesh.p + move(mesh.p), mesh.t)
+
+
+def box_surfaces(mesh: Mesh) -> dict[str, NDArray[np.int64]]:
+    """Return the facets on the low and the high side of the mesh along x, y and z: "x0" to "z1"."""
+    facets = mesh.boundary_facets()
+    centres = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    surfaces = {}
+    for axis, name in enumerate("xyz"):
+        ends = mesh.p[axis].min(), mesh.p[axis].max()
+        for number, end in enumerate(ends):
+            on_it = np.abs(centres[axis] - end) < 1e-9 * (ends[1] - ends[0])
+            surfaces[f"{name}{number}"] = facets[on_it]
+    return surfaces
+
+
+def block(mesh: Mesh) -> Structure:
+    """Return a structure of one body called "block" with the surfaces of its bounding box."""
+    return Structure(mesh, {"block": np.arange(mesh.nelements)}, box_surfaces(mesh))
+
+
+#: Lengths of the two bars along x, and their section, m.
+LEFT, RIGHT = 0.10, 0.15
+SECTION = (0.06, 0.04)
+
+
+def two_bars(left: Mesh, right: Mesh) -> Structure:
+    """Return bodies "left" and "right" that face each other in a joint called "joint".
+
+    Parameters
+    ----------
+    left, right : skfem.Mesh
+        Meshes of the same kind; `right` begins at the x where `left` ends. They share no node.
+    """
+    mesh = type(left)(np.hstack([left.p, right.p]), np.hstack([left.t, right.t + left.p.shape[1]]))
+    cells = np.arange(mesh.nelements)
+    surfaces = box_surfaces(mesh)
+    facets = mesh.boundary_facets()
+    x = mesh.p[0, mesh.facets[:, facets]].mean(axis=0)
+    between = facets[np.abs(x - left.p[0].max()) < 1e-9]
+    on_left = mesh.f2t[0, between] < left.nelements
+    surfaces |= {"joint.a": between[on_left], "joint.b": between[~on_left]}
+    return Structure(
+        mesh,
+        bodies={"left": cells[: left.nelements], "right": cells[left.nelements :]},
+        surfaces=surfaces,
+        joints={"joint": ("joint.a", "joint.b")},
+    )
+
+
+def bars(kind: str, left: tuple[int, int, int], right: tuple[int, int, int]) -> Structure:
+    """Return two bars along x, `LEFT` and `RIGHT` long, with `SECTION`."""
+    return two_bars(
+        box_grid(kind, left, (LEFT, *SECTION)),
+        box_grid(kind, right, (RIGHT, *SECTION), (LEFT, 0.0, 0.0)),
+    )

@@ -1,0 +1,185 @@
+"""Conductivity, film, radiation and expansion that depend on temperature, from case files.
+
+In the steady state of a bar along x all is in closed form:
+
+- Between ends held at 0 and T1, theta(T) = integral of the conductivity's factor is linear in x
+  (Kirchhoff). With f = 1 + b T: T(L/2) = (sqrt(1 + b (T1 + b T1^2/2)) - 1)/b.
+- Heat q that enters at x0 leaves at x1 by radiation: eps sigma (T^4 - T_a^4) = q; or by a film
+  h (1 + b T) T = q.
+- A bar warmed by T evenly grows by alpha L (T + b T^2/2).
+
+Heat stored at a uniform temperature is let go by a film h (1 + b T) T alone, if the bar is short:
+with r = h A/C, T/(1 + b T) = T0/(1 + b T0) exp(-r t).
+
+Two bars between ends held at 0 and T1 face each other across enclosed air: the heat flux is
+T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.constants import Stefan_Boltzmann, zero_Celsius
+from skfem import MeshHex
+
+from meshes.box_grid import put_side_by_side
+from meshes.exchange import write_structure
+from meshes.structure import Probe, Structure
+from thermojoint.verification.check import Check, closed_form
+from thermojoint.verification.thermal_bar import (
+    CAPACITY,
+    CONDUCTIVITY,
+    DENSITY,
+    EXPANSION,
+    LENGTH,
+    WIDTH,
+    bar_case,
+    run,
+)
+
+#: Slope of the factors, 1/K, and where they end, K: a change by half.
+SLOPE, HOT = 5e-3, 100.0
+RISING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 + SLOPE * HOT]}
+FALLING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 - SLOPE * HOT]}
+EMISSIVITY, AMBIENT = 0.8, 20.0
+#: Heat that enters, W, and a film, W/(m2 K).
+POWER, FILM = 2.0, 40.0
+#: Length of the bar that cools as a whole, m.
+SHORT = 0.001
+
+_check = partial(closed_form, "temperature dependence")
+
+
+def checks() -> Iterator[Check]:
+    """All of them."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        yield from _conducting(folder)
+        yield from _radiating(folder)
+        yield from _growing(folder)
+        yield from _cooling(folder)
+        yield from _enclosing(folder)
+
+
+def _conducting(folder: Path) -> Iterator[Check]:
+    held = {"held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": HOT}}}
+    for name, factor, slope in (("rising", RISING, SLOPE), ("falling", FALLING, -SLOPE)):
+        response = run(bar_case(folder, held, metal={"conductivity_factor": factor}), folder)
+        middle = response["temperature"][-1].sel(probe="middle").item()
+        half = 0.5 * (HOT + 0.5 * slope * HOT**2)
+        expected = (np.sqrt(1.0 + 2.0 * slope * half) - 1.0) / slope
+        yield _check(f"{name} conductivity: middle", "temperature", "K", expected, middle, 1e-6)
+        yield _settled(f"{name} conductivity", response)
+
+
+def _radiating(folder: Path) -> Iterator[Check]:
+    flux = POWER / WIDTH**2
+    driven: dict[str, Any] = {
+        "sources": {"heat": {"surface": "x0", "reference_power_W": POWER}},
+        "heat_input": {"kind": "step", "level": 1.0},
+    }
+    absolute = zero_Celsius + AMBIENT
+    hot = (absolute**4 + flux / (EMISSIVITY * Stefan_Boltzmann)) ** 0.25 - absolute
+    black = {"radiation": {"x1": {"emissivity": EMISSIVITY, "ambient_degC": AMBIENT}}}
+    film = {"convection_W_m2K": {"x1": FILM}, "convection_factor": {"x1": RISING}}
+    warm = (np.sqrt(1.0 + 4.0 * SLOPE * flux / FILM) - 1.0) / (2.0 * SLOPE)
+    for name, lost, expected in (("radiation", black, hot), ("film", film, warm)):
+        response = run(bar_case(folder, driven | lost), folder)
+        end = response["temperature"][-1].sel(probe="end").item()
+        yield _check(f"{name}: surface", "temperature", "K", expected, end, 1e-6)
+        yield _settled(name, response)
+
+
+def _growing(folder: Path) -> Iterator[Check]:
+    warm: dict[str, Any] = {
+        "initial_temperature": {"rise_K": 60.0},
+        "march": {"step_s": 1.0, "duration_min": 0.1, "thermal": "full"},
+    }
+    response = run(bar_case(folder, warm, metal={"expansion_factor": RISING}), folder)
+    expected = EXPANSION * LENGTH * (60.0 + 0.5 * SLOPE * 60.0**2)
+    for name, row in (("start", 0), ("end", -1)):
+        found = response["displacement"][row].sel(axis="x").item()
+        yield _check(f"expansion, {name}: growth", "displacement", "m", expected, found, 1e-6)
+
+
+def _cooling(folder: Path) -> Iterator[Check]:
+    rate = FILM / (DENSITY * CAPACITY * SHORT)
+    step, count = 1e-3 / rate, 1000
+    changes = {
+        "initial_temperature": {"rise_K": HOT},
+        "convection_W_m2K": {"x1": FILM},
+        "convection_factor": {"x1": RISING},
+        "march": {"step_s": step, "duration_min": step * count / 60.0, "thermal": "full"},
+    }
+    size = SHORT, WIDTH, WIDTH
+    response = run(bar_case(folder, changes, (1, 1, 1), size), folder)
+    found = response["temperature"][-1].sel(probe="end").item()
+    left = HOT / (1.0 + SLOPE * HOT) * np.exp(-rate * float(response["time"][-1]))
+    expected = left / (1.0 - SLOPE * left)
+    yield _check("film of a cooling plate: end", "temperature", "K", expected, found, 2e-3)
+
+
+def facing_bars() -> Structure:
+    """Return two bars along x, `LENGTH` and half of it, with 1 mm of air between them."""
+    gap = 1e-3
+    halves = [
+        MeshHex.init_tensor(
+            np.linspace(start, start + length, 6), *(np.linspace(0.0, WIDTH, 2) for _ in "yz")
+        )
+        for start, length in ((0.0, LENGTH), (LENGTH + gap, 0.5 * LENGTH))
+    ]
+    mesh, (left, right) = put_side_by_side(halves)
+    facets = mesh.boundary_facets()
+    x = mesh.p[0, mesh.facets[:, facets]].mean(axis=0)
+    return Structure(
+        mesh=mesh,
+        bodies={"left": left, "right": right},
+        surfaces={
+            "left_end": facets[x < 1e-9],
+            "walls": facets[np.abs(x - LENGTH - 0.5 * gap) < 0.5 * gap + 1e-9],
+            "right_end": facets[x > 1.5 * LENGTH + gap - 1e-9],
+        },
+        probes={"end": Probe((LENGTH, 0.5 * WIDTH, 0.5 * WIDTH), "left")},
+    )
+
+
+def _enclosing(folder: Path) -> Iterator[Check]:
+    write_structure(facing_bars(), folder / "facing.vtu")
+    data = bar_case(
+        folder,
+        {
+            "structure": {"kind": "mesh", "file": "facing.vtu"},
+            "bodies": {"left": "metal", "right": "metal"},
+            "supports": {"fixed": ["left_end", "right_end"]},
+            "held_temperatures": {"left_end": {"rise_K": 0.0}, "right_end": {"rise_K": HOT}},
+            "cavities": {"air": {"surfaces": ["walls"], "film_W_m2K": FILM}},
+        },
+    )
+    data["probes"] = {"left": {"position_mm": [1e3 * LENGTH, 10.0, 10.0], "body": "left"}}
+    response = run(data, folder)
+    flux = HOT / (1.5 * LENGTH / CONDUCTIVITY + 2.0 / FILM)
+    found = response["temperature"][-1, 0].item()
+    expected = flux * LENGTH / CONDUCTIVITY
+    yield _check("enclosed air: cold face", "temperature", "K", expected, found, 1e-6)
+    yield _settled("enclosed air", response)
+
+
+def _settled(name: str, response: xr.Dataset) -> Check:
+    """The last change of the secant steps beside the temperatures they settle to."""
+    largest = float(np.abs(response["temperature"]).max())
+    return Check(
+        name=f"temperature dependence, {name}: last secant step, temperature",
+        quantity="temperature",
+        unit="K",
+        reference=0.0,
+        computed=float(response["secant_residual"].max()),
+        tolerance=1e-8,
+        source="none left",
+        scale=largest,
+    )
