@@ -25,17 +25,17 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.hand_placed import MODEL, PLACES, PLANT
 from benchmarks.sensor_count import CALIBRATED, STEP, Plant, candidates_on, drawn, with_sensors
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.physics_fit import fit_physics
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.ageing import AgeingJointAware
-from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.parameters import with_factors
-from estimator.joint_aware.physics import conduct, make_physics, settle_joint
-from estimator.joint_aware.physics_fit import fit_physics
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import write_text
+from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
+from thermojoint.reduced.parameters import with_factors
+from thermojoint.reduced.physics import conduct, make_physics, settle_joint
 
 #: Of heat and plant; the constants of `estimator.joint_aware.ageing` were found with another one.
 SEED = 21

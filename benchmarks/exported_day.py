@@ -28,8 +28,6 @@ from estimator.export.program import Precision, Program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.physics import simulate_known
-from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.starting import started
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
@@ -37,6 +35,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.models.assembly import assemble
 from thermojoint.models.model_file import read_model
+from thermojoint.reduced.physics import simulate_known
+from thermojoint.reduced.remainder import relaxed
 
 DAY, INTERVAL, PERIOD, ON, FOLLOWS = 86400.0, 2.0, 7200.0, 4320.0, 1800.0
 HEAT, NOISE = 2.0, 0.03

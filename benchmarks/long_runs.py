@@ -16,7 +16,7 @@ import xarray as xr
 
 from calibrate import chain
 from calibrate.baselines import baselines_of
-from calibrate.placement import with_roles
+from calibrate.placement.fchs import with_roles
 from estimator.baselines.linear import Linear
 from estimator.baselines.none import Nothing
 from estimator.baselines.starting import regressions

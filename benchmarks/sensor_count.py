@@ -3,7 +3,7 @@
 The model stands on a 50/25 mm mesh, the plants on a 40/20 mm mesh with parameters drawn from their
 priors by a seed that the placement does not see. Each plant is calibrated from its own steps of
 0.5, 1 and 2 and judged over a day of 8 h of random heat and ambient, temperatures alone. Sensors
-are placed by `estimator.joint_aware.placement`, by PySensors (QR pivots on the temperatures of a
+are placed by `calibrate.placement.joint_aware`, by PySensors (QR pivots on the temperatures of a
 day) and at random.
 
     pip install python-sensors
@@ -28,27 +28,28 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.hand_placed import MODEL, PLACES, PLANT, machine_data
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.misfit import Run
+from calibrate.joint_aware.open_band import DURATION
+from calibrate.joint_aware.physics_fit import Fit, fit_physics
+from calibrate.joint_aware.random_heat import random_levels
+from calibrate.placement import joint_aware as placement
+from calibrate.placement import plant_family
 from estimator.interface import follow
-from estimator.joint_aware import placement, plant_family
-from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.misfit import Run
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.open_band import DURATION
-from estimator.joint_aware.parameters import active, factors_of, with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.physics_fit import Fit, fit_physics
-from estimator.joint_aware.random_heat import random_levels
-from estimator.joint_aware.reduced_machine import (
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
+from thermojoint.reduced.machine import (
     ReducedMachine,
     along,
     diagonal_modes,
     reduce_machine,
 )
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
-from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
+from thermojoint.reduced.parameters import active, factors_of, with_factors
+from thermojoint.reduced.physics import make_physics, simulate_known
 
 #: Step of plants and observers, s; judged plants and their seed.
 STEP, PLANTS, SEED = 10.0, 4, 11

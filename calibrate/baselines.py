@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from calibrate.chain import Calibrated
 from calibrate.linear import SLOWEST
-from calibrate.placement import DEVIATION_UNCERTAINTY, with_roles
+from calibrate.placement.fchs import DEVIATION_UNCERTAINTY, with_roles
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import axes_of, columns_of

@@ -18,7 +18,7 @@ from calibrate.linear import (
     calibrate_heat,
     with_direct_models,
 )
-from calibrate.placement import (
+from calibrate.placement.fchs import (
     APART,
     DEVIATION_UNCERTAINTY,
     Placement,

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.calibration import calibrated_range
+from calibrate.joint_aware.physics_fit import fit_physics
+from calibrate.joint_aware.readings import run_in
 from estimator.interface import follow
-from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.calibration import calibrated_range
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.physics_fit import fit_physics
-from estimator.joint_aware.readings import run_in
-from estimator.joint_aware.reduced_machine import along
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from thermojoint.reduced.machine import along
 
 SENSORS = ("s", "b", "T1", "T2")
 

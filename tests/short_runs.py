@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from estimator.joint_aware import open_band
+from calibrate.joint_aware import open_band
 from thermojoint.paper.long_runs import LongRuns
 
 SHORT = LongRuns(day=40.0, warm=20.0, settled=5.0, cool_down=20.0, heated=10.0)

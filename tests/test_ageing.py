@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.physics_fit import Run, fit_physics
 from estimator.interface import Status, follow
 from estimator.joint_aware.ageing import AgeingJointAware
-from estimator.joint_aware.assembling import make_observer
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.parameters import with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.physics_fit import Run, fit_physics
-from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from estimator.joint_aware.saved_state import load_state, save_state
 from estimator.joint_aware.slow_parameters import learnt
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.parameters import with_factors
+from thermojoint.reduced.physics import make_physics, simulate_known
 
 SENSORS = ("s", "b", "T1", "T2")
 STEP = 30.0

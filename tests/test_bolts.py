@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.sparse import diags_array
 
-from estimator.joint_aware.reduced_machine import check_joints
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
@@ -17,6 +16,7 @@ from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import stress_at, stress_tensors
 from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
 from thermojoint.verification.loaded import AREA, WEIGHT, column_case, joint
 

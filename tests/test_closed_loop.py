@@ -16,11 +16,10 @@ from observed import observed_data, observer, run
 from short_runs import quick_bands
 from typer.testing import CliRunner
 
+from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import correct
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer import Observer
-from estimator.joint_aware.readings import run_in
-from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
@@ -40,6 +39,7 @@ from thermojoint.compensation.loop.schema import loop_from_data, read_loop
 from thermojoint.compensation.loop.tuning import Requirements, feed_forward_gain, tune
 from thermojoint.compensation.offsets.output import followed
 from thermojoint.compensation.offsets.settings import settings_from_data
+from thermojoint.reduced.machine import reduce_machine
 
 pytest.importorskip("control", reason="needs python-control")
 

@@ -11,12 +11,12 @@ from dashboard_server import TOKEN, about, again, event, keep, layout_of, publis
 from observed import SENSORS, estimates, observed_data, observer, run, step
 
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.reduced_machine import reduce_machine
-from estimator.joint_aware.surface import surface_of, write_surface
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.live.publication import Quality, as_json
 from thermojoint.live.scene import scene_of
+from thermojoint.live.surface import surface_of, write_surface
+from thermojoint.reduced.machine import reduce_machine
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

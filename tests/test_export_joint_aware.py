@@ -19,12 +19,12 @@ from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.physics import simulate_known
-from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import reduce_machine
+from thermojoint.reduced.physics import simulate_known
 
 NAN = float("nan")
 

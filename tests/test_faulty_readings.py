@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 from estimator.interface import Status
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.reduced_machine import reduce_machine
 from estimator.touches import read_touches, with_touches
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import reduce_machine
 
 MICRO = 1e-6
 ONSET = 60  # sample at which a fault begins

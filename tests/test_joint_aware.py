@@ -11,28 +11,26 @@ import pytest
 from observed import SENSORS, errors, estimates, observed_data, observer, run, step
 from typer.testing import CliRunner
 
+from calibrate.joint_aware import open_band as open_band_module
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.calibration import JointAwareCalibration, report
+from calibrate.joint_aware.identifiability import further_runs, profiles
+from calibrate.joint_aware.misfit import Run, make_problem, residuals
+from calibrate.joint_aware.physics_fit import fit_physics
+from calibrate.joint_aware.readings import run_in
+from calibrate.joint_aware.report import whole_report
 from estimator.interface import Status, follow
-from estimator.joint_aware import open_band as open_band_module
-from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.calibration import JointAwareCalibration, report
-from estimator.joint_aware.calibration_report import whole_report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
-from estimator.joint_aware.identifiability import further_runs, profiles
 from estimator.joint_aware.log import read_log
-from estimator.joint_aware.misfit import Run, make_problem, residuals
 from estimator.joint_aware.model_file import (
     fingerprint,
     read_observer,
     write_observer,
 )
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.parameters import with_factors
-from estimator.joint_aware.physics import conduct, make_physics, settle_joint, simulate_known
-from estimator.joint_aware.physics_fit import fit_physics
-from estimator.joint_aware.readings import run_in, samples_in
+from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.recognition import is_observer
-from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from estimator.joint_aware.saved_state import load_state, save_state
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data
@@ -40,6 +38,9 @@ from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.parameters import with_factors
+from thermojoint.reduced.physics import conduct, make_physics, settle_joint, simulate_known
 
 MICRO = 1e-6
 

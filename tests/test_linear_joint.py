@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.judging import judge
-from estimator.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
 from estimator.joint_aware.model_file import read_observer, write_observer
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.reduced_machine import along, diagonal_modes, reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.observers import fitted_text
+from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.physics import make_physics, simulate_known
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bars import two_bars
 
-from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
 from fesim.joint.cutting import cut, held_by
@@ -19,6 +18,7 @@ from fesim.solid.forces import BodyForce, SurfaceForce, SurfacePressure, nodal_f
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)

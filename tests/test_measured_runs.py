@@ -7,7 +7,7 @@ import pytest
 from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
-from estimator.joint_aware.measured_runs import runs_of
+from calibrate.joint_aware.measured_runs import runs_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError

@@ -9,7 +9,6 @@ from bars import two_bars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.compiled_gap import compile_gap
@@ -25,6 +24,7 @@ from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint
 from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.machine import check_joints
 
 ROD = Path(__file__).parents[1] / "examples" / "bistable_rod"
 SURFACE = {"along": 1, "roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}

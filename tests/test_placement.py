@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibrate.placement import (
+from calibrate.placement.fchs import (
     APART,
     DEVIATION_UNCERTAINTY,
     PROPORTIONAL,
@@ -116,7 +116,7 @@ def test_of_two_proportional_pairs_the_one_whose_displacement_is_right_wins_not_
 @pytest.mark.parametrize("every", [1, 2, 3])
 def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(monkeypatch, every):
     """After half a minute one is ahead, after a minute, 15 samples, the other."""
-    monkeypatch.setattr("calibrate.placement.SHORTLIST", 1)
+    monkeypatch.setattr("calibrate.placement.fchs.SHORTLIST", 1)
     ahead = 8.0 * (0.6 * (1.0 - np.exp(-TIMES / 8.0)) + 0.4 * (1.0 - np.exp(-TIMES / 900.0)))
     behind = 8.0 * (1.0 - np.exp(-TIMES / 40.0))
     base, others = near_source({"cold": 0.0 * TIMES, "ahead": ahead, "behind": behind})

@@ -14,11 +14,11 @@ from benchmarks.plants.judging import figures
 from benchmarks.plants.preparing import with_parameters
 from benchmarks.plants.responding import answers, told
 from benchmarks.plants.summary import summary_of
-from estimator.joint_aware.reduced_machine import along, reduce_machine
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.models.sensors import ROLES
+from thermojoint.reduced.machine import along, reduce_machine
 
 
 @pytest.fixture(scope="module")

@@ -10,19 +10,19 @@ from observed import SENSORS, estimates, observed_data, observer, run, step
 
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.reduced_machine import reduce_machine
-from estimator.joint_aware.surface import (
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.residuals import residuals
+from thermojoint.live.scene import EYE, front_of, scene_of, upright
+from thermojoint.live.surface import (
     pressures,
     read_surface,
     surface_of,
     temperatures,
     write_surface,
 )
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
-from thermojoint.artefacts.errors import InputError
-from thermojoint.live.residuals import residuals
-from thermojoint.live.scene import EYE, front_of, scene_of, upright
+from thermojoint.reduced.machine import reduce_machine
 
 UP = np.array([0.0, 1.0, 0.0])
 

@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 from typer.testing import CliRunner
 
-from estimator.joint_aware import placement, plant_family
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.reduced_machine import diagonal_modes, reduce_machine
+from calibrate.placement import joint_aware as placement
+from calibrate.placement import plant_family
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.setup.structure import candidate_probes
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import diagonal_modes, reduce_machine
+from thermojoint.reduced.physics import make_physics, simulate_known
 
 BOXES = [
     {"body": "column", "low_mm": [550.0, 400.0, 0.0], "high_mm": [550.0, 800.0, 200.0]},

@@ -21,7 +21,6 @@ from estimator.export.exporting import export_program
 from estimator.export.program import Precision
 from estimator.export.structured_text import decimal, literal, st_files
 from estimator.fchs.estimator import Fchs
-from estimator.joint_aware.reduced_machine import reduce_machine
 from estimator.learned.estimator import Learned
 from estimator.learned.samples import samples_of
 from estimator.measured import response_samples
@@ -30,6 +29,7 @@ from fesim.setup.machine import set_up
 from thermojoint.cli.app import app
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
+from thermojoint.reduced.machine import reduce_machine
 
 pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
 pytestmark = needs_gcc

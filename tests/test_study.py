@@ -12,7 +12,7 @@ import pytest
 from short_runs import SHORT, quick_bands
 
 from calibrate import chain
-from calibrate.placement import (
+from calibrate.placement.fchs import (
     APART,
     DEVIATION_UNCERTAINTY,
     rank_joint_pairs,

@@ -8,7 +8,6 @@ from bars import two_bars
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.joint_aware.reduced_machine import check_joints
 from fesim.case.formula import FUNCTIONS, formula
 from fesim.case.identity import condensation_key
 from fesim.case.position_table import read_position_table
@@ -21,6 +20,7 @@ from fesim.snapshots import snapshot_writer
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.inputs import check_drivable
+from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.thermal_bar import bar_case, run
 
 REFERENCE = Path(__file__).parents[1] / "thermojoint" / "cases" / "reference.toml"

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import xarray as xr
 
 from calibrate import chain
-from calibrate.placement import with_roles
+from calibrate.placement.fchs import with_roles
 from fesim.cache import VARIABLE
 from fesim.case.schema import Case, parse_case
 from fesim.case.thermal_sections import StepInput

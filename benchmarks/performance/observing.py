@@ -11,12 +11,12 @@ from threadpoolctl import threadpool_limits
 from benchmarks.performance.cases import calibrated, reference_machine
 from benchmarks.performance.streaming import INTERVAL, SHORT, Measured, stream_times
 from benchmarks.performance.timing import Row
-from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.calibration import calibrated_range
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.calibration import calibrated_range
+from calibrate.joint_aware.physics_fit import fit_physics
+from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.physics_fit import fit_physics
-from estimator.joint_aware.readings import run_in, samples_in
-from estimator.joint_aware.reduced_machine import along, reduce_machine
+from estimator.joint_aware.readings import samples_in
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.arrays import Array
@@ -24,6 +24,7 @@ from thermojoint.models.assembly import assemble
 from thermojoint.models.sensors import readings, roles_in
 from thermojoint.paper.inputs import CALIBRATION
 from thermojoint.paper.observers import observer_case
+from thermojoint.reduced.machine import along, reduce_machine
 
 REPEATS = 20
 LEVEL = "step-2.0"

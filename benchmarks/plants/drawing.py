@@ -34,7 +34,7 @@ class Plant:
     number : int
         Of the plant; with the seed of the study it says all the rest.
     factors : dict of str to float
-        On the case's parameters (`estimator.joint_aware.parameters`).
+        On the case's parameters (`thermojoint.reduced.parameters`).
     offset : ndarray, shape (p,)
         Of every sensor, K.
     seed : int

@@ -10,18 +10,18 @@ import xarray as xr
 
 from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
+from calibrate.joint_aware.calibration import calibrate_machine, report
+from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.baselines.none import Nothing
 from estimator.baselines.starting import regressions
 from estimator.interface import follow
-from estimator.joint_aware.calibration import calibrate_machine, report
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.reduced_machine import ReducedMachine
 from estimator.judge import validate
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
 from thermojoint.models.sensors import rises
+from thermojoint.reduced.machine import ReducedMachine
 
 REFERENCE = "step-1.0"
 

@@ -21,9 +21,9 @@ from benchmarks.plants.responding import (
     answers,
     told,
 )
-from estimator.joint_aware.reduced_machine import ReducedMachine
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.reduced.machine import ReducedMachine
 
 #: Calibration to the runs that it has.
 CALIBRATIONS = {

@@ -13,11 +13,11 @@ from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import Drive
 from benchmarks.plants.judging import Machines
 from benchmarks.plants.responding import answers
-from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.models.sensors import ROLES
+from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 #: Element sizes of the bodies and of the joint, mm.
 MODEL, PLANT = (50.0, 25.0), (40.0, 20.0)

@@ -9,12 +9,12 @@ import xarray as xr
 
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import Drive
-from estimator.joint_aware.misfit import physics_with
-from estimator.joint_aware.physics import simulate_known
-from estimator.joint_aware.reduced_machine import ReducedMachine
+from calibrate.joint_aware.misfit import physics_with
 from estimator.noise import sensor_noise
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import make_response
+from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.physics import simulate_known
 
 #: Of temperatures, K peak to peak, and of displacements in calibration, m.
 TEMPERATURE_NOISE, DISPLACEMENT_NOISE = 0.12, 5e-8

@@ -25,13 +25,13 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware.estimator import SLACK, WIDTH, JointAware
 from estimator.joint_aware.model_file import fingerprint
-from estimator.joint_aware.physics import heat_step, simulate_known
-from estimator.joint_aware.remainder import relaxed
 from estimator.joint_aware.trust import possible
 from estimator.sensor_faults import GATE, MODEL_ERROR
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.physics import heat_step, simulate_known
+from thermojoint.reduced.remainder import relaxed
 
 #: Bits of the status that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14

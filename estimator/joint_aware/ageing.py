@@ -24,13 +24,13 @@ import numpy as np
 
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
-from estimator.joint_aware.film import Film, convected, film_of
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.parameters import joint_with_factors
-from estimator.joint_aware.reduced_machine import Joint
 from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
 from thermojoint.artefacts.arrays import Array, Flags
+from thermojoint.reduced.film import Film, convected, film_of
+from thermojoint.reduced.machine import Joint
+from thermojoint.reduced.parameters import joint_with_factors
 
 #: The copies' parameters are off by this, in the logarithm.
 STEP = 0.03

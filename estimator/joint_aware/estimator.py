@@ -24,10 +24,10 @@ from estimator.joint_aware.observer_state import (
     layout,
     unpacked,
 )
-from estimator.joint_aware.physics import heat_step
 from estimator.joint_aware.trust import Moment, Trusted, possible, thermometer_noise, trusted
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.physics import heat_step
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05

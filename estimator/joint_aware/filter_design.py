@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_discrete_are
 
-from estimator.joint_aware.reduced_machine import Modes
-from estimator.joint_aware.remainder import Remainder
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.machine import Modes
+from thermojoint.reduced.remainder import Remainder
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ import pydantic
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.joint_aware.observer_model import Band, Calibrated, Kind, ObserverModel
 from estimator.joint_aware.recognition import SCHEMA
-from estimator.joint_aware.reduced_machine import Joint, Modes
-from estimator.joint_aware.remainder import Remainder
 from fesim.case.joint_sections import JointSection
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
+from thermojoint.reduced.machine import Joint, Modes
+from thermojoint.reduced.remainder import Remainder
 
 SCHEMA_VERSION = 2
 

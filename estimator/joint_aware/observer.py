@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, ObserverState
-from estimator.joint_aware.physics import (
+from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.physics import (
     JointState,
     Physics,
     conduct,
     make_physics,
     settle_joint,
 )
-from thermojoint.artefacts.arrays import Array
 
 #: Excess columns that tell the readings less than this part of their noise are nothing any more.
 FORGOTTEN = 1e-3

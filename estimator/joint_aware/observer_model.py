@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from estimator.joint_aware.filter_design import SteadyFilter
-from estimator.joint_aware.reduced_machine import Joint, Modes
-from estimator.joint_aware.remainder import Remainder
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Joint, Modes
+from thermojoint.reduced.remainder import Remainder
 
 #: With its joint, or with the joint linearised at its preload (`linear_joint`).
 Kind = Literal["joint-aware", "kalman-linear"]

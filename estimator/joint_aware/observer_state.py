@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.joint_aware.displacement_readings import ModelError
-from estimator.joint_aware.physics import JointState
 from estimator.joint_aware.suspicion import Suspicion
 from estimator.sensor_faults import Watch
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.physics import JointState
 
 #: The joint's slips are those of a run from rest; or they are not known at all, because the
 #: temperatures are not yet; or they are followed since the temperatures are known.

@@ -1,4 +1,4 @@
-"""What a joint-aware estimator reads in a response, and the runs that calibrate it."""
+"""What a joint-aware estimator reads in a response."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from estimator.joint_aware.misfit import MOST_SAMPLES, Run
-from estimator.joint_aware.reduced_machine import ReducedMachine
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 
 
@@ -32,53 +29,3 @@ def samples_in(response: xr.Dataset, sensors: Sequence[str]) -> Iterator[tuple[f
     values = np.column_stack([columns_of(response, "temperature", sensors), ambient_in(response)])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))
-
-
-def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
-    """Return a calibration run on the steps of the march.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        From rest at time 0, with known heat input.
-    machine : ReducedMachine
-        Says sensors, axes, powers and the step.
-    where : str
-        For error messages.
-
-    Raises
-    ------
-    InputError
-        Time starts before 0, the run is too short, or a probe or an axis is missing.
-    """
-    times = response["time"].to_numpy().astype(float)
-    if times[0] < 0.0:
-        raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
-    count = round(times[-1] / machine.step)
-    if count < 2:
-        raise InputError(
-            f"{where}: shorter than two steps of {machine.step:g} s; record for longer"
-        )
-    grid = machine.step * np.arange(1, count + 1)
-    # A value of the heat holds over the interval that ends at its sample.
-    at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    driven = _powers(response, machine)[at]
-    ambient = np.interp(grid, times, ambient_in(response))
-    # The first, at rest, tells the offsets.
-    kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
-    return Run(
-        inputs=np.column_stack([driven, ambient]),
-        times=times[kept],
-        temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
-        displacement=columns_of(response, "displacement", machine.axes)[kept],
-        length=machine.step,
-    )
-
-
-def _powers(response: xr.Dataset, machine: ReducedMachine) -> Array:
-    """Heat of every source of the machine, W, shape (n, s): as recorded, if there are several."""
-    names = machine.source_names
-    if len(names) > 1 and "source_power" in response:
-        return columns_of(response, "source_power", names)
-    heat = response["heat_input"].to_numpy().astype(float)
-    return np.asarray(heat[:, None] * machine.power)

@@ -75,7 +75,7 @@ def learn(
 
     machine = _machine(case, logs, out, None)
     log = read_log(logs, renamed)
-    from estimator.joint_aware.measured_runs import runs_of
+    from calibrate.joint_aware.measured_runs import runs_of
 
     _fitted(machine, runs_of(log, machine, displacement), out, None)
 
@@ -103,8 +103,8 @@ def _fitted(
     machine: Case, read: Mapping[str, xr.Dataset], out: Path, report_file: Path | None
 ) -> None:
     """Calibrate, write and show."""
-    from estimator.joint_aware.calibration import calibrate_joint_aware, report
-    from estimator.joint_aware.calibration_report import whole_report
+    from calibrate.joint_aware.calibration import calibrate_joint_aware, report
+    from calibrate.joint_aware.report import whole_report
     from estimator.joint_aware.model_file import write_observer
     from thermojoint import console
     from thermojoint.artefacts.files import write_text

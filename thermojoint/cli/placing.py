@@ -11,7 +11,7 @@ from thermojoint.artefacts.toml import as_key, as_text
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
-    from estimator.joint_aware.placement import Placement
+    from calibrate.placement.joint_aware import Placement
     from fesim.case.schema import Case
     from meshes.structure import Probe
 
@@ -38,13 +38,13 @@ def place(
     from thermojoint.artefacts.files import write_text
 
     machine = read_case(case)
-    from estimator.joint_aware.placement import place_sensors
-    from estimator.joint_aware.plant_family import fewer_modes
-    from estimator.joint_aware.reduced_machine import reduce_machine
+    from calibrate.placement.joint_aware import place_sensors
+    from calibrate.placement.plant_family import fewer_modes
     from fesim.setup.machine import set_up
     from fesim.setup.structure import candidate_probes
     from thermojoint import console, plausibility
     from thermojoint.cli import results
+    from thermojoint.reduced.machine import reduce_machine
 
     arguments.check_outputs(
         {"--out": (out, file_kinds.SENSORS)}, [case, *arguments.files_of(machine)]

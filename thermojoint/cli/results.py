@@ -13,7 +13,7 @@ from thermojoint.console import number, titled
 if TYPE_CHECKING:
     import xarray as xr
 
-    from estimator.joint_aware.placement import Placement
+    from calibrate.placement.joint_aware import Placement
 
 #: An axis with less than this part of the largest band does not move.
 STILL = 1e-6

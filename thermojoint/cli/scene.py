@@ -26,10 +26,10 @@ def scene(
     import numpy as np
 
     from estimator.joint_aware.model_file import read_observer
-    from estimator.joint_aware.surface import surface_of, write_surface
     from fesim.case.schema import read_case
     from fesim.setup.machine import set_up
     from thermojoint import console
+    from thermojoint.live.surface import surface_of, write_surface
     from thermojoint.pictures.scenes import up_direction
 
     found = read_observer(model)

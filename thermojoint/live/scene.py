@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from estimator.interface import Estimator
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.surface import Surface, pressures, read_surface, temperatures
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.surface import Surface, pressures, read_surface, temperatures
 
 #: From where it is looked at, in its size; a joint from its front, and so much from above.
 EYE = np.array([1.5, 1.5, 0.9])

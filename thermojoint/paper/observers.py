@@ -14,11 +14,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from estimator.joint_aware.calibration import calibrate_machine, report
+from calibrate.joint_aware.calibration import calibrate_machine, report
+from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.model_file import read_observer, write_observer
-from estimator.joint_aware.reduced_machine import reduce_machine
 from fesim.case.schema import (
     Case,
     MillingMachineSection,
@@ -31,6 +30,7 @@ from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
 from thermojoint.artefacts.files import write_text
+from thermojoint.reduced.machine import reduce_machine
 
 if TYPE_CHECKING:
     import xarray as xr

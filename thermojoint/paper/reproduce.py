@@ -13,7 +13,7 @@ from rich.console import Console
 
 from calibrate import chain
 from calibrate.baselines import baselines_of
-from calibrate.placement import with_roles
+from calibrate.placement.fchs import with_roles
 from calibrate.provenance import provenance_of
 from estimator import judge
 from estimator.joint_aware.estimator import JointAware

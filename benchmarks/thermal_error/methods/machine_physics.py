@@ -8,13 +8,13 @@ import numpy as np
 
 from benchmarks.thermal_error.methods.logs import responses, sensor_rises
 from benchmarks.thermal_error.plants import AXES, model_case
+from calibrate.joint_aware.calibration import calibrate_machine
 from estimator.interface import follow
-from estimator.joint_aware.calibration import calibrate_machine
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log import Log
+from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 SENSORS = ("a", "b", "T1", "T2")
 

@@ -18,11 +18,8 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from estimator.interface import follow
-from estimator.joint_aware.assembling import make_observer
-from estimator.joint_aware.estimator import WIDTH, JointAware
-from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.misfit import (
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.misfit import (
     OFFSET,
     REMAINDER_DISPLACEMENT,
     REMAINDER_TEMPERATURE,
@@ -34,15 +31,18 @@ from estimator.joint_aware.misfit import (
     make_problem,
     physics_with,
 )
+from calibrate.joint_aware.physics_fit import SEARCH_STEPS, Fit
+from calibrate.joint_aware.random_heat import random_levels
+from estimator.interface import follow
+from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
-from estimator.joint_aware.parameters import factors_of
-from estimator.joint_aware.physics import conduct, settle_joint, simulate_known
-from estimator.joint_aware.physics_fit import SEARCH_STEPS, Fit
-from estimator.joint_aware.random_heat import random_levels
-from estimator.joint_aware.reduced_machine import ReducedMachine
-from estimator.joint_aware.remainder import Remainder, make_ridge, relaxed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.parameters import factors_of
+from thermojoint.reduced.physics import conduct, settle_joint, simulate_known
+from thermojoint.reduced.remainder import Remainder, make_ridge, relaxed
 
 #: Drawn machines; the seed of them and of the histories.
 DRAWS, SEED = 12, 1

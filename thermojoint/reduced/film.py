@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.joint_aware.reduced_machine import Modes
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Modes
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,19 +9,19 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from estimator.joint_aware.assembling import make_observer
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.misfit import Run
+from calibrate.joint_aware.open_band import open_band
+from calibrate.joint_aware.physics_fit import STARTS, Fit, fit_physics
+from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.misfit import Run
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
-from estimator.joint_aware.open_band import open_band
-from estimator.joint_aware.physics_fit import STARTS, Fit, fit_physics
-from estimator.joint_aware.readings import run_in
-from estimator.joint_aware.reduced_machine import ReducedMachine, along, reduce_machine
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
+from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 #: A singular value above this is decided by the data: the prior has less than a tenth of the say.
 DECIDED = 3.0

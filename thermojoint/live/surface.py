@@ -19,20 +19,20 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.parameters import with_factors
-from estimator.joint_aware.reduced_machine import (
-    Modes,
-    along,
-    diagonal_basis,
-    on_basis,
-    reduce_machine,
-)
 from fesim.case.schema import Case
 from fesim.outside import contacts_of, outside_of
 from fesim.setup.machine import Setup
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
+from thermojoint.reduced.machine import (
+    Modes,
+    along,
+    diagonal_basis,
+    on_basis,
+    reduce_machine,
+)
+from thermojoint.reduced.parameters import with_factors
 
 SCHEMA = "thermojoint-surface"
 SCHEMA_VERSION = 1

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from estimator.joint_aware.misfit import (
+from calibrate.joint_aware.misfit import (
     Problem,
     Run,
     coarser,
@@ -29,11 +29,11 @@ from estimator.joint_aware.misfit import (
     residuals,
     trust_in,
 )
-from estimator.joint_aware.parameters import Parameter, active
-from estimator.joint_aware.reduced_machine import ReducedMachine
-from estimator.joint_aware.remainder import Remainder
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.parameters import Parameter, active
+from thermojoint.reduced.remainder import Remainder
 
 #: Steps of a run in a search.
 SEARCH_STEPS = 150

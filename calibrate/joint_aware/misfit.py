@@ -14,10 +14,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimator.joint_aware.parameters import Parameter, factors_of, with_factors
-from estimator.joint_aware.physics import Physics, make_physics, simulate_known
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_basis, on_basis
-from estimator.joint_aware.remainder import (
+from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
+from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
+from thermojoint.reduced.physics import Physics, make_physics, simulate_known
+from thermojoint.reduced.remainder import (
     SHARE,
     Remainder,
     Ridge,
@@ -26,7 +27,6 @@ from estimator.joint_aware.remainder import (
     relaxed,
     told_by,
 )
-from thermojoint.artefacts.arrays import Array
 
 #: Samples of a run that count, at most.
 MOST_SAMPLES = 120

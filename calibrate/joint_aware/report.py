@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from estimator.joint_aware.calibration import JointAwareCalibration, report
-from estimator.joint_aware.identifiability import (
+from calibrate.joint_aware.calibration import JointAwareCalibration, report
+from calibrate.joint_aware.identifiability import (
     PREDICTION_ONLY,
     further_runs,
     profiles,
 )
-from estimator.joint_aware.parameters import NEW_CONDENSATION
-from estimator.joint_aware.physics_fit import Fit
+from calibrate.joint_aware.physics_fit import Fit
+from thermojoint.reduced.parameters import NEW_CONDENSATION
 
 #: Searches that come this near to the best cost, in halves of a squared standard deviation, agree.
 AGREE = 0.5

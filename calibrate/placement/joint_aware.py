@@ -22,14 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibrate.joint_aware.sticking import sticking_tangent
+from calibrate.placement.plant_family import STEP, Family, loudest, make_family
 from estimator.joint_aware.estimator import WIDTH
 from estimator.joint_aware.filter_design import Noise, linear_system
-from estimator.joint_aware.plant_family import STEP, Family, loudest, make_family
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
-from estimator.joint_aware.remainder import Remainder
-from estimator.joint_aware.sticking import sticking_tangent
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_name
+from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
+from thermojoint.reduced.remainder import Remainder
 
 #: An exchange must lower the criterion by this part; each sensor is tried so often at most.
 WORTH, ROUNDS = 1e-3, 3

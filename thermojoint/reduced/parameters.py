@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.joint_aware.reduced_machine import Joint, ReducedMachine
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Joint, ReducedMachine
 
 
 @dataclass(frozen=True)

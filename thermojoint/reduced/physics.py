@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.joint_aware.reduced_machine import Joint, Modes
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
@@ -25,6 +24,7 @@ from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import settle_along
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Joint, Modes
 
 
 class JointState(NamedTuple):

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibrate.joint_aware.physics_fit import Fit
+from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import (
     LinearSystem,
     Noise,
@@ -14,11 +16,9 @@ from estimator.joint_aware.filter_design import (
     linear_system,
 )
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
-from estimator.joint_aware.parameters import factors_of, with_factors
-from estimator.joint_aware.physics_fit import Fit
-from estimator.joint_aware.reduced_machine import Modes, ReducedMachine, diagonal_modes
-from estimator.joint_aware.sticking import sticking_tangent
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
+from thermojoint.reduced.parameters import factors_of, with_factors
 
 #: A model errs alike in a hundred samples: in the noise of one these errors count so many times.
 LASTS = 10.0

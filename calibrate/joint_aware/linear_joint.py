@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from estimator.joint_aware.calibration import JointAwareCalibration, calibrate_machine
+from calibrate.joint_aware.calibration import JointAwareCalibration, calibrate_machine
+from calibrate.joint_aware.physics_fit import STARTS
+from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.physics_fit import STARTS
-from estimator.joint_aware.reduced_machine import ReducedMachine
-from estimator.joint_aware.sticking import sticking_tangent
+from thermojoint.reduced.machine import ReducedMachine
 
 
 def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
@@ -52,6 +52,6 @@ def calibrate_linear_joint(
     fitted: Sequence[str] | None = None,
     starts: int = STARTS,
 ) -> JointAwareCalibration:
-    """Return the Kalman filter of a machine; as `estimator.joint_aware.calibration`."""
+    """Return the Kalman filter of a machine; as `calibrate.joint_aware.calibration`."""
     found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, starts)
     return replace(found, model=replace(found.model, kind="kalman-linear"))

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr
 
-from estimator.joint_aware.assembling import PASTS, answer
+from calibrate.joint_aware.assembling import PASTS, answer
+from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
+from calibrate.joint_aware.open_band import DURATION
+from calibrate.joint_aware.physics_fit import fit_physics
+from calibrate.joint_aware.random_heat import random_levels
 from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.misfit import Run, errors, fit_linear, make_problem
-from estimator.joint_aware.open_band import DURATION
-from estimator.joint_aware.parameters import factors_of, with_factors
-from estimator.joint_aware.physics import make_physics, simulate_known
-from estimator.joint_aware.physics_fit import fit_physics
-from estimator.joint_aware.random_heat import random_levels
-from estimator.joint_aware.reduced_machine import ReducedMachine, diagonal_modes
-from estimator.joint_aware.remainder import relaxation_rates, relaxed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
+from thermojoint.reduced.parameters import factors_of, with_factors
+from thermojoint.reduced.physics import make_physics, simulate_known
+from thermojoint.reduced.remainder import relaxation_rates, relaxed
 
 #: Plants of the family, and its seed.
 PLANTS, SEED = 12, 2

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.joint_aware.misfit import (
+from calibrate.joint_aware.misfit import (
     MOST_SAMPLES,
     Problem,
     Run,
@@ -26,12 +26,12 @@ from estimator.joint_aware.misfit import (
     residuals,
     sampled,
 )
-from estimator.joint_aware.parameters import factors_of
-from estimator.joint_aware.physics import simulate_known
-from estimator.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
-from estimator.joint_aware.random_heat import random_levels
-from estimator.joint_aware.reduced_machine import ReducedMachine
+from calibrate.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
+from calibrate.joint_aware.random_heat import random_levels
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.parameters import factors_of
+from thermojoint.reduced.physics import simulate_known
 
 #: Points of a profile, in standard deviations from the fit, and how often the others are improved.
 POINTS, IMPROVED = (-2.0, -1.0, 0.0, 1.0, 2.0), 2

@@ -1,0 +1,63 @@
+"""Responses as the runs that calibrate a joint-aware model."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from calibrate.joint_aware.misfit import MOST_SAMPLES, Run
+from estimator.joint_aware.readings import ambient_in
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of
+from thermojoint.reduced.machine import ReducedMachine
+
+
+def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
+    """Return a calibration run on the steps of the march.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        From rest at time 0, with known heat input.
+    machine : ReducedMachine
+        Says sensors, axes, powers and the step.
+    where : str
+        For error messages.
+
+    Raises
+    ------
+    InputError
+        Time starts before 0, the run is too short, or a probe or an axis is missing.
+    """
+    times = response["time"].to_numpy().astype(float)
+    if times[0] < 0.0:
+        raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
+    count = round(times[-1] / machine.step)
+    if count < 2:
+        raise InputError(
+            f"{where}: shorter than two steps of {machine.step:g} s; record for longer"
+        )
+    grid = machine.step * np.arange(1, count + 1)
+    # A value of the heat holds over the interval that ends at its sample.
+    at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
+    driven = _powers(response, machine)[at]
+    ambient = np.interp(grid, times, ambient_in(response))
+    # The first, at rest, tells the offsets.
+    kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
+    return Run(
+        inputs=np.column_stack([driven, ambient]),
+        times=times[kept],
+        temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
+        displacement=columns_of(response, "displacement", machine.axes)[kept],
+        length=machine.step,
+    )
+
+
+def _powers(response: xr.Dataset, machine: ReducedMachine) -> Array:
+    """Heat of every source of the machine, W, shape (n, s): as recorded, if there are several."""
+    names = machine.source_names
+    if len(names) > 1 and "source_power" in response:
+        return columns_of(response, "source_power", names)
+    heat = response["heat_input"].to_numpy().astype(float)
+    return np.asarray(heat[:, None] * machine.power)
