@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
 
-.PHONY: install reproduce test portable lint types docs wheel check bench plants clean
+.PHONY: install reproduce test portable lint types docs wheel check bench plants images clean
 
 install: $(INSTALLED)
 
@@ -63,6 +63,10 @@ bench: $(INSTALLED)
 # Every estimator on 100 machines drawn at random. Stopped in any way, it goes on from there.
 plants: $(INSTALLED)
 	$(BIN)/python -m benchmarks.plants --out plants.json
+
+# The film at the top of the README.
+images: $(INSTALLED)
+	$(BIN)/thermojoint view thermojoint/cases/reference.toml --film --frames 32 --out docs/images/warm-up.gif
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
