@@ -21,7 +21,7 @@ test: $(INSTALLED)
 # matrices are large (elsewhere they only wait for each other).
 tests = $(1:%=tests/test_%.py)
 NUMERICAL := bolts calibrate_fictitious calibrate_linear compiled_gap condensation curved_cells deformation \
-	driven_deformation elasticity element_matrices fchs_stream fleet gap heat invariance inverse_filter joint_law \
+	driven_deformation elasticity element_matrices fchs_stream gap heat invariance inverse_filter joint_law \
 	least_squares linear_solver loosening march modified_newton placement pole_residue reduced_march reduction \
 	relaxation rigid_motions ring_source covered state_file stress temperature_dependence thermal_fields \
 	verification without_joints

@@ -177,7 +177,7 @@ def study() -> dict[str, Any]:
     rows = []
     for how, chosen in sets.items():
         for names in chosen:
-            band = placement.band_with(model, names, family)
+            band = placement.place_sensors(model, len(names), names, family).chosen.band
             for number, (plant, fit) in enumerate(zip(plants, fits, strict=True)):
                 wrong = error(model, plant, fit, names, ambient)
                 rows.append(

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from closed_forms import steady_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -12,7 +13,6 @@ from scipy.special import i0e, ive, j0, kve
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.ring_source import (
     impulse_response,
-    steady_value,
     step_response,
     step_response_gradient,
     transfer_function,

@@ -1,9 +1,9 @@
-"""The streaming estimator against convolution with the whole history (Eq. 5), and many machines."""
+"""The streaming estimator against convolution with the whole history (Eq. 5)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from time import perf_counter_ns
 
@@ -11,8 +11,7 @@ import numpy as np
 
 from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
-from benchmarks.performance.timing import Row, paired
-from estimator.fchs.fleet import assemble_fleet, initial_states, step_fleet
+from benchmarks.performance.timing import Row
 from estimator.fchs.stream import initial_state, run, step
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.assembly import Assembly, assemble
@@ -24,7 +23,7 @@ Sample = Callable[[int], object]
 INTERVAL, SHORT, LONG = 2.0, 2100.0, 86400.0
 #: Error of the pole fit of the long run; the usual one needs more poles there than are tried.
 LONG_TOLERANCE = 1e-5
-REPEATS, MACHINES = 20, 50
+REPEATS = 20
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,6 @@ def rows() -> Iterator[Row]:
     yield from per_sample(short, measured, round(SHORT / INTERVAL), REPEATS)
     long = assemble(model, INTERVAL, LONG, LONG_TOLERANCE)
     yield from growth(long, measured, few=round(SHORT / INTERVAL), repeats=REPEATS)
-    yield fleet(short, measured, MACHINES, REPEATS)
 
 
 def per_sample(estimator: Assembly, measured: Measured, count: int, repeats: int) -> Iterator[Row]:
@@ -134,41 +132,6 @@ def growth(
         ends,
         convolved,
         f"the same against convolution block by block at t = {hours:g} h; means; {repeats} runs",
-    )
-
-
-def fleet(estimator: Assembly, measured: Measured, machines: int, repeats: int) -> Row:
-    """Return the row of many machines in a block against one after the other."""
-    together = assemble_fleet([replace(estimator) for _ in range(machines)])
-    first, second = np.array(measured.row(100)), np.array(measured.row(101))
-
-    def sample(row: Array) -> tuple[Array, Array]:
-        return np.full(machines, row[0]), np.tile(row[1:], (machines, 1))
-
-    states, _ = step_fleet(together, initial_states(together), INTERVAL, *sample(first))
-    alone = [
-        step(one, initial_state(one), INTERVAL, *first.tolist())[0] for one in together.estimators
-    ]
-    block, values = sample(second), second.tolist()
-
-    def in_a_loop() -> None:
-        for one, state in zip(together.estimators, alone, strict=True):
-            step(one, state, 2.0 * INTERVAL, *values)
-
-    def in_a_block() -> None:
-        step_fleet(together, states, 2.0 * INTERVAL, *block)
-
-    in_a_loop()
-    in_a_block()
-    ours, other, ratio = paired(in_a_block, in_a_loop, 10 * repeats)
-    return Row(
-        "estimator-fleet",
-        1e6 * ours / machines,
-        1e6 * other / machines,
-        ratio,
-        "µs",
-        f"a sample of one of {machines} machines, each with matrices of its own, in one block "
-        f"against one after the other; median of {10 * repeats}",
     )
 
 

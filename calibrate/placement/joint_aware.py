@@ -125,15 +125,6 @@ def place_sensors(
     return Placement(tuple(steps), _choice(problem, names, chosen))
 
 
-def band_with(
-    machine: ReducedMachine, sensors: Sequence[str], family: Family, noise: Noise | None = None
-) -> Array:
-    """Return the band (axes,), m, of some of a machine's candidates over a family of plants."""
-    problem = _problem(machine, family, noise or Noise())
-    names = list(machine.sensor_names)
-    return _choice(problem, names, [names.index(name) for name in sensors]).band
-
-
 def _check(machine: ReducedMachine, count: int, kept: Sequence[str]) -> None:
     names, sources = machine.sensor_names, len(machine.source_names)
     for name in kept:

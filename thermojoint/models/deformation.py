@@ -149,8 +149,3 @@ def transfer_function(s: np.ndarray | complex, model: DeformationModel) -> np.nd
     m = model
     total = m.C * m.c / (z + m.c) + m.D * m.d / (z + m.d) + m.E * z / (z + m.e) ** 2
     return total + m.F * z / (z + m.f) ** 2 if m.F else total
-
-
-def initial_slope(model: DeformationModel) -> float:
-    """Return dδ/dt at t = 0 after a unit step: C c + D d + E + F, m/s per unit heat input."""
-    return model.C * model.c + model.D * model.d + model.E + model.F

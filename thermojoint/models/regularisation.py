@@ -39,13 +39,6 @@ _MARGIN = 0.5
 _POINTS = 4000
 
 
-def regularisation_function(t: np.ndarray | float, regularisation: Regularisation) -> np.ndarray:
-    """Return f_R(t) (Eq. 7), K per unit heat input, shaped as `t` (s, >= 0)."""
-    at = np.asarray(t, dtype=float)
-    m = regularisation
-    return (m.A + m.B * at) * at * np.exp(-m.gamma * at)
-
-
 def transfer_contribution(s: np.ndarray | complex, regularisation: Regularisation) -> np.ndarray:
     """Return s F_R(s) = s (A/(s+gamma)2 + 2B/(s+gamma)3), K per unit heat input, shaped as `s`.
 

@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.special import i0e, i1e, ive, k0e, kve
+from scipy.special import i0e, i1e, ive, kve
 
 from thermojoint.artefacts.errors import InputError
 
@@ -261,12 +261,3 @@ def _growing_series(z: np.ndarray) -> np.ndarray:
 def _falling_series(z: np.ndarray) -> np.ndarray:
     """Return K0(z) exp(z) for |z| >= 1e5; next term below 1e-15."""
     return np.sqrt(np.pi / (2.0 * z)) * (1.0 - 1.0 / (8.0 * z) * (1 - 9 / (16 * z)))
-
-
-def steady_value(K: float, a: float, r: float, r0: float) -> float:
-    """Return the temperature long after a unit step, K · I0(√a r<) · K0(√a r>), K per unit."""
-    check_parameters(K, a, 1.0, r, r0)
-    root = np.sqrt(a)
-    inner, outer = min(r, r0), max(r, r0)
-    scale = np.exp(root * (inner - outer))
-    return float(K * i0e(root * inner) * k0e(root * outer) * scale)
