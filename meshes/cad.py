@@ -15,12 +15,10 @@ from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
-import pydantic
-
-from thermojoint.artefacts import toml
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
-from thermojoint.artefacts.refusal import dotted_name
+from thermojoint.artefacts.settings.read import read_settings
+from thermojoint.artefacts.settings.section import Point, Section
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 #: A face may be this far from a point that names it, relative to the size of the part.
@@ -28,14 +26,11 @@ NEAR = 1e-4
 #: Faces that share less than this part of the smaller one only touch at an edge.
 LEAST_OVERLAP = 1e-3
 
-Point = tuple[float, float, float]
 DimTag = tuple[int, int]
 
 
-class FaceNames(pydantic.BaseModel):
+class FaceNames(Section):
     """A file of names: ``[surfaces_mm]`` with NAME = [[x, y, z], ...], points on its faces."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     surfaces_mm: dict[str, list[Point]] = {}
 
@@ -48,14 +43,7 @@ def read_names(path: Path) -> dict[str, list[Point]]:
     InputError
         The file is missing, no TOML, or holds something else.
     """
-    data = toml.parse(toml.read_text(path, "names"), str(path))
-    try:
-        found = FaceNames.model_validate(data).surfaces_mm
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        at = ".".join(str(part) for part in first["loc"])
-        write = dotted_name(first) or "write [surfaces_mm] with NAME = [[x, y, z], ...]"
-        raise InputError(f"{path}: {at}: {write}") from error
+    found = read_settings(FaceNames, path, "names").surfaces_mm
     return {
         name: [(1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in points]
         for name, points in found.items()

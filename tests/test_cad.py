@@ -163,8 +163,8 @@ def test_wrong_files_are_refused_before_gmsh_starts(tmp_path, part, out, message
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[surfaces]\nfoot = [[0, 0, 0]]\n", "surfaces: write"),
-        ("[surfaces_mm]\nfoot = [[0, 0]]\n", "write .surfaces_mm. with NAME"),
+        ("[surfaces]\nfoot = [[0, 0, 0]]\n", "did you mean 'surfaces_mm'"),
+        ("[surfaces_mm]\nfoot = [[0, 0]]\n", r"surfaces_mm\.foot\.1\.3 is missing; add it"),
         ("[surfaces_mm]\nfoot.left = [[0, 0, 0]]\n", 'write it in quotes: "foot.left"'),
         ("[surfaces_mm\n", "no valid TOML"),
     ],

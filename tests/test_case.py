@@ -5,13 +5,17 @@ import math
 import tomllib
 from importlib.resources import files
 from pathlib import Path
+from typing import get_args, get_origin
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
+from fesim.case.identity import case_id
 from fesim.case.schema import Case, case_from_data, parse_case, read_case, step_count
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError, InputErrors, UnreadableError
+from thermojoint.artefacts.settings.section import files_of
 
 REFERENCE = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
 PROBES = {
@@ -89,24 +93,24 @@ def test_a_case_survives_being_stored_in_a_response():
     ("place", "near", "where"),
     [
         (("titel",), "title", "machine.toml"),
-        (("march", "steps_s"), "step_s", "machine.toml.march"),
-        (("joints", "knee", "friction"), "friction_coefficient", "machine.toml.joints.knee"),
-        (("joints", "knee", "preload_mpa"), "preload_MPa", "machine.toml.joints.knee"),
+        (("march", "steps_s"), "step_s", "machine.toml: march"),
+        (("joints", "knee", "friction"), "friction_coefficient", "machine.toml: joints.knee"),
+        (("joints", "knee", "preload_mpa"), "preload_MPa", "machine.toml: joints.knee"),
         (
             ("joints", "knee", "conductance", "exponents"),
             "exponent",
-            "machine.toml.joints.knee.conductance",
+            "machine.toml: joints.knee.conductance",
         ),
         (
             ("materials", "cast_iron", "conductivity_WmK"),
             "conductivity_W_mK",
-            "machine.toml.materials.cast_iron",
+            "machine.toml: materials.cast_iron",
         ),
-        (("structure", "element_size"), "element_size_mm", "machine.toml.structure"),
-        (("heat_input", "levels"), "level", "machine.toml.heat_input"),
-        (("sources", "bearings", "surfaces"), "surface", "machine.toml.sources.bearings"),
-        (("probes", "a", "position"), "position_mm", "machine.toml.probes.a"),
-        (("supports", "fix"), "fixed", "machine.toml.supports"),
+        (("structure", "element_size"), "element_size_mm", "machine.toml: structure"),
+        (("heat_input", "levels"), "level", "machine.toml: heat_input"),
+        (("sources", "bearings", "surfaces"), "surface", "machine.toml: sources.bearings"),
+        (("probes", "a", "position"), "position_mm", "machine.toml: probes.a"),
+        (("supports", "fix"), "fixed", "machine.toml: supports"),
         (("convection",), "convection_W_m2K", "machine.toml"),
     ],
 )
@@ -337,6 +341,110 @@ def test_files_are_looked_for_beside_the_case(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("joints", "knee", "preload_MPa"), "4.41"),
+        (("joints", "knee", "along"), "3"),
+        (("march", "step_s"), True),
+        (("structure", "half"), "true"),
+        (("probes", "a", "position_mm"), ["575", 600.0, 175.0]),
+    ],
+)
+def test_text_is_no_number_and_a_number_no_yes(place, value):
+    assert ".".join(place) in refusal(changed(place, value))
+
+
+def test_every_mistake_of_a_case_has_a_line():
+    data = changed(("joints", "knee", "preload_mpa"), 4.41)
+    del data["joints"]["knee"]["preload_MPa"]
+    data["march"]["step_s"] = -2.0
+    data["heat_input"] = {"kind": "step", "levl": 1.0}
+    data["sources"]["bearings"] |= {"count": "2", "colour": "red"}
+    del data["title"]
+    with pytest.raises(InputErrors) as caught:
+        case_from_data(data, "machine.toml", Path())
+    assert sorted(str(caught.value).splitlines()) == [
+        "machine.toml: heat_input: no key named 'levl'; did you mean 'level'?",
+        "machine.toml: joints.knee: no key named 'preload_mpa'; did you mean 'preload_MPa'?",
+        "machine.toml: march.step_s: input should be greater than 0 (given: -2.0); change it",
+        "machine.toml: sources.bearings.count: input should be a valid integer (given: '2'); "
+        "change it",
+        next(
+            line
+            for line in str(caught.value).splitlines()
+            if line.startswith("machine.toml: sources.bearings: no key named 'colour'; ")
+        ),
+        "machine.toml: title is missing; add it",
+    ]
+
+
+def places_of_files(kind, place=()):
+    """Every place of a schema whose type is a file's name; ``*`` is a name that a user gives."""
+    if kind is Path:
+        yield ".".join(place)
+    elif isinstance(kind, type) and issubclass(kind, BaseModel):
+        for name, field in kind.model_fields.items():
+            yield from places_of_files(field.annotation, (*place, name))
+    else:
+        inner = (*place, "*") if get_origin(kind) is dict else place
+        for part in get_args(kind):
+            yield from places_of_files(part, inner)
+
+
+#: Sections with a file, for every place where a case may name one.
+WITH_FILE = {
+    "structure": {"kind": "mesh"},
+    "heat_input": {"kind": "sampled"},
+    "sources.bearings.heat_input": {"kind": "sampled"},
+    "sources.bearings.profile": {},
+    "ambient": {},
+    "initial_temperature": {},
+    "held_temperatures.foot": {},
+    "held_temperatures.foot.profile": {},
+    "loads.weight": {"acceleration_m_s2": [0.0, 0.0, -9.81]},
+    "bolts.left": {
+        "head": {"surface": "a"},
+        "thread": {"surface": "b"},
+        "force_kN": 1.0,
+        "material": "steel",
+        "diameter_mm": 10.0,
+    },
+    "joints.knee.conductance": {"law": "table"},
+}
+
+
+def test_every_file_that_a_case_can_name_is_tried_here():
+    named = {"bearings", "foot", "weight", "left", "knee"}
+    tried = {
+        ".".join("*" if part in named else part for part in place.split(".")) + ".file"
+        for place in WITH_FILE
+    }
+    assert tried == set(places_of_files(Case))
+
+
+@pytest.mark.parametrize("place", WITH_FILE)
+def test_a_case_is_another_when_what_is_in_its_file_changes(tmp_path, place):
+    data = DATA | {"held_temperatures": {"foot": {"rise_K": 1.0}}}
+    *above, last = place.split(".")
+    data = copy.deepcopy(data)
+    part = data
+    for key in above:
+        part = part.setdefault(key, {})
+    part[last] = WITH_FILE[place] | {"file": "given.csv"}
+    case = case_from_data(data, "machine.toml", tmp_path)
+    path = tmp_path / "given.csv"
+    assert files_of(case) == [path]
+    path.write_text("1")
+    before = case_id(case)
+    assert case_id(case) == before
+    path.write_text("2")
+    assert case_id(case) != before
+    path.unlink()
+    with pytest.raises(UnreadableError, match=r"given\.csv: cannot be read"):
+        case_id(case)
+
+
+@pytest.mark.parametrize(
     "text", ["title = ", "title = 'a'\ntitle = 'b'", "[march\nstep_s = 2", "just words"]
 )
 def test_text_that_is_no_toml_is_refused_with_its_line(text):
@@ -352,10 +460,11 @@ def test_a_byte_order_mark_may_lead(tmp_path):
 
 
 @given(text=st.text(max_size=60))
-def test_any_text_is_a_case_or_one_line(text):
+def test_any_text_is_a_case_or_one_line_for_each_mistake(text):
     with pytest.raises(InputError) as caught:
         parse_case(text, "machine.toml", Path())
-    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, InputErrors) or "\n" not in str(caught.value)
+    assert all(line.startswith("machine.toml: ") for line in str(caught.value).splitlines())
 
 
 def test_a_case_that_cannot_be_read_is_refused(tmp_path):

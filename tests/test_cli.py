@@ -177,6 +177,17 @@ def test_a_mistake_is_one_line_exit_code_2_and_no_file(
     assert sorted(files_at_hand.iterdir()) == before
 
 
+def test_every_mistake_of_a_case_is_told_at_once_a_line_each(files_at_hand, command, tmp_path):
+    text = (files_at_hand / "case.toml").read_text("utf-8")
+    case = tmp_path / "case.toml"
+    case.write_text(f"colour = 1\n{text.replace('step_s = ', 'step_s = -')}", "utf-8")
+    code, out, err = command("simulate", case, "--out", tmp_path / "out.nc")
+    assert (code, out) == (2, "")
+    assert sorted(line.split(": ")[0] for line in err.splitlines()) == ["thermojoint"] * 2
+    assert "no key named 'colour'" in err
+    assert "march.step_s: input should be greater than 0" in err
+
+
 def test_a_mistake_ends_the_real_process_without_a_traceback(files_at_hand, tmp_path):
     done = subprocess.run(
         [

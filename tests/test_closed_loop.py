@@ -23,6 +23,7 @@ from estimator.joint_aware.observer import Observer
 from fesim.case.schema import case_from_data, read_case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.cli.app import app
 from thermojoint.compensation.loop.controller import AT_REST, Controller, control
 from thermojoint.compensation.loop.linear import (
@@ -35,7 +36,7 @@ from thermojoint.compensation.loop.linear import (
     state_space,
 )
 from thermojoint.compensation.loop.march import Acting, Plant, added_by, run_loop
-from thermojoint.compensation.loop.schema import loop_from_data, read_loop
+from thermojoint.compensation.loop.schema import Loop, read_loop
 from thermojoint.compensation.loop.tuning import Requirements, feed_forward_gain, tune
 from thermojoint.compensation.offsets.output import followed
 from thermojoint.compensation.offsets.settings import settings_from_data
@@ -405,7 +406,9 @@ def test_a_mistake_in_a_loop_is_one_line(folder, old, new, told):
 def test_a_loop_in_which_nothing_acts_is_refused():
     plant = {"case": "c.toml", "heat_input": {"kind": "step", "level": 1}, "duration_min": 1}
     with pytest.raises(InputError, match="nothing acts"):
-        loop_from_data({"title": "t", "plant": plant, "estimator": {"model": "m"}}, "l", Path())
+        settings_from(
+            Loop, {"title": "t", "plant": plant, "estimator": {"model": "m"}}, "l", Path()
+        )
 
 
 @pytest.mark.parametrize("name", ["step", "duty", "break", "warm"])

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from thermojoint.artefacts import toml
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.settings import toml
 from thermojoint.cli.app import app
 from thermojoint.compensation.offsets.output import (
     OutputSettings,

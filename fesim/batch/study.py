@@ -14,19 +14,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import pydantic
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.loads import thermal_inputs
 from fesim.setup.parts import make_parts
-from thermojoint.artefacts import toml
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.refusal import first_error, keys_at, refusal
+from thermojoint.artefacts.settings import toml
+from thermojoint.artefacts.settings.read import read_settings
+from thermojoint.artefacts.settings.section import File, Finite, Section
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[str, Any]
 
 #: What is kept of a case: its whole response, or its displacement and the figures of the summary.
@@ -39,18 +38,14 @@ MOST_CASES = 100_000
 LOADS = {"sources", "heat_input", "ambient", "held_temperatures"}
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class GridSection(_Section):
+class GridSection(Section):
     """``[[grid]]``: every value, with every value of the others."""
 
     path: str
     values: Annotated[list[Any], Field(min_length=1)]
 
 
-class ListSection(_Section):
+class ListSection(Section):
     """``[[list]]``: values that go together, a row for each."""
 
     paths: Annotated[list[str], Field(min_length=1)]
@@ -64,7 +59,7 @@ class ListSection(_Section):
         return self
 
 
-class RangeSection(_Section):
+class RangeSection(Section):
     """``[[latin_hypercube.ranges]]``: one dimension of the hypercube."""
 
     path: str
@@ -81,7 +76,7 @@ class RangeSection(_Section):
         return self
 
 
-class LatinHypercubeSection(_Section):
+class LatinHypercubeSection(Section):
     """``[latin_hypercube]``: random values, spread evenly over every range."""
 
     samples: Annotated[int, Field(ge=1, le=MOST_CASES)]
@@ -89,10 +84,10 @@ class LatinHypercubeSection(_Section):
     ranges: Annotated[list[RangeSection], Field(min_length=1)]
 
 
-class StudyFile(_Section):
+class StudyFile(Section):
     """A whole study file."""
 
-    case: Path
+    case: File
     title: str | None = None
     keep: Keep = "response"
     grid: list[GridSection] = []
@@ -186,8 +181,8 @@ def read_study(path: Path) -> Study:
         refused.
     """
     path = Path(path)
-    given = _parse(toml.read_text(path, "study"), str(path))
-    source = path.parent / given.case
+    given = read_settings(StudyFile, path, "study")
+    source = given.case
     text = toml.read_text(source, "case")
     base = parse_case(text, str(source), source.parent)
     known = known_paths(base)
@@ -303,21 +298,3 @@ def _count(given: StudyFile) -> int:
     for size in [len(one.values) for one in given.grid] + [len(one.rows) for one in given.list_]:
         count *= size
     return count
-
-
-def _parse(text: str, where: str) -> StudyFile:
-    try:
-        return StudyFile.model_validate(toml.parse(text, where))
-    except pydantic.ValidationError as error:
-        raise _one_line(error, where) from error
-
-
-def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
-    first = first_error(error)
-    place = first["loc"]
-    # Sections count from 1 where a person reads.
-    at = ".".join([where, *(str(part + 1 if isinstance(part, int) else part) for part in place)])
-    if first["type"] == "extra_forbidden":
-        known = keys_at(StudyFile, place[:-1])
-        return unknown_name("key", str(place[-1]), known, at.rpartition(".")[0])
-    return refusal(first, at)

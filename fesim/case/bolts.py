@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pydantic import model_validator
 
-from fesim.case.section import Finite, Positive, Section
+from thermojoint.artefacts.settings.section import File, Point, Positive, Section
 
 
 class BoltEndSection(Section):
@@ -16,7 +14,7 @@ class BoltEndSection(Section):
     """
 
     surface: str | None = None
-    position_mm: tuple[Finite, Finite, Finite] | None = None
+    position_mm: Point | None = None
     diameter_mm: Positive | None = None
     body: str | None = None
 
@@ -45,7 +43,7 @@ class BoltSection(Section):
     diameter_mm: Positive | None = None
     stiffness_N_um: Positive | None = None
     clamped_length_mm: Positive | None = None
-    file: Path | None = None
+    file: File | None = None
 
     @model_validator(mode="after")
     def _one_stiffness(self) -> BoltSection:

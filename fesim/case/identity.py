@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fesim.case.schema import Case, with_files
+from fesim.case.schema import Case
 from fesim.solid.linear_solver import default_solver
 from thermojoint.artefacts.errors import UnreadableError
 
@@ -74,13 +74,14 @@ def file_digest(path: Path) -> str:
         raise UnreadableError(f"{path}: cannot be read; check its name") from error
 
 
-def with_digests(data: dict[str, Any], digest: Digest = file_digest) -> dict[str, Any]:
-    """Return a case's data with the digest of its content in place of every file.
+def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
+    """Return the SHA-256 of a case's data and the program's version.
 
     Parameters
     ----------
     data : dict
-        As `Case.model_dump(mode="json")` gives it, whole or in part.
+        As `Case.model_dump` gives it, whole or in part; order counts. Every path in it counts by
+        what is in the file.
     digest : callable
         As for `case_id`.
 
@@ -89,7 +90,9 @@ def with_digests(data: dict[str, Any], digest: Digest = file_digest) -> dict[str
     UnreadableError
         A file cannot be read.
     """
-    return with_files(data, lambda name: digest(Path(name)))
+    # A path is the only value of a case that JSON does not know.
+    text = json.dumps(data | {"version": _VERSION}, default=digest)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def case_id(case: Case, digest: Digest = file_digest) -> str:
@@ -102,7 +105,7 @@ def case_id(case: Case, digest: Digest = file_digest) -> str:
     digest : callable
         Path to the digest of the file's content; give a remembering one for many cases.
     """
-    return _hash(with_digests(case.model_dump(mode="json"), digest))[:16]
+    return hashed(case.model_dump(), digest)[:16]
 
 
 def condensation_key(case: Case, digest: Digest = file_digest) -> str:
@@ -116,7 +119,7 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     case, digest
         As for `case_id`.
     """
-    return _hash(with_digests(_condensed(case), digest))
+    return hashed(_condensed(case), digest)
 
 
 def thermal_key(case: Case, digest: Digest = file_digest) -> str:
@@ -127,7 +130,7 @@ def thermal_key(case: Case, digest: Digest = file_digest) -> str:
     case, digest
         As for `case_id`.
     """
-    return _hash(with_digests(_structure(case), digest))
+    return hashed(_structure(case), digest)
 
 
 def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
@@ -149,7 +152,7 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     }
     measured = {case.displacement.point, case.displacement.relative_to}
     data["probes"] = [(name, probe) for name, probe in data["probes"] if name in measured]
-    return _hash(with_digests(data, digest))
+    return hashed(data, digest)
 
 
 def load_patterns(case: Case) -> list[dict[str, Any]]:
@@ -159,7 +162,7 @@ def load_patterns(case: Case) -> list[dict[str, Any]]:
     """
     densities = {name: section.density_kg_m3 for name, section in case.materials.items()}
     return [
-        load.model_dump(mode="json", exclude={"file"})
+        load.model_dump(exclude={"file"})
         | ({"densities": densities} if load.acceleration_m_s2 is not None else {})
         for load in case.loads.values()
     ]
@@ -174,14 +177,13 @@ def asked(case: Case) -> dict[str, Any]:
 def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
     """Return where the bolts of a case are, in their order: what they are needs no factor."""
     return [
-        (name, bolt.model_dump(mode="json", include={"head", "thread"}))
-        for name, bolt in case.bolts.items()
+        (name, bolt.model_dump(include={"head", "thread"})) for name, bolt in case.bolts.items()
     ]
 
 
 def _condensed(case: Case) -> dict[str, Any]:
     """What enters `set_up` except loads and joint laws."""
-    data = case.model_dump(mode="json", exclude=_LOADS)
+    data = case.model_dump(exclude=_LOADS)
     data["march"] = _without(data["march"], _MARCH)
     # Lists of pairs where the order is that of the condensed rows and columns.
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
@@ -192,7 +194,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     }
     data["loads"] = load_patterns(case)
     data["bolts"] = [(name, _without(bolt, _TIGHTENING)) for name, bolt in data["bolts"].items()]
-    data["output"] = case.output.model_dump(mode="json", exclude={"snapshots_s"})
+    data["output"] = case.output.model_dump(exclude={"snapshots_s"})
     data["probes"] = list(data["probes"].items())
     return data
 
@@ -207,9 +209,3 @@ def _structure(case: Case) -> dict[str, Any]:
 
 def _without(section: dict[str, Any], keys: set[str]) -> dict[str, Any]:
     return {key: value for key, value in section.items() if key not in keys}
-
-
-def _hash(data: dict[str, Any]) -> str:
-    # Not sorted: the order of sources, probes and joints is part of what comes out.
-    text = json.dumps(data | {"version": _VERSION})
-    return hashlib.sha256(text.encode()).hexdigest()

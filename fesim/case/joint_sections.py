@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from fesim.case.section import Finite, NotNegative, Positive, Section
+from thermojoint.artefacts.settings.section import (
+    Count,
+    File,
+    Finite,
+    Fraction,
+    NotNegative,
+    Positive,
+    Section,
+)
 
 #: More contact elements than this in one joint are a slip: the dense matrices of the joint would
 #: not fit into any memory.
@@ -18,7 +25,7 @@ class BackBurdekinSection(Section):
     """``[joints.NAME.back_burdekin]``: approach = coefficient * pressure^exponent, um and MPa."""
 
     coefficient_um: Positive
-    exponent: Annotated[float, Field(gt=0.0, le=1.0)]
+    exponent: Fraction
 
 
 class ConductanceSection(Section):
@@ -33,7 +40,7 @@ class ConductanceSection(Section):
     constant: Positive | None = None
     exponent: Positive | None = None
     value_W_m2K: NotNegative | None = None
-    file: Path | None = None
+    file: File | None = None
 
     @model_validator(mode="after")
     def _constants_go_with_their_law(self) -> ConductanceSection:
@@ -52,8 +59,8 @@ class GapSection(Section):
 
     gas_conductivity_W_mK: NotNegative = 0.0
     temperature_jump_um: NotNegative = 0.0
-    emissivity_a: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    emissivity_b: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    emissivity_a: Fraction | None = None
+    emissivity_b: Fraction | None = None
     mean_temperature_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)] | None = None
 
     @model_validator(mode="after")
@@ -84,8 +91,8 @@ class JointSection(Section):
     preload_MPa: NotNegative
     reference_pressure_MPa: Positive | None = None
     initial_opening_um: Finite | Literal["mesh"] | None = None
-    along: Annotated[int, Field(ge=1)]
-    across: Annotated[int, Field(ge=1)] = 1
+    along: Count
+    across: Count = 1
     roughness_um: Positive
     asperity_slope: Positive
     hardness_GPa: Positive

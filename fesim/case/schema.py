@@ -6,16 +6,13 @@ Units stand in the key names; everything is turned into SI by `fesim.setup.machi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import pydantic
-from pydantic import BaseModel, Field, model_validator
+from pydantic import Field, model_validator
 
 from fesim.case.bolts import BoltSection
 from fesim.case.joint_sections import JointSection, WallSection
-from fesim.case.section import STRICT, Finite, NotNegative, Point, Positive
 from fesim.case.thermal_sections import (
     AmbientSection,
     CavitySection,
@@ -27,9 +24,17 @@ from fesim.case.thermal_sections import (
     RadiationSection,
     SourceSection,
 )
-from thermojoint.artefacts import toml
-from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.refusal import first_error, keys_at, quoting, refusal
+from thermojoint.artefacts.settings import toml
+from thermojoint.artefacts.settings.read import read_settings, settings_from
+from thermojoint.artefacts.settings.section import (
+    Count,
+    File,
+    Finite,
+    NotNegative,
+    Point,
+    Positive,
+    Section,
+)
 
 #: More steps than this in one run are a slip: the response would not fit into any memory.
 MOST_STEPS = 10_000_000
@@ -37,13 +42,7 @@ MOST_STEPS = 10_000_000
 TIME_SLACK = 1e-6
 
 
-class _Section(BaseModel):
-    """As `fesim.case.section.Section`; the linter knows by its base that defaults are copied."""
-
-    model_config = STRICT
-
-
-class MillingMachineSection(_Section):
+class MillingMachineSection(Section):
     """``[structure]`` with ``kind = "box_milling_machine"``."""
 
     kind: Literal["box_milling_machine"]
@@ -53,22 +52,22 @@ class MillingMachineSection(_Section):
     dimensions_mm: dict[str, Positive] = {}
 
 
-class MeshSection(_Section):
+class MeshSection(Section):
     """``[structure]`` with ``kind = "mesh"``: a file that meshio reads."""
 
     kind: Literal["mesh"]
-    file: Path
+    file: File
     unit: Literal["m", "cm", "mm", "in"] = "m"
-    symmetry_factor: Annotated[int, Field(ge=1)] = 1
+    symmetry_factor: Count = 1
 
 
-class SpringSection(_Section):
+class SpringSection(Section):
     """``[supports.springs.SURFACE]``: levelling mounts, spread evenly over a surface."""
 
-    stiffness_N_um: tuple[NotNegative, NotNegative, NotNegative]
+    stiffness_N_um: Annotated[tuple[NotNegative, NotNegative, NotNegative], Field(strict=False)]
 
 
-class SupportsSection(_Section):
+class SupportsSection(Section):
     """``[supports]``: surfaces held in all directions, symmetry planes, and springs."""
 
     fixed: list[str] = []
@@ -76,7 +75,7 @@ class SupportsSection(_Section):
     springs: dict[str, SpringSection] = {}
 
 
-class LoadSection(_Section):
+class LoadSection(Section):
     """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies, as gravity is one.
 
     ``force_N`` is that of the whole structure, spread evenly over its surface. A load is constant
@@ -88,7 +87,7 @@ class LoadSection(_Section):
     pressure_MPa: Finite | None = None
     acceleration_m_s2: Point | None = None
     bodies: Annotated[list[str], Field(min_length=1)] | None = None
-    file: Path | None = None
+    file: File | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> LoadSection:
@@ -105,7 +104,7 @@ class LoadSection(_Section):
         return self
 
 
-class MarchSection(_Section):
+class MarchSection(Section):
     """``[march]``."""
 
     step_s: Positive
@@ -133,21 +132,21 @@ def first_step_at(time: float, length: float) -> int:
     return max(1, math.ceil(time / length - TIME_SLACK))
 
 
-class ProbeSection(_Section):
+class ProbeSection(Section):
     """``[probes.NAME]``."""
 
     position_mm: Point
     body: str | None = None
 
 
-class DisplacementSection(_Section):
+class DisplacementSection(Section):
     """``[displacement]``: the displacement that is recorded, of one point or between two."""
 
     point: str
     relative_to: str | None = None
 
 
-class CandidatesSection(_Section):
+class CandidatesSection(Section):
     """``[candidates]``: a lattice of possible sensors in one body, for the placement rule."""
 
     body: str
@@ -156,7 +155,7 @@ class CandidatesSection(_Section):
     spacing_mm: Positive
 
 
-class OutputSection(_Section):
+class OutputSection(Section):
     """``[output]``.
 
     ``forces`` asks for what supports and joints bear; ``stress_probes`` are names of ``[probes]``.
@@ -167,7 +166,7 @@ class OutputSection(_Section):
     stress_probes: list[str] = []
 
 
-class Case(_Section):
+class Case(Section):
     """A whole case file."""
 
     title: str
@@ -295,10 +294,10 @@ def read_case(path: Path | str) -> Case:
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+        The file is missing or no TOML, a key is unknown or missing, or a value is out of range:
+        every mistake has a line.
     """
-    path = Path(path)
-    return parse_case(toml.read_text(path, "case"), str(path), path.parent)
+    return read_settings(Case, Path(path), "case")
 
 
 def parse_case(text: str, where: str, folder: Path) -> Case:
@@ -321,78 +320,6 @@ def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
     Raises
     ------
     InputError
-        A key is unknown or missing, or a value is out of range.
+        A key is unknown or missing, or a value is out of range: every mistake has a line.
     """
-    try:
-        # Absolute: a worker of a batch may stand in another folder.
-        return Case.model_validate(with_files(data, lambda name: str((folder / name).absolute())))
-    except pydantic.ValidationError as error:
-        raise _one_line(error, where) from error
-
-
-#: Sections that may name a ``file``; ``*`` stands for any name. Elsewhere ``file`` is a name like
-#: any other, e.g. of a body.
-_FILE_SECTIONS = (
-    ("structure",),
-    ("heat_input",),
-    ("sources", "*", "heat_input"),
-    ("sources", "*", "profile"),
-    ("ambient",),
-    ("initial_temperature",),
-    ("held_temperatures", "*"),
-    ("held_temperatures", "*", "profile"),
-    ("loads", "*"),
-    ("bolts", "*"),
-    ("joints", "*", "conductance"),
-)
-
-
-def with_files(data: dict[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Return a case's data with every file name in it changed.
-
-    Parameters
-    ----------
-    data : dict
-        As read from TOML, valid or not, or dumped from a `Case`; sections may be missing.
-    change : callable
-        File name to what stands in its place.
-    """
-    for place in _FILE_SECTIONS:
-        data = _with_file_at(place, data, change)
-    return data
-
-
-def _with_file_at(place: tuple[str, ...], data: Any, change: Callable[[str], str]) -> Any:  # noqa: ANN401
-    if not isinstance(data, dict):
-        return data
-    if not place:
-        name = data.get("file")
-        return data | {"file": change(name)} if isinstance(name, str) else data
-    keys = [key for key in data if place[0] in ("*", key)]
-    return data | {key: _with_file_at(place[1:], data[key], change) for key in keys}
-
-
-#: Sections of several kinds: pydantic puts the kind into a location, behind the section.
-_KIND_SECTIONS = (("structure",), ("heat_input",), ("sources", "*", "heat_input"))
-
-
-def _one_line(error: pydantic.ValidationError, where: str) -> InputError:
-    first = first_error(error)
-    place = _without_kind([str(part) for part in first["loc"]]) or ["case"]
-    if first["type"] != "extra_forbidden":
-        return refusal(first, f"{where}: {'.'.join(place)}")
-    *section, key = place
-    refused = unknown_name("key", key, keys_at(Case, section), ".".join([where, *section]))
-    if section and isinstance(first["input"], dict):
-        return InputError(f"{refused}; {quoting(f'{section[-1]}.{key}')}")
-    return refused
-
-
-def _without_kind(place: list[str]) -> list[str]:
-    for section in _KIND_SECTIONS:
-        size = len(section)
-        if len(place) > size and all(
-            known in ("*", part) for known, part in zip(section, place, strict=False)
-        ):
-            return place[:size] + place[size + 1 :]
-    return place
+    return settings_from(Case, data, where, folder)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from fesim.case.formula import formula
-from fesim.case.section import Finite, Positive, Section
+from thermojoint.artefacts.settings.section import (
+    Count,
+    File,
+    Finite,
+    Fraction,
+    Positive,
+    Section,
+)
 
 
 class FactorSection(Section):
@@ -74,7 +80,7 @@ class SampledInput(Section):
     """``[heat_input]`` with ``kind = "sampled"``: a CSV with ``time_s,heat_input``."""
 
     kind: Literal["sampled"]
-    file: Path
+    file: File
 
 
 HeatInput = Annotated[
@@ -90,7 +96,7 @@ class ProfileSection(Section):
     """
 
     expression: str | None = None
-    file: Path | None = None
+    file: File | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> ProfileSection:
@@ -112,7 +118,7 @@ class SourceSection(Section):
     surface: str | None = None
     body: str | None = None
     reference_power_W: Positive
-    count: Annotated[int, Field(ge=1)] = 1
+    count: Count = 1
     reading: Literal["per source", "total"] = "per source"
     heat_input: HeatInput | None = None
     profile: ProfileSection | None = None
@@ -127,7 +133,7 @@ class SourceSection(Section):
 class AmbientSection(Section):
     """``[ambient]``: a CSV with ``time_s,ambient_degC``."""
 
-    file: Path
+    file: File
 
 
 class HeldTemperatureSection(Section):
@@ -137,7 +143,7 @@ class HeldTemperatureSection(Section):
     """
 
     rise_K: Finite | None = None
-    file: Path | None = None
+    file: File | None = None
     profile: ProfileSection | None = None
 
     @model_validator(mode="after")
@@ -156,7 +162,7 @@ class InitialTemperatureSection(Section):
 
     rise_K: Finite | None = None
     expression_K: str | None = None
-    file: Path | None = None
+    file: File | None = None
 
     @model_validator(mode="after")
     def _one_field(self) -> InitialTemperatureSection:
@@ -181,5 +187,5 @@ class RadiationSection(Section):
     ``ambient_degC`` is the ambient at time 0; the surroundings follow its changes.
     """
 
-    emissivity: Annotated[float, Field(gt=0.0, le=1.0)]
+    emissivity: Fraction
     ambient_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fesim.case.identity import with_digests
+from fesim.case.identity import file_digest
 from fesim.case.schema import Case
 from fesim.march.machine import State
 from thermojoint.artefacts.errors import InputError
@@ -29,14 +29,16 @@ _ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "anchor")
 
 def fingerprint(case: Case) -> str:
     """Return a digest of all that a state depends on; files count by their content."""
-    data = with_digests(case.model_dump(mode="json", exclude=_RECORDING))
+    data = case.model_dump(exclude=_RECORDING)
     del data["march"]["duration_min"]
     for source in data["sources"].values():
         del source["heat_input"]
     # Contact elements are counted joint after joint: the joints' order matters, that of others not.
     data["joints"] = list(data["joints"].items())
     data["version"] = version("thermojoint")
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    # A path is the only value of a case that JSON does not know.
+    text = json.dumps(data, sort_keys=True, default=file_digest)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def save_state(state: State, case: Case, path: Path) -> None:

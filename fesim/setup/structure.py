@@ -16,7 +16,7 @@ from meshes.structure import Probe, Structure
 from meshes.units import UNITS
 from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.toml import as_key
+from thermojoint.artefacts.settings.toml import as_key
 
 #: More possible sensors than this are a slip of a unit.
 MOST_CANDIDATES = 100_000

@@ -17,6 +17,10 @@ class InputError(ThermojointError, ValueError):
     """
 
 
+class InputErrors(InputError):
+    """Several mistakes in one input: the message has a line for each, as an `InputError` has."""
+
+
 class UnreadableError(InputError):
     """A file cannot be read, or is not what it was; another time, or elsewhere, it may be."""
 

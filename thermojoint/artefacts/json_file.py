@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.refusal import first_error
 
 T = TypeVar("T")
 
@@ -120,6 +119,7 @@ def validated(
         # As JSON, not as Python objects: there lists are tuples and keys numbers.
         return kind.validate_json(json.dumps(content))
     except ValidationError as error:
-        first = first_error(error)
+        # What is missing may only be misspelt: the unknown key says more.
+        first = min(error.errors(), key=lambda found: found["type"] == "missing")
         place = ".".join(part for part in map(str, first["loc"]) if part not in members)
         raise InputError(f"{where}: {place}: {first['msg']}; {remedy}") from error

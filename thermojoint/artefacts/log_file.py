@@ -20,7 +20,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.quantities import UNITS, Column, column_named
-from thermojoint.artefacts.toml import parse, read_text
+from thermojoint.artefacts.settings.toml import parse, read_text
 
 if TYPE_CHECKING:
     import pandas as pd

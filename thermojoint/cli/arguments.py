@@ -9,15 +9,12 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.folders import check_replaceable
 from thermojoint.cli.file_kinds import Kind
-
-if TYPE_CHECKING:
-    from fesim.case.schema import Case
 
 
 def shown(path: Path) -> str:
@@ -60,20 +57,6 @@ def check_outputs(
             raise InputError(
                 f"{option} {path}: exists and is not {kind.name}; give another name, or remove it"
             )
-
-
-def files_of(case: Case) -> list[Path]:
-    """Return the files that a case names: its mesh and its histories."""
-    from fesim.case.schema import with_files
-
-    names: list[str] = []
-
-    def note(name: str) -> str:
-        names.append(name)
-        return name
-
-    with_files(case.model_dump(mode="json"), note)
-    return [Path(name) for name in names]
 
 
 def check_whole_folder(path: Path) -> None:

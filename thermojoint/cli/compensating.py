@@ -64,11 +64,12 @@ def control(
     Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
     """
     from fesim.case.schema import read_case
-    from thermojoint.compensation.loop.schema import files_of, read_loop
+    from thermojoint.compensation.loop.schema import read_loop
 
     given = read_loop(loop)
     # After the file: a mistake in it is told before the libraries are loaded.
     from thermojoint import console, plausibility
+    from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.compensation.loop.judging import as_content
     from thermojoint.compensation.loop.report import report_html, write_content, write_report
@@ -80,7 +81,7 @@ def control(
             "--out": (out, file_kinds.LOOP_REPORT),
             "--figures": (figures, file_kinds.LOOP_FIGURES),
         },
-        [loop, *files_of(given), *arguments.files_of(machine)],
+        [loop, *files_of(given), *files_of(machine)],
     )
     console.warn(plausibility.of_case(machine, str(given.plant.case)))
     closed = close_loop(given, console.say)

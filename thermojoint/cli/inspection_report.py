@@ -13,7 +13,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from meshes.inspection import Inspection
-from thermojoint.artefacts.toml import as_key, as_text
+from thermojoint.artefacts.settings.toml import as_key, as_text
 
 _ANY_WIDTH = 100_000
 Row = tuple[str, ...]

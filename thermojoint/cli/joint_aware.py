@@ -84,6 +84,7 @@ def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Pa
     """Read the case, and check what is to be written."""
     from fesim.case.schema import read_case
     from thermojoint import console, plausibility
+    from thermojoint.artefacts.settings.section import files_of
 
     if case is None:
         raise InputError("--kind joint-aware: needs the machine; add --case MACHINE.toml")
@@ -93,7 +94,7 @@ def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Pa
             "--out": (out, file_kinds.OBSERVER),
             "--report": (report_file, file_kinds.CALIBRATION_REPORT),
         },
-        [case, *arguments.files_of(machine), *data],
+        [case, *files_of(machine), *data],
     )
     console.warn(plausibility.of_case(machine, str(case)))
     return machine

@@ -54,8 +54,8 @@ def main() -> None:
         if _came:
             # Or what a library made of the stop.
             _end(128 + _came[0], _stopped())
-        if message := _mendable(error):
-            _end(BAD_INPUT, message)
+        if lines := _mendable(error):
+            _end(BAD_INPUT, *lines)
         raise
     finally:
         # All is done, or cleared up: what remains is the interpreter's own end.
@@ -63,17 +63,19 @@ def main() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _mendable(error: BaseException) -> str:
-    """Say in one line what the user can mend; nothing if it is the program that is wrong."""
-    from thermojoint.artefacts.errors import ThermojointError
+def _mendable(error: BaseException) -> list[str]:
+    """Return a line for each thing the user can mend; none if it is the program that is wrong."""
+    from thermojoint.artefacts.errors import InputErrors, ThermojointError
 
+    if isinstance(error, InputErrors):
+        return str(error).splitlines()
     if isinstance(error, ThermojointError):
-        return str(error)
+        return [str(error)]
     if isinstance(error, MemoryError):
-        return f"not enough memory ({error}); take larger elements or a shorter run"
+        return [f"not enough memory ({error}); take larger elements or a shorter run"]
     if isinstance(error, OSError):
-        return f"{error.filename or 'file'}: {error.strerror or error}; choose another place"
-    return ""
+        return [f"{error.filename or 'file'}: {error.strerror or error}; choose another place"]
+    return []
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -115,8 +117,9 @@ def _stopped() -> str:
     return f"{how}; no unfinished file is left"
 
 
-def _end(code: int, message: str) -> NoReturn:
-    _say(message)
+def _end(code: int, *lines: str) -> NoReturn:
+    for line in lines:
+        _say(line)
     raise SystemExit(code) from None
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermojoint.artefacts.toml import as_key, as_text
+from thermojoint.artefacts.settings.toml import as_key, as_text
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def place(
     from fesim.case.schema import read_case
     from thermojoint.artefacts.errors import InputError
     from thermojoint.artefacts.files import write_text
+    from thermojoint.artefacts.settings.section import files_of
 
     machine = read_case(case)
     from calibrate.placement.joint_aware import place_sensors
@@ -46,9 +47,7 @@ def place(
     from thermojoint.cli import results
     from thermojoint.reduced.machine import reduce_machine
 
-    arguments.check_outputs(
-        {"--out": (out, file_kinds.SENSORS)}, [case, *arguments.files_of(machine)]
-    )
+    arguments.check_outputs({"--out": (out, file_kinds.SENSORS)}, [case, *files_of(machine)])
     kept = list(dict.fromkeys(keep or []))
     console.warn(plausibility.of_case(machine, str(case)))
     setup = set_up(machine)

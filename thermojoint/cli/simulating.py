@@ -46,6 +46,7 @@ def simulate(
     from thermojoint import console, plausibility
     from thermojoint.artefacts.folders import whole_folder
     from thermojoint.artefacts.response import write_response
+    from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.paper import printing
     from thermojoint.paper.summary import convergence, covered_areas
@@ -54,7 +55,7 @@ def simulate(
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
-        [case, *arguments.files_of(given)],
+        [case, *files_of(given)],
     )
     times = given.output.snapshots_s
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)

@@ -12,26 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from thermojoint.artefacts import toml
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.compensation.toml_file import validated
+from thermojoint.artefacts.settings import toml
+from thermojoint.artefacts.settings.read import settings_from
+from thermojoint.artefacts.settings.section import NotNegative, Positive, Section, Texts
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 #: A machine's name stands in topics, in node ids, in addresses of pages and in names of files.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 #: Machines of one service at most; more of them take more services.
 MOST_MACHINES = 10_000
-
-
-class Section(BaseModel):
-    """Unknown keys are refused, and nothing changes once it is read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Secret(Section):
@@ -151,7 +144,7 @@ class OpcuaServer(Section):
     security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
     users: str | None = None
     trusted: str | None = None
-    host_names: tuple[str, ...] = ()
+    host_names: Texts = ()
     readings: bool = True
     most_sessions: Annotated[int, Field(ge=1, le=1000)] = 20
     most_subscriptions: Annotated[int, Field(ge=1, le=10_000)] = 40
@@ -249,7 +242,7 @@ def read_service(path: Path | str) -> Service:
 
 def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
     """Return a service given as nested dictionaries; raises as `read_service`."""
-    given = validated(ServiceFile, _with_tuples(data), where)
+    given = settings_from(ServiceFile, data, where, base)
     for name, machine in given.machines.items():
         if not _NAME.fullmatch(name):
             raise InputError(
@@ -269,14 +262,6 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
     _check_protected(where, given)
     return Service(given, base, machines)
-
-
-def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
-    """TOML has lists where the file's types are tuples."""
-    opcua = data.get("opcua")
-    if isinstance(opcua, dict) and isinstance(opcua.get("host_names"), list):
-        return data | {"opcua": opcua | {"host_names": tuple(opcua["host_names"])}}
-    return data
 
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:

@@ -7,36 +7,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from thermojoint.artefacts import toml
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.settings import toml
+from thermojoint.artefacts.settings.read import settings_from
+from thermojoint.artefacts.settings.section import NotNegative, Positive, Section, Texts
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
-from thermojoint.compensation.toml_file import validated
 
 _MICRO = 1e-6
 
 #: More steps than this in the range of an axis or of a heater are a slip of the units.
 MOST_STEPS = 1e9
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
-
-class AxisSection(BaseModel):
+class AxisSection(Section):
     """``[axes.NAME]``: which axis of the estimate an axis of the control follows, and its sign."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     follows: str
     sign: Literal[-1, 1] = -1
 
 
-class SettingsFile(BaseModel):
+class SettingsFile(Section):
     """The whole file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     cycle_s: Positive = 1.0
     resolution_um: Positive = 0.1
@@ -47,7 +41,7 @@ class SettingsFile(BaseModel):
     oldest_s: Positive = 30.0
     freeze_s: NotNegative = 60.0
     decay_s: Positive = 600.0
-    unusable: tuple[str, ...] = UNUSABLE
+    unusable: Texts = UNUSABLE
     widest_band_um: Positive | None = None
     axes: Annotated[dict[str, AxisSection], Field(min_length=1)]
 
@@ -89,7 +83,7 @@ def read_settings(path: Path | str) -> Settings:
 
 def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
     """Return settings given as nested dictionaries; raises as `read_settings`."""
-    given = validated(SettingsFile, data, str(where))
+    given = settings_from(SettingsFile, data, str(where), Path())
     known = known_reasons()
     for reason in given.unusable:
         if reason not in known:

@@ -1,0 +1,50 @@
+"""What every section of a file of settings is made of: a strict base, numbers, names of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+#: A share that is not zero: 0 < x <= 1.
+Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
+Count = Annotated[int, Field(ge=1)]
+
+# TOML has arrays where Python has tuples: their entries stay as strict as the section.
+Point = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+Texts = Annotated[tuple[str, ...], Field(strict=False)]
+
+
+def _beside(path: Path, info: ValidationInfo) -> Path:
+    return path if info.context is None else (info.context / path).absolute()
+
+
+#: A file's name, relative to the file it stands in; absolute once that is read, because whoever
+#: opens it may stand in another folder.
+File = Annotated[Path, Field(strict=False), AfterValidator(_beside)]
+
+
+class Section(BaseModel):
+    """Base of the sections.
+
+    Unknown keys are errors, text is no number, and nothing changes once it is read.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def files_of(settings: Any) -> list[Path]:  # noqa: ANN401 - sections, lists, values
+    """Return every file that sections name, at any depth."""
+    if isinstance(settings, Path):
+        return [settings]
+    if isinstance(settings, BaseModel):
+        return files_of(dict(settings))
+    if isinstance(settings, dict):
+        settings = list(settings.values())
+    if isinstance(settings, list | tuple):
+        return [path for part in settings for path in files_of(part)]
+    return []
