@@ -29,6 +29,7 @@ from estimator.noise import NOISE_PEAK_TO_PEAK_K, sensor_noise
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of, read_response
+from thermojoint.artefacts.units import MEGA
 
 #: Case to when the fault begins, s.
 CASES = {"step-1.5": (0.0, 600.0), "step-3.0": (60.0, 600.0), "day": (9000.0, 20000.0)}
@@ -47,7 +48,6 @@ FAULTS: dict[str, Callable[[Array], Array]] = {
     "away for 10 min": lambda values: np.where(np.arange(values.size) * 2.0 < AWAY, np.nan, values),
 }
 SEED = 4
-MICRO = 1e6
 
 
 def run(estimator: JointAware, samples: Array) -> list[Estimate]:
@@ -94,9 +94,9 @@ def rows_of(name: str, response: xr.Dataset, estimator: JointAware) -> list[dict
                         "fault": fault,
                         "named_after_s": min(named) if named else None,
                         "others_named": sorted(others),
-                        "more_um": (MICRO * (error - healthy).max(axis=0)).tolist(),
-                        "max_abs_error_um": (MICRO * error.max(axis=0)).tolist(),
-                        "largest_band_um": (MICRO * band.max(axis=0)).tolist(),
+                        "more_um": (MEGA * (error - healthy).max(axis=0)).tolist(),
+                        "max_abs_error_um": (MEGA * error.max(axis=0)).tolist(),
+                        "largest_band_um": (MEGA * band.max(axis=0)).tolist(),
                         "holds": bool(named and min(named) <= 60.0 and excess.max() <= 0.0),
                     }
                 )

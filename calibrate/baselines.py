@@ -19,6 +19,7 @@ from calibrate.placement.fchs import DEVIATION_UNCERTAINTY, with_roles
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import axes_of, columns_of
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.baselines import Autoregression, Baselines, Regression, low_passes
 from thermojoint.models.filters.bank import respond_to_line
 from thermojoint.models.parameters import Span
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 TIME_CONSTANTS = (0.03, 0.1, 0.3, 1.0)
 #: Past displacements of an autoregression; of the temperatures it takes the last two.
 PAST = 2
-_MICRO = 1e6
 
 
 def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
@@ -55,7 +55,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     length = max(float(one[-1]) for one in times)
     runs = [response.isel(time=at > 0.0) for response, at in zip(responses, times, strict=True)]
     inputs = [rises(run) for run in runs]
-    outputs = [_MICRO * columns_of(run, "displacement", axes) for run in runs]
+    outputs = [MEGA * columns_of(run, "displacement", axes) for run in runs]
     constants = tuple(length * share for share in TIME_CONSTANTS)
     low = low_passes(constants)
     passed = [
@@ -74,7 +74,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
         ridge=Regression(constants, _by_axis(axes, shrunk)),
         arx={
             axis: fit_autoregression(
-                inputs, [one[:, k] / _MICRO for one in outputs], interval, SLOWEST / length
+                inputs, [one[:, k] / MEGA for one in outputs], interval, SLOWEST / length
             )
             for k, axis in enumerate(axes)
         },
@@ -119,9 +119,9 @@ def fit_autoregression(
     """
     from sklearn.linear_model import LinearRegression
 
-    target = _MICRO * np.concatenate(outputs)
+    target = MEGA * np.concatenate(outputs)
     lagged = [
-        np.column_stack([_delayed(_MICRO * one, lag)[:, None] for lag in range(1, PAST + 1)])
+        np.column_stack([_delayed(MEGA * one, lag)[:, None] for lag in range(1, PAST + 1)])
         for one in outputs
     ]
     stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
@@ -138,7 +138,7 @@ def fit_autoregression(
     scale = np.repeat([1.0 / denominator.sum(), np.linalg.norm(impulse)], level.shape[1])
     features = np.hstack((level, change)) / scale
     of_level, of_change = np.split(_ridge(features, target, DEVIATION_UNCERTAINTY) / scale, 2)
-    table = np.stack((of_level + of_change, -of_change)) / _MICRO
+    table = np.stack((of_level + of_change, -of_change)) / MEGA
     return Autoregression(tuple(map(float, past)), tuple(tuple(map(float, r)) for r in table))
 
 
@@ -169,4 +169,4 @@ def _ridge(features: Array, target: Array, uncertainty: float) -> Array:
 
 
 def _by_axis(axes: Sequence[str], weights: Array) -> dict[str, tuple[float, ...]]:
-    return {axis: tuple(map(float, row / _MICRO)) for axis, row in zip(axes, weights, strict=True)}
+    return {axis: tuple(map(float, row / MEGA)) for axis, row in zip(axes, weights, strict=True)}

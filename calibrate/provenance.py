@@ -7,9 +7,8 @@ from importlib.metadata import version
 from calibrate.chain import Calibrated
 from calibrate.fit_result import report
 from calibrate.source_thermal import compare
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.model_file import Provenance
-
-_MICRO = 1e6
 
 
 def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
@@ -27,9 +26,9 @@ def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
     kelvin = {"thermal": linear.fits["thermal"].max_abs_error}
     kelvin |= {f"direct.{role}": error for role, error in linear.direct_errors.items()}
     kelvin |= {"sources": fictitious.joint.fit.max_abs_error}
-    micro = {name: _MICRO * linear.fits[name].max_abs_error for name in axes}
+    micro = {name: MEGA * linear.fits[name].max_abs_error for name in axes}
     micro |= {
-        f"sources.{level}.{axis}": _MICRO * error
+        f"sources.{level}.{axis}": MEGA * error
         for axis, errors in fictitious.deformation_errors.items()
         for level, error in errors.items()
     }

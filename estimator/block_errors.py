@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimator.rows import MICRO, Row
+from estimator.rows import Row
 from estimator.superposition import held_heat, superposed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import axes_of, columns_of, probes_of
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models import blocks
 from thermojoint.models.assembly import Assembly, assemble
 from thermojoint.models.parameters import Model
@@ -91,6 +92,6 @@ def block_errors(
                 "nonlinear_error_um": part_nonlinear - (actual - linear),
                 "total_error_um": part_linear + part_nonlinear - actual,
             }
-            worst = {name: float(np.abs(e[:, k]).max() * MICRO) for name, e in errors.items()}
+            worst = {name: float(np.abs(e[:, k]).max() * MEGA) for name, e in errors.items()}
             rows.append({"case": case, "driven_by": driven_by, "axis": axis, **worst})
     return rows

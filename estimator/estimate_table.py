@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from estimator.interface import Channel, Estimate, Estimator
-
-_MICRO = 1e6
+from thermojoint.artefacts.units import MEGA
 
 
 def header(estimator: Estimator) -> list[str]:
@@ -19,12 +18,12 @@ def header(estimator: Estimator) -> list[str]:
 
 def row(estimator: Estimator, estimate: Estimate) -> list[str]:
     """Return one estimate as text, in the order of `header`; empty where there is no band."""
-    scales = (_MICRO if channel.unit == "m" else 1.0 for channel in estimator.details)
+    scales = (MEGA if channel.unit == "m" else 1.0 for channel in estimator.details)
     values = [
         estimate.time,
         *(scale * value for scale, value in zip(scales, estimate.details, strict=True)),
-        *(_MICRO * estimate.displacement),
-        *(_MICRO * estimate.band),
+        *(MEGA * estimate.displacement),
+        *(MEGA * estimate.band),
     ]
     texts = (f"{float(value):.9g}" if value == value else "" for value in values)
     return [*texts, estimate.words]

@@ -19,11 +19,12 @@ from estimator.block_errors import assembled_for, block_errors
 from estimator.fchs.stream import Signals, run
 from estimator.interface import follow
 from estimator.noise import joint_noise
-from estimator.rows import MICRO, Row, figures_of
+from estimator.rows import Row, figures_of
 from estimator.superposition import superposed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.response import axes_of, columns_of
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.baselines import Baselines
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import readings, rises, roles_in
@@ -153,8 +154,8 @@ def validate(
         linear = superposed(reference, response, "displacement")[:, order]
     counted = seen.times >= seen.times[0] + settled_s
     peaks = {
-        "peak_total_um": np.abs(actual[counted]).max(axis=0) * MICRO,
-        "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MICRO,
+        "peak_total_um": np.abs(actual[counted]).max(axis=0) * MEGA,
+        "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MEGA,
     }
     told = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
     claims = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
@@ -179,7 +180,7 @@ def validate(
         {
             "case": case,
             "estimator": name,
-            "max_abs_error_um": float(np.linalg.norm(error[counted], axis=1).max() * MICRO),
+            "max_abs_error_um": float(np.linalg.norm(error[counted], axis=1).max() * MEGA),
         }
         for name, error in errors.items()
     ]

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MEGA
 
 #: E.g. case, estimator, axis, max_abs_error_um; None where a figure is not known.
 Row = Mapping[str, str | float | None]
-
-#: µm in a metre.
-MICRO = 1e6
 
 
 def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
@@ -32,10 +30,10 @@ def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
         mean_band_um.
     """
     found = {
-        "max_abs_error_um": np.abs(error).max(axis=0) * MICRO,
-        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * MICRO,
+        "max_abs_error_um": np.abs(error).max(axis=0) * MEGA,
+        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * MEGA,
     }
     if band is not None:
         found["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
-        found["mean_band_um"] = band.mean(axis=0) * MICRO
+        found["mean_band_um"] = band.mean(axis=0) * MEGA
     return found

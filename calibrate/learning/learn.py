@@ -19,6 +19,7 @@ from calibrate.learning.thinning import Table, thinned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import (
     Feature,
     LearnedChannel,
@@ -40,7 +41,6 @@ _OPEN = 4.0
 #: Share of the errors that lies within the band.
 _WITHIN = 0.95
 _QUANTILE = 1.96
-_MICRO = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +191,7 @@ def _model(
 ) -> LearnedModel:
     """Return the model of a fit, without the features that it does not use."""
     used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
-    size = sizes(rows.features)[used] / _MICRO
+    size = sizes(rows.features)[used] / MEGA
     weights = size[:, None] * fitted.weights[used]
     features = tuple(rows.features[k] for k in used)
     columns = {one.column for one in features}
@@ -204,10 +204,10 @@ def _model(
         channels.append(
             LearnedChannel(
                 name,
-                float(fitted.offset[c]) / _MICRO,
+                float(fitted.offset[c]) / MEGA,
                 tuple(map(float, weights[:, c])),
                 tuple(tuple(map(float, row)) for row in 0.5 * (spread + spread.T)),
-                max(float(fitted.errors[c]), 0.05) / _MICRO,
+                max(float(fitted.errors[c]), 0.05) / MEGA,
                 (float(told.min()), float(told.max())),
                 float(widening[c]),
             )

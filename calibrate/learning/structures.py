@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calibrate.learning.cleaning import Cleaned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import Feature, features_of
 
 #: Relaxations of a temperature beside itself, and of a heat, s.
@@ -25,7 +26,6 @@ HEAT_GAIN = 20.0
 #: How long what went in before a run counts, s, and at most which share of the run is given up.
 BEFORE = 2.0 * HEAT[-1]
 _GIVEN_UP = 0.2
-_MICRO = 1e6
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     for first, end in zip(table.starts, ends, strict=True):
         run = table.times[first:end], table.values[first:end]
         values = size * features_of(features, names, run)
-        told = _MICRO * table.values[first:end][:, at]
+        told = MEGA * table.values[first:end][:, at]
         full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end))
         if not full.any():
             continue

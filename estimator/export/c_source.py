@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import loaded, rendered
+from estimator.export.templating import rendered
 from thermojoint.artefacts.folders import write_folder
+from thermojoint.artefacts.templates import templates_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -84,7 +85,7 @@ def _braces(array: np.ndarray, precision: Precision) -> str:
 
 def environment(precision: Precision) -> Environment:
     """The templates, with ``| c`` for a number, ``| table`` for an array, ``| wide`` in double."""
-    found = loaded()
+    found = templates_of("estimator.export")
 
     def c(value: float) -> str:
         return literal(value, precision)

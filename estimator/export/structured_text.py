@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import loaded, rendered
+from estimator.export.templating import rendered
 from thermojoint.artefacts.folders import write_folder
+from thermojoint.artefacts.templates import templates_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -105,7 +106,7 @@ def numbers_in(values: ArrayLike) -> int:
 
 def _environment(precision: Precision) -> Environment:
     """The templates, with ``| r`` for a number, ``| initial`` and ``| wide`` for an array."""
-    found = loaded()
+    found = templates_of("estimator.export")
 
     def r(value: float) -> str:
         return literal(value, precision)

@@ -11,21 +11,6 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def loaded() -> Environment:
-    """Return the environment; a name that a template asks for and nobody gives is an error."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    return Environment(
-        loader=PackageLoader("estimator.export"),
-        # Programs, no HTML: quotes stay quotes.
-        autoescape=False,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-
-
 def rendered(
     program: Program, templates: Environment, endings: Mapping[str, str], **words: str
 ) -> dict[str, str]:
@@ -36,7 +21,7 @@ def rendered(
     program : Program
         What is in them.
     templates : Environment
-        `loaded`, with the filters of a language.
+        From `thermojoint.artefacts.templates.templates_of`, with the filters of a language.
     endings : mapping
         What follows the program's name in the name of a file, to its template.
     **words : str

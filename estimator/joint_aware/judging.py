@@ -8,9 +8,10 @@ import xarray as xr
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
-from estimator.rows import MICRO, figures_of
+from estimator.rows import figures_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA
 
 
 def followed(
@@ -82,7 +83,7 @@ def judge(
     actual = columns_of(response, "displacement", estimator.axes)[counted]
     error = np.array([one.displacement for one in found])[counted] - actual
     band = np.array([one.band for one in found])[counted]
-    figures = {"peak_total_um": np.abs(actual).max(axis=0) * MICRO} | figures_of(error, band)
+    figures = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA} | figures_of(error, band)
     rows: list[dict[str, str | float]] = [
         {"case": case, "estimator": estimator.kind, "axis": axis}
         | {name: float(values[k]) for name, values in figures.items()}

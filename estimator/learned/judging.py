@@ -11,8 +11,7 @@ from estimator.touches import with_touches
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
-
-_MICRO = 1e6
+from thermojoint.artefacts.units import MEGA
 
 
 def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array, Array, list[str]]:
@@ -88,14 +87,14 @@ def _row(
     error = estimate[there, c] - actual
 
     def rms(values: Array) -> float:
-        return float(_MICRO * np.sqrt(np.mean(values**2)))
+        return float(MEGA * np.sqrt(np.mean(values**2)))
 
     return {
         "case": case,
         "estimator": estimator.kind,
         "axis": axis,
         "rms_error_um": rms(error),
-        "max_abs_error_um": float(_MICRO * np.abs(error).max()),
+        "max_abs_error_um": float(MEGA * np.abs(error).max()),
         "rms_uncompensated_um": rms(actual),
         "rms_error_zeroed_um": rms(error - error[0]),
         "rms_uncompensated_zeroed_um": rms(actual - actual[0]),

@@ -10,10 +10,10 @@ from estimator.interface import Estimator
 from estimator.measured import LARGEST
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import UNITS, Column, column_named
+from thermojoint.artefacts.units import MICRO
 
 #: Larger values of anything but a temperature are none.
 _LARGEST_OTHER = 1e9
-_MICRO = 1e-6
 
 #: (readings, the temperature at which the machine was cold) to (channels, that temperature).
 Convert = Callable[[Sequence[float], float], tuple[list[float], float]]
@@ -104,7 +104,7 @@ def _of_joint_aware(thermal: Sequence[str], axes: Sequence[str], above_ambient: 
         if math.isnan(cold):
             cold = 0.0 if above_ambient else readings[count - 1]
         temperatures = [value - cold for value in readings[:count]]
-        return [*temperatures, *(_MICRO * value for value in readings[count:])], cold
+        return [*temperatures, *(MICRO * value for value in readings[count:])], cold
 
     return _intake(names, count, convert)
 

@@ -10,11 +10,11 @@ from typing import Any
 
 from asyncua import ua
 
+from thermojoint.artefacts.units import MEGA
 from thermojoint.compensation.offsets.usable import reasons_of
 from thermojoint.live.publication import Layout, Publication, Quality, detail_name
 from thermojoint.live.watchdog import REFUSED, SILENT
 
-_MICRO = 1e6
 _CODES = ua.StatusCodes
 _SHOWN = {"um": "µm", "degC": "°C", "m": "µm"}
 
@@ -108,13 +108,13 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     """
     double, text = ua.VariantType.Double, ua.VariantType.String
     for k, name in enumerate(layout.axes):
-        yield Variable("Displacement", name, "µm", double, _scaled("displacement", k, _MICRO))
-        yield Variable("Band", name, "µm", double, _scaled("band", k, _MICRO))
+        yield Variable("Displacement", name, "µm", double, _scaled("displacement", k, MEGA))
+        yield Variable("Band", name, "µm", double, _scaled("band", k, MEGA))
     for k, name in enumerate(layout.controls):
         yield Variable("Offset", name, "µm", double, _offset(k))
     for k, channel in enumerate(layout.details):
         unit = _SHOWN.get(channel.unit, channel.unit)
-        scale = _MICRO if channel.unit == "m" else 1.0
+        scale = MEGA if channel.unit == "m" else 1.0
         yield Variable("Detail", detail_name(channel), unit, double, _scaled("details", k, scale))
     for k, name in enumerate(layout.readings[:wanted]):
         if readings:
@@ -135,7 +135,7 @@ def _scaled(part: str, k: int, scale: float) -> Value:
 
 def _offset(k: int) -> Value:
     # What the control should do is always known: it freezes and decays by its own rules.
-    return lambda said: (_MICRO * float(said.offsets[k]), int(_CODES.Good))
+    return lambda said: (MEGA * float(said.offsets[k]), int(_CODES.Good))
 
 
 def _reading(k: int) -> Value:

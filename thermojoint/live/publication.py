@@ -13,8 +13,8 @@ import numpy as np
 
 from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MEGA
 
-_MICRO = 1e6
 #: Numbers of a row before the arrays: time, published, quality.
 _LEADING = 3
 
@@ -173,11 +173,11 @@ def detail_name(channel: Channel) -> str:
 
 
 def _shown(channel: Channel, value: float) -> float:
-    return _MICRO * value if channel.unit == "m" else value
+    return MEGA * value if channel.unit == "m" else value
 
 
 def _micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
-    told = (_MICRO * values).tolist()
+    told = (MEGA * values).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None
         for name, value in zip(names, told, strict=True)

@@ -13,12 +13,12 @@ from estimator.interface import Estimator
 from estimator.joint_aware.estimator import JointAware
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MEGA
 from thermojoint.live.surface import Surface, pressures, read_surface, temperatures
 
 #: From where it is looked at, in its size; a joint from its front, and so much from above.
 EYE = np.array([1.5, 1.5, 0.9])
 FRONT, ABOVE = 2.0, 0.5
-_MEGA = 1e6
 
 
 class Scene(NamedTuple):
@@ -66,7 +66,7 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
         return {
             "time_s": float(now[0]),
             "temperature_K": np.round(temperatures(surface, estimator, now), 3).tolist(),
-            "pressure_MPa": np.round(pressures(surface, estimator, now) / _MEGA, 4).tolist(),
+            "pressure_MPa": np.round(pressures(surface, estimator, now) / MEGA, 4).tolist(),
         }
 
     return Scene(shape_of(surface), fields)

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from estimator.rows import Row
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.templates import templates_of
 from thermojoint.console import number, rounded
 from thermojoint.paper import paper_values
 from thermojoint.paper.summary import (
@@ -89,13 +88,7 @@ class ReportData:
 
 def report_html(data: ReportData) -> str:
     """Return the page; everything in it is escaped, nothing is loaded from elsewhere."""
-    environment = Environment(
-        loader=PackageLoader("thermojoint.paper"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("thermojoint.paper")
     environment.filters["number"] = number
     environment.filters["rounded"] = rounded
     environment.globals["paper_claim"] = paper_claim

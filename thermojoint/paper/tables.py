@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
+from thermojoint.artefacts.units import MEGA
 from thermojoint.models.model_file import Provenance
 from thermojoint.models.parameters import DeformationModel, Model
 from thermojoint.paper import paper_values
 
-_MICRO = 1e6
 #: Parameters of Eqs. 8 and 18 that carry a length; the model keeps them in m, people read µm.
 _LENGTHS = ("C", "D", "E", "F")
 
@@ -253,4 +253,4 @@ def _nth(items: tuple[dict[str, float], ...], index: int) -> dict[str, float]:
 
 def _micrometres(shape: DeformationModel, names: str) -> dict[str, float]:
     values = asdict(shape)
-    return {name: values[name] * (_MICRO if name in _LENGTHS else 1.0) for name in names}
+    return {name: values[name] * (MEGA if name in _LENGTHS else 1.0) for name in names}

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.joint_aware.observer_model import ObserverModel
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
 from thermojoint.compensation.loop.linear import (
     Complex,
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MICRO = 1e-6
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 #: Length of the step response, s, and points drawn of a curve.
 _STEP, _POINTS = 7200.0, 1500
@@ -96,7 +96,7 @@ def runs_figure(closed: Closed) -> Figure:
             thin = slice(None, None, max(1, course.times.size // _POINTS))
             time = course.times[thin] / 60.0
             for panel, values in ((first, course.displacement), (second, course.residual)):
-                shown = values[thin, k] / _MICRO
+                shown = values[thin, k] / MICRO
                 panel.plot(time, shown, label=name, color=shade, linewidth=1.1)
         first.set_ylabel(f"δ {axis} (µm)")
         second.set_ylabel(

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.linear import Margins
 from thermojoint.compensation.loop.march import Course
 from thermojoint.compensation.loop.run import Closed, Design
 
 SCHEMA, SCHEMA_VERSION = "thermojoint-control", 1
-_MICRO = 1e-6
 #: A heater that stands at a limit for more than this part of a run is said to do so.
 NOTICED = 0.02
 
@@ -42,7 +42,7 @@ def as_content(closed: Closed) -> dict[str, Any]:
 def _design(design: Design) -> dict[str, Any]:
     controller, tuned = design.tuned.controller, design.tuned
     return {
-        "gain_W_um": controller.gain * _MICRO,
+        "gain_W_um": controller.gain * MICRO,
         "integral_time_s": controller.integral_time,
         "derivative_time_s": controller.derivative_time,
         "feed_forward_W_W": controller.feed_forward,
@@ -104,9 +104,9 @@ def _extent(times: Array, values: Array) -> dict[str, float]:
     """The largest of a signal (m) by its size, when, and its root mean square."""
     at = int(np.abs(values).argmax())
     return {
-        "largest_um": float(np.abs(values[at])) / _MICRO,
+        "largest_um": float(np.abs(values[at])) / MICRO,
         "at_s": float(times[at]),
-        "rms_um": float(np.sqrt(np.square(values).mean())) / _MICRO,
+        "rms_um": float(np.sqrt(np.square(values).mean())) / MICRO,
     }
 
 
@@ -120,7 +120,7 @@ def setpoints(closed: Closed, heated: bool) -> Array:
     """Return where each axis of a run should be, m, shape (axes,)."""
     heater, found = closed.loop.heater, np.zeros(len(closed.axes))
     if heater is not None and heated:
-        found[closed.axes.index(heater.axis)] = _MICRO * heater.setpoint_um
+        found[closed.axes.index(heater.axis)] = MICRO * heater.setpoint_um
     return found
 
 
@@ -134,8 +134,8 @@ def reached(closed: Closed, run: Course) -> str:
     free = float(np.abs(judged(closed, closed.free).displacement[:, at]).max())
     where = f" of {heater.setpoint_um:g} um" if heater.setpoint_um else ""
     found = (
-        f"{heater.axis} within {left.max() / _MICRO:.3g} um{where}, where the free machine moves "
-        f"{free / _MICRO:.3g} um"
+        f"{heater.axis} within {left.max() / MICRO:.3g} um{where}, where the free machine moves "
+        f"{free / MICRO:.3g} um"
     )
     limits = (
         (
@@ -150,6 +150,6 @@ def reached(closed: Closed, run: Course) -> str:
     for stands, why in limits:
         share = float(stands[begun:].mean())
         if share > NOTICED:
-            held = float(left[begun:][stands[begun:]].max()) / _MICRO
+            held = float(left[begun:][stands[begun:]].max()) / MICRO
             reasons.append(f"{why}: {share:.0%} of the time, up to {held:.3g} um")
     return "; ".join([found, *reasons])

@@ -10,6 +10,7 @@ from typing import Any
 from estimator.joint_aware.model_file import read_observer
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.svg import as_svg
+from thermojoint.artefacts.templates import templates_of
 from thermojoint.compensation.loop.figure import bode_figure, runs_figure, step_figure
 from thermojoint.compensation.loop.run import Closed
 
@@ -24,15 +25,7 @@ def report_html(closed: Closed, content: dict[str, Any]) -> str:
     content : dict
         What `thermojoint.compensation.loop.judging.as_content` says of it.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("thermojoint.compensation.loop"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("thermojoint.compensation.loop")
     figures = [("The runs against time", runs_figure(closed))]
     if closed.design is not None:
         model = read_observer(closed.loop.estimator.model)

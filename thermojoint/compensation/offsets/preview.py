@@ -11,11 +11,11 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.output import at_zero, cycle, followed, offsets_of
 from thermojoint.compensation.offsets.settings import Settings
 from thermojoint.compensation.offsets.usable import usable
 
-_MICRO = 1e-6
 _TOTAL, _BAND, _UNIT = "total_", "band_", "_um"
 
 
@@ -101,7 +101,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
                 f"{line}: time {time:g} s does not come after {last:g} s; drop or re-order it"
             )
         totals, bands = (
-            _MICRO
+            MICRO
             * np.array([_number(cells.get(f"{part}{axis}{_UNIT}", ""), line) for axis in axes])
             for part in (_TOTAL, _BAND)
         )
@@ -157,8 +157,8 @@ def header(settings: Settings) -> list[str]:
 
 def row_of(settings: Settings, one: Cycle) -> list[str]:
     """Return one cycle as text, in the order of `header`."""
-    digits = max(0, -math.floor(math.log10(settings.output.resolution / _MICRO) + 1e-9))
-    values = (f"{value / _MICRO:.{digits + 2}f}" for value in one.offsets)
+    digits = max(0, -math.floor(math.log10(settings.output.resolution / MICRO) + 1e-9))
+    values = (f"{value / MICRO:.{digits + 2}f}" for value in one.offsets)
     return [f"{one.time:.9g}", *values, one.state]
 
 

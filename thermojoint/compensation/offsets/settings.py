@@ -13,10 +13,9 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.artefacts.settings.section import NotNegative, Positive, Section, Texts
+from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
-
-_MICRO = 1e-6
 
 #: More steps than this in the range of an axis or of a heater are a slip of the units.
 MOST_STEPS = 1e9
@@ -99,14 +98,14 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
             names=tuple(given.axes),
             estimated=tuple(axis.follows for axis in given.axes.values()),
             signs=tuple(axis.sign for axis in given.axes.values()),
-            resolution=_MICRO * given.resolution_um,
-            rate=_MICRO * given.rate_um_s,
-            dead_band=_MICRO * given.dead_band_um,
+            resolution=MICRO * given.resolution_um,
+            rate=MICRO * given.rate_um_s,
+            dead_band=MICRO * given.dead_band_um,
             filter_time=given.filter_s,
-            largest=_MICRO * given.largest_um,
+            largest=MICRO * given.largest_um,
             freeze_time=given.freeze_s,
             decay_time=given.decay_s,
         ),
-        Trust(given.unusable, math.inf if widest is None else _MICRO * widest, given.oldest_s),
+        Trust(given.unusable, math.inf if widest is None else MICRO * widest, given.oldest_s),
         given.cycle_s,
     )

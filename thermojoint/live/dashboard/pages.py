@@ -5,20 +5,15 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
+from thermojoint.artefacts.templates import templates_of
 from thermojoint.live.dashboard.assets import address
 
 
 @cache
 def _environment() -> Environment:
-    made = Environment(
-        loader=PackageLoader("thermojoint.live.dashboard"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    made = templates_of("thermojoint.live.dashboard")
     made.globals["asset"] = address
     return made
 

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MEGA
 from thermojoint.live.archive import History
 from thermojoint.live.http.sources import About
 from thermojoint.live.publication import Publication, Quality, detail_name, iso_time
 from thermojoint.live.store import Event
-
-_MICRO = 1e6
 
 
 def encoded(body: Any) -> bytes:  # noqa: ANN401
@@ -34,9 +33,9 @@ def summary(publication: Publication) -> dict[str, Any]:
         "quality": publication.quality.word,
         "status": publication.status,
         "displacement_um": dict(
-            zip(axes, _numbers(_MICRO * publication.displacement, 4), strict=True)
+            zip(axes, _numbers(MEGA * publication.displacement, 4), strict=True)
         ),
-        "band_um": dict(zip(axes, _numbers(_MICRO * publication.band, 4), strict=True)),
+        "band_um": dict(zip(axes, _numbers(MEGA * publication.band, 4), strict=True)),
     }
 
 
@@ -90,7 +89,7 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
     """Return some time of a machine as columns, by name."""
     layout, columns = history.layout, history.columns
     details = [detail_name(channel) for channel in layout.details]
-    in_micro = np.array([_MICRO if one.unit == "m" else 1.0 for one in layout.details])
+    in_micro = np.array([MEGA if one.unit == "m" else 1.0 for one in layout.details])
     return {
         "machine": machine,
         "every": history.every,
@@ -99,9 +98,9 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
         ],
         "time_s": _numbers(columns.times, 3),
         "quality": [Quality(int(one)).word for one in columns.quality],
-        "displacement_um": _named(layout.axes, _MICRO * columns.displacement),
-        "band_um": _named(layout.axes, _MICRO * columns.band),
-        "offsets_um": _named(layout.controls, _MICRO * columns.offsets),
+        "displacement_um": _named(layout.axes, MEGA * columns.displacement),
+        "band_um": _named(layout.axes, MEGA * columns.band),
+        "offsets_um": _named(layout.controls, MEGA * columns.offsets),
         "details": _named(details, columns.details * in_micro),
         "readings": _named(layout.readings, columns.readings),
     }

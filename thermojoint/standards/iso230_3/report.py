@@ -10,6 +10,7 @@ from typing import Any
 
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.svg import as_svg
+from thermojoint.artefacts.templates import templates_of
 from thermojoint.standards.iso230_3.evaluation import Evaluation
 from thermojoint.standards.iso230_3.figure import SHOWN, figure_of
 from thermojoint.standards.iso230_3.parameters import Parameter
@@ -55,15 +56,7 @@ def report_html(
     facts : sequence of (str, str)
         Further lines on what was tested, e.g. the distance of two sensors.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("thermojoint.standards.iso230_3"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("thermojoint.standards.iso230_3")
     drawn = base64.b64encode(as_svg(figure_of(record, evaluation), "iso230-3")).decode("ascii")
     return environment.get_template("report.html.j2").render(
         title=evaluation.protocol.heading,
