@@ -33,7 +33,7 @@ from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def simulate(
     InputError
         The case does not fit the structure.
     ConvergenceError
-        A step did not converge.
+        A step did not converge, or pressed a joint beyond what its law describes.
     """
     ready = setup if setup is not None else set_up(case)
     if ready.machine.thermal.step != case.march.step_s:
@@ -122,6 +122,7 @@ def simulate(
     marching = march_along(ready.machine, driven, COUPLINGS[case.march.coupling], first)
     with one_thread():
         for track in marching:
+            _check_pressures(ready, track)
             state = track.step(-1).state
             # The temperature field is the one large thing in a step: keep the probes only.
             parts.append(_kept(ready, track))
@@ -205,6 +206,21 @@ def _check_forces(case: Case, ready: Setup) -> None:
         raise InputError(
             "bolts: the structure was set up with its bolts tightened to other forces; set it up "
             "for this case"
+        )
+
+
+def _check_pressures(ready: Setup, track: Track) -> None:
+    laws = ready.machine.laws
+    limit = np.repeat([law.pressure_limit for law, _ in laws], [count for _, count in laws])
+    beyond = track.pressure > limit
+    if beyond.any():
+        step, element = np.argwhere(beyond)[0]
+        name = [joint.name for joint in ready.joints for _ in joint.area][element]
+        raise ConvergenceError(
+            f"joint {name!r}: the pressure passes {1e-6 * limit[element]:.4g} MPa, half of its "
+            f"hardness, within {ready.machine.thermal.step * track.index[step]:g} s: the surfaces "
+            "yield as a whole, which no joint law describes; check preload_MPa, hardness_GPa and "
+            "what presses the joint"
         )
 
 

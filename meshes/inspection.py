@@ -186,13 +186,28 @@ def _bodies(structure: Structure) -> dict[str, BodyFacts]:
     found = {}
     for name, cells in structure.bodies.items():
         corners = mesh.t[:, cells]
-        cell = np.tile(np.arange(len(cells)), len(corners))
-        touches = coo_array((np.ones(cell.size), (cell, corners.ravel()))).tocsr()
-        pieces, _ = connected_components(touches @ touches.T, directed=False)
         points = mesh.p[:, np.unique(corners)]
         extent = _triple(np.ptp(points, axis=1))
-        found[name] = BodyFacts(len(cells), float(volumes[cells].sum()), extent, int(pieces))
+        found[name] = BodyFacts(
+            len(cells), float(volumes[cells].sum()), extent, 1 + int(pieces(corners).max())
+        )
     return found
+
+
+def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the number, from 0 on, of the piece that each cell is part of.
+
+    Parameters
+    ----------
+    corners : ndarray of int, shape (k, n)
+        Nodes of each cell; cells that share a node are one piece.
+    """
+    nodes, at = np.unique(corners, return_inverse=True)
+    cells = corners.shape[1]
+    edges = (np.tile(np.arange(cells), len(corners)), cells + at.ravel())
+    graph = coo_array((np.ones(corners.size), edges), shape=(cells + nodes.size,) * 2)
+    # Every node is of a cell, so each piece has cells.
+    return connected_components(graph.tocsr(), directed=False)[1][:cells]
 
 
 def _surface(structure: Structure, name: str) -> SurfaceFacts:

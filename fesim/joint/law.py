@@ -6,6 +6,7 @@ are those that the joint exerts on the gap: a pressure pushes it open, friction 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -55,6 +56,11 @@ class SurfaceNormalLaw:
     hardness: float
     roughness: float
     preload: float
+
+    @property
+    def limit(self) -> float:
+        """H/2, Pa: there the mean planes meet, and no asperities are left to carry more."""
+        return 0.5 * self.hardness
 
     @property
     def separation(self) -> float:
@@ -172,6 +178,12 @@ class JointLaw:
     def reference_pressure(self) -> float:
         """Preload, or the pressure that stands for it where there is none, Pa."""
         return (self.reference or self.normal).preload
+
+    @property
+    def pressure_limit(self) -> float:
+        """Pressure beyond which the normal law means nothing, Pa."""
+        normal = self.reference or self.normal
+        return normal.limit if isinstance(normal, SurfaceNormalLaw) else math.inf
 
     @property
     def stiffness(self) -> tuple[float, float, float]:

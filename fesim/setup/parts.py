@@ -16,6 +16,7 @@ from fesim.setup.loads import (
     mechanical_loads,
     thermal_inputs,
 )
+from fesim.setup.soundness import check_sound
 from fesim.setup.structure import body_materials, build_structure, candidate_probes, measured_points
 from fesim.solid.bolts import Bolt
 from fesim.solid.rigid_motions import Holds
@@ -70,6 +71,7 @@ def make_parts(case: Case) -> Parts:
         raise InputError(reason)
     thermal_inputs(case)  # a bad history is found now, not after the factorisation
     joints = paired_joints(case, structure)
+    check_sound(case, structure, joints)
     probes = {
         name: probe for name, probe in structure.probes.items() if name in case.probes
     } | candidate_probes(case, structure)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,7 +250,8 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
     Raises
     ------
     InputError
-        No cell (of the probe's body) holds the point.
+        No cell (of the probe's body) holds the point; or it names no body and lies in two that
+        share no node there, so that either could be meant.
     """
     names = list(probes)
     found = np.full(len(names), -1)
@@ -262,6 +264,8 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
         )
         points = np.array([probes[names[i]].position for i in of])
         found[of] = cells_at(structure.mesh, points, cells)
+        if body is None:
+            _check_one_body(structure, [names[i] for i in of], points)
     for name, cell in zip(names, found, strict=True):
         if cell < 0:
             probe = probes[name]
@@ -271,6 +275,19 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
                 "move it into the structure"
             )
     return found
+
+
+def _check_one_body(structure: Structure, names: list[str], points: NDArray[np.float64]) -> None:
+    """Refuse points (n, 3) that lie in two bodies which may move apart."""
+    at = {body: cells_at(structure.mesh, points, cells) for body, cells in structure.bodies.items()}
+    for i, name in enumerate(names):
+        held = {body: structure.mesh.t[:, cells[i]] for body, cells in at.items() if cells[i] >= 0}
+        for (one, a), (other, b) in combinations(held.items(), 2):
+            if not np.intersect1d(a, b).size:
+                raise InputError(
+                    f"probe {name!r} at {shown_point(points[i])} m lies in {one!r} and in "
+                    f"{other!r}, which a joint separates; say which is meant: body = {one!r}"
+                )
 
 
 def probe_rows(basis: CellBasis, structure: Structure, probes: Mapping[str, Probe]) -> csr_array:

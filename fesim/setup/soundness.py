@@ -1,0 +1,123 @@
+"""What in a structure or its names would make a march give a wrong answer: refused before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fesim.case.schema import Case
+from meshes.inspection import TOUCHING, pieces
+from meshes.pairing import EXCESS, PairedJoint, outward_areas
+from meshes.structure import Structure
+from thermojoint.artefacts.errors import InputError, shown_point
+from thermojoint.artefacts.toml import as_key
+
+#: Sides of a preloaded joint further apart than this share of its width were never in contact. The
+#: facets of a round bore may leave a few per cent.
+APART = 0.05
+
+
+def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
+    """Refuse what every later check would accept and what would falsify the answer.
+
+    Parameters
+    ----------
+    case : Case
+        What is set up.
+    structure : Structure
+        Its structure, with all names.
+    joints : sequence of PairedJoint
+        Its joints, paired.
+
+    Raises
+    ------
+    InputError
+        A body has pieces that touch without a common node; joints lie on each other; the sides of
+        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap.
+    """
+    check_whole(structure)
+    check_covered_once(structure, joints)
+    for joint in joints:
+        if case.joints[joint.name].preload_MPa > 0.0:
+            check_closed(joint)
+    check_apart(structure, case.convection_W_m2K, "convection_W_m2K")
+    check_apart(structure, case.radiation, "radiation")
+    in_cavities = [name for cavity in case.cavities.values() for name in cavity.surfaces]
+    check_apart(structure, in_cavities, "cavities")
+
+
+def check_whole(structure: Structure) -> None:
+    """Refuse a body whose pieces touch without sharing nodes: no heat or force would pass there."""
+    mesh = structure.mesh
+    near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
+    for name, cells in structure.bodies.items():
+        corners = mesh.t[:, cells]
+        piece = pieces(corners)
+        if not piece.any():
+            continue
+        nodes, first = np.unique(corners.T, return_index=True)
+        of = piece[first // len(corners)]
+        pairs = cKDTree(mesh.p[:, nodes].T).query_pairs(near, output_type="ndarray")
+        split = pairs[of[pairs[:, 0]] != of[pairs[:, 1]]] if pairs.size else pairs
+        if split.size:
+            where = shown_point(mesh.p[:, nodes[split[0, 0]]])
+            raise InputError(
+                f"body {name!r} is in {1 + piece.max()} pieces that touch without a common node, "
+                f"first at {where} m: nothing passes between them; merge the nodes, or give the "
+                "pieces names of their own and a joint"
+            )
+
+
+def check_covered_once(structure: Structure, joints: Sequence[PairedJoint]) -> None:
+    """Refuse joints that cover the same part of a face: their heat flows and forces would add."""
+    count = structure.mesh.facets.shape[1]
+    covered = [
+        np.bincount(
+            np.concatenate([joint.facets_a, joint.facets_b]),
+            np.concatenate([joint.weights, joint.weights_b]),
+            count,
+        )
+        for joint in joints
+    ]
+    facets = np.flatnonzero(np.any(covered, axis=0)) if covered else np.empty(0, dtype=int)
+    area = np.linalg.norm(outward_areas(structure.mesh, facets), axis=1)
+    for (one, a), (other, b) in combinations(zip(joints, covered, strict=True), 2):
+        both = (a[facets] > 0.0) & (b[facets] > 0.0)
+        twice = np.maximum(a[facets] + b[facets] - (1.0 + EXCESS) * area, 0.0)[both].sum()
+        if twice > 0.0:
+            raise InputError(
+                f"joints: {one.name!r} and {other.name!r} cover the same {1e4 * twice:.4g} cm2 of "
+                "their faces, where both would count; remove one, or divide the surfaces"
+            )
+
+
+def check_closed(joint: PairedJoint) -> None:
+    """Refuse a preloaded joint whose sides lie far apart, or far within each other, in the mesh."""
+    between = np.einsum("iq,qi->q", joint.points_b - joint.points_a, joint.normal[joint.element])
+    most = APART * float(np.sqrt(joint.area.sum()))
+    if float(np.abs(between).max()) > most:
+        raise InputError(
+            f"joint {joint.name!r}: its sides are {1e3 * between.min():.3g} to "
+            f"{1e3 * between.max():.3g} mm apart in the mesh, where a preloaded joint is closed; "
+            "move a body, or let it start open: preload_MPa = 0 and initial_opening_um"
+        )
+
+
+def check_apart(structure: Structure, names: Iterable[str], where: str) -> None:
+    """Refuse surfaces that share facets where what they say of a facet would add up."""
+    for one, other in combinations(names, 2):
+        shared = np.intersect1d(structure.surface(one, where), structure.surface(other, where))
+        if shared.size:
+            area = 1e4 * _area(structure, shared)
+            raise InputError(
+                f"{where}: surfaces {one!r} and {other!r} share {area:.4g} cm2, where both would "
+                f"count; leave {as_key(one)} or {as_key(other)} out, or divide the surfaces"
+            )
+
+
+def _area(structure: Structure, facets: NDArray[np.int64]) -> float:
+    return float(np.linalg.norm(outward_areas(structure.mesh, facets), axis=1).sum())
