@@ -35,7 +35,8 @@ from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import probe_rows
 from meshes.pairing import pair_joint
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.console import out, show_convergence
+from thermojoint.console import out
+from thermojoint.paper.printing import show_convergence
 from thermojoint.paper.report import ReportData, report_html
 from thermojoint.paper.summary import convergence
 

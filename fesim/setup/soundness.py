@@ -14,7 +14,7 @@ from meshes.inspection import TOUCHING, pieces
 from meshes.pairing import EXCESS, PairedJoint, outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError, shown_point
-from thermojoint.artefacts.toml import as_key
+from thermojoint.artefacts.settings.toml import as_key
 
 #: Sides of a preloaded joint further apart than this share of its width were never in contact. The
 #: facets of a round bore may leave a few per cent.

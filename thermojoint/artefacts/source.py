@@ -9,9 +9,9 @@ from pathlib import Path
 
 @cache
 def source_digest(package: str) -> str:
-    """Return a digest of every module of a package beside this one, and of where each stands."""
+    """Return a digest of every module of a package at the top, and of where each stands."""
     found = hashlib.sha256()
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     for path in sorted((root / package).rglob("*.py")):
         found.update(f"{path.relative_to(root).as_posix()}\n".encode())
         found.update(path.read_bytes())
