@@ -249,15 +249,7 @@ def test_every_option_that_a_message_advises_exists():
         "--version",
         "--help",
     }
-    for package in (
-        "artefacts",
-        "calibrate",
-        "estimator",
-        "fesim",
-        "meshes",
-        "standards",
-        "thermojoint",
-    ):
+    for package in ("calibrate", "estimator", "fesim", "meshes", "thermojoint"):
         for path in (Path(cli.__file__).parents[1] / package).rglob("*.py"):
             advised = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", path.read_text("utf-8")))
             assert advised <= known, path

@@ -20,7 +20,7 @@ sys.argv[:2] = ["thermojoint"]
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == "artefacts":
+        if name == "thermojoint.artefacts":
             os.write(1, b"begun\\n")
         if name == at:
             os.kill(os.getpid(), signal.SIGINT)

@@ -59,7 +59,7 @@ def temporary(tmp_path):
 def read_only(tmp_path):
     """A copy of the packages beside which nothing can be kept, for root neither."""
     copy = tmp_path / "installed"
-    for package in ("artefacts", "fesim", "meshes"):
+    for package in ("fesim", "meshes", "thermojoint"):
         shutil.copytree(
             ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__")
         )
