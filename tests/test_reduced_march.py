@@ -12,7 +12,7 @@ from bars import IRON, assemble, level, surface_law, two_bars
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
 from fesim.march.ensemble import march_many
-from fesim.march.kernel import kernel_of, without_kernel
+from fesim.march.kernel import step_kernel
 from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -23,7 +23,7 @@ from fesim.march.reduced import (
 )
 from fesim.march.settling import initial_state
 from fesim.march.state_file import load_state, save_state
-from fesim.march.stepping import iterated, march, march_along, staggered
+from fesim.march.stepping import iterated, march, march_along, plainly_staggered, staggered
 from fesim.march.track import joined
 from fesim.setup.machine import reference_springs, set_up
 from fesim.simulate import simulate
@@ -208,10 +208,10 @@ def test_machine_code_takes_the_steps_of_the_plain_march(friction):
     bars = bars_of(friction=friction)
     machine = on_modes(bars, modes_of(bars))
     inputs, start = warmed(100), initial_state(machine)
-    assert kernel_of(machine) is not None
+    assert step_kernel(machine) is not None
     ours = joined(list(march_along(machine, inputs, staggered, start)))
-    plain = without_kernel(replace(machine, gap_tolerance=1e-16))
-    theirs = joined(list(march_along(plain, inputs, staggered, start)))
+    strict = replace(machine, gap_tolerance=1e-16)
+    theirs = joined(list(march_along(strict, inputs, plainly_staggered, start)))
     for name in ("gap", "slip", "displacement"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-12)
     np.testing.assert_allclose(ours.heat_flow, theirs.heat_flow, rtol=0, atol=1e-6)
@@ -261,8 +261,8 @@ def test_many_marches_are_those_of_one_after_another(bars, modes):
     assert found.shape == (3, 51, len(machine.elastic.probe_thermal))
     np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-20)
     for one, driven, displacement in zip(laws, inputs, found, strict=True):
-        plain = without_kernel(replace(machine, laws=one))
-        steps = march(plain, lambda time, rows=driven: rows[round(time / 2.0)], staggered)
+        plain = replace(machine, laws=one)
+        steps = march(plain, lambda t, rows=driven: rows[round(t / 2.0)], plainly_staggered)
         expected = np.array([step.displacement for step in islice(steps, 50)])
         np.testing.assert_allclose(displacement[1:], expected, rtol=0.0, atol=1e-12)
     with pytest.raises(InputError, match="give one for each"):

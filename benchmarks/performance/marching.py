@@ -7,10 +7,11 @@ itself, with Newton's method and a fresh factorisation (`fesim.joint.compiled_ga
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from time import perf_counter
+from unittest.mock import patch
 
 import numpy as np
+import xarray as xr
 
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.timing import Row, paired
@@ -19,14 +20,13 @@ from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput
 from fesim.joint.law import JointLaw
 from fesim.march.ensemble import march_many
-from fesim.march.kernel import without_kernel
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
-from fesim.march.stepping import march_along, staggered
+from fesim.march.stepping import Advance, march_along, plainly_staggered, staggered
 from fesim.march.track import Track, joined
 from fesim.setup.loads import input_table
 from fesim.setup.machine import Setup, set_up, with_laws
-from fesim.simulate import simulate
+from fesim.simulate import COUPLINGS, simulate
 from thermojoint.artefacts.arrays import Array
 
 REPEATS = 5
@@ -50,19 +50,19 @@ def rows() -> Iterator[Row]:
     yield duty_row(with_contacts(case, *GRIDS[0]))
 
 
-def plainly(setup: Setup) -> Setup:
-    """Return a set-up whose steps are taken one by one, without machine code for the whole."""
-    return replace(setup, machine=without_kernel(setup.machine))
+def plainly(case: Case, setup: Setup) -> xr.Dataset:
+    """Simulate a case with its steps taken one by one, without machine code for the whole."""
+    with patch.dict(COUPLINGS, staggered=plainly_staggered):
+        return simulate(case, setup=setup).response
 
 
 def march_row(case: Case, setup: Setup) -> Row:
     """Return the row of one march, response included."""
-    plain = plainly(setup)
-    ours, other = (simulate(case, setup=one).response for one in (setup, plain))
+    ours, other = simulate(case, setup=setup).response, plainly(case, setup)
     off = float(np.abs(ours["displacement"] - other["displacement"]).max())
     return Row(
         "march-1050",
-        *paired(lambda: simulate(case, setup=setup), lambda: simulate(case, setup=plain), REPEATS),
+        *paired(lambda: simulate(case, setup=setup), lambda: plainly(case, setup), REPEATS),
         "s",
         f"{step_count(case.march)} steps with {setup.machine.contacts} contact elements, set up "
         f"before, response made; displacements differ by {off:.1e} m; median of {REPEATS}",
@@ -89,7 +89,6 @@ def driven(case: Case) -> Array:
 def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:
     """Yield the time of a march among many, displacements only, and with full responses."""
     cases = ensemble(case)
-    plain = plainly(setup)
 
     def laws() -> list[Sequence[tuple[JointLaw, int]]]:
         return [with_laws(setup, one).machine.laws for one in cases]
@@ -102,11 +101,7 @@ def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:
             simulate(one, setup=with_laws(setup, one))
 
     def one_by_one() -> list[Array]:
-        machines = [plainly(with_laws(plain, one)) for one in cases]
-        return [
-            simulate(one, setup=machine).response["displacement"].to_numpy()
-            for one, machine in zip(cases, machines, strict=True)
-        ]
+        return [plainly(one, with_laws(setup, one))["displacement"].to_numpy() for one in cases]
 
     off = max(
         float(np.abs(mine - theirs).max())
@@ -145,16 +140,15 @@ def duty_row(case: Case) -> Row:
 
 def _steps_row(name: str, what: str, case: Case, inputs: Array, first: int) -> Row:
     """The row of the mean of all steps after the first ones."""
-    setup = set_up(case)
-    machine, plain = setup.machine, plainly(setup).machine
+    machine = set_up(case).machine
     state = course(machine, inputs[:first]).step(-1).state
     inputs, last = inputs[first:], len(inputs)
-    for one in (machine, plain):
-        course(one, inputs[:1], state)
+    for one in (staggered, plainly_staggered):
+        course(machine, inputs[:1], state, one)
     begun = perf_counter()
     ours = course(machine, inputs, state)
     between = perf_counter()
-    other = course(plain, inputs, state)
+    other = course(machine, inputs, state, plainly_staggered)
     mine, theirs = between - begun, perf_counter() - between
     slides = np.abs(np.diff(ours.slip, axis=0)).max(axis=1) > SLIDES_ABOVE
     off = float(np.abs(ours.displacement - other.displacement).max())
@@ -171,7 +165,12 @@ def _steps_row(name: str, what: str, case: Case, inputs: Array, first: int) -> R
     )
 
 
-def course(machine: CondensedMachine, inputs: Array, start: State | None = None) -> Track:
+def course(
+    machine: CondensedMachine,
+    inputs: Array,
+    start: State | None = None,
+    advance: Advance = staggered,
+) -> Track:
     """March from a state, or from rest."""
     begun = start or initial_state(machine, inputs[0])
-    return joined(list(march_along(machine, inputs, staggered, begun)))
+    return joined(list(march_along(machine, inputs, advance, begun)))

@@ -7,12 +7,11 @@ It can where the thermal model is a reduced one, the joint laws are those of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass
 
 import numpy as np
 
-from fesim.joint.anchor import block_anchor, make_anchor, new_anchors, put_tangents
+from fesim.joint.anchor import MADE, block_anchor, make_anchor, new_anchors, put_tangents
 from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
@@ -23,12 +22,6 @@ from fesim.march.compiled_step import HeatStep, JointKernel
 from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
 from thermojoint.artefacts.arrays import Array
-
-#: Marches of one machine whose inverses are kept at a time.
-KEPT = 2
-
-#: What was made of machines that are still there.
-_MADE: WeakKeyDictionary[CondensedMachine, StepKernel | None] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +38,24 @@ class StepKernel:
         Of contact elements that hardly feel each other.
     watched : Watched
         What sees a body come loose.
-    kept : list of Kept
-        Inverses of the marches of late: they follow from what a `State` says of its anchor.
     """
 
     heat: HeatStep
     joint: JointKernel
     blocks: Blocks
     watched: Watched
-    kept: list[Kept] = field(default_factory=list)
 
-    def run(self, state: State, inputs: Array) -> tuple[Record, int, bool]:
+    def run(self, kept: Kept, state: State, inputs: Array) -> tuple[Record, int, bool]:
         """March from a state through inputs (n, k + l).
+
+        Parameters
+        ----------
+        kept : Kept
+            Of the march, written in place: made again if it is not that of the state's anchor.
+        state : State
+            Where to go on.
+        inputs : ndarray, shape (n, k + l)
+            Of each step.
 
         Returns
         -------
@@ -67,7 +66,8 @@ class StepKernel:
         loose : bool
             A body may have come loose in the last one.
         """
-        kept = self._kept_at(state.anchor)
+        if not np.array_equal(self._anchor(kept), state.anchor):
+            self._make(kept, state.anchor)
         now = Moving(
             *(
                 np.array(one, dtype=np.float64, order="C")
@@ -86,24 +86,18 @@ class StepKernel:
         )
         return Record._make(one[:taken] for one in record), taken, why == LOOSE
 
-    def _kept_at(self, anchor: Array) -> Kept:
-        """Return what is kept of an anchor, made again if it is not."""
-        for k, kept in enumerate(self.kept):
-            if np.array_equal(self._anchor(kept), anchor):
-                self.kept.insert(0, self.kept.pop(k))
-                return kept
-        kept = new_kept(self.blocks)
+    def _make(self, kept: Kept, anchor: Array) -> None:
+        """Make what is kept from an anchor (7, m), as in `State`: it follows from that alone."""
+        kept.anchors.every.about[:, MADE] = 0
         for block in range(self.blocks.starts.size - 1):
             elements, springs, compliance, _ = part_of(self.blocks, block)
             if anchor[:6, elements].any():
                 own = block_anchor(kept.anchors, block)
                 own.tangent[:] = anchor[:6, elements]
                 make_anchor(own, springs, compliance)
+        kept.flows.conducted[:] = 0.0
         if anchor[6].any():
             invert(self.heat.joint_influence, np.ascontiguousarray(anchor[6]), kept.flows)
-        self.kept.insert(0, kept)
-        del self.kept[KEPT:]
-        return kept
 
     def _anchor(self, kept: Kept) -> Array:
         """The anchor (7, m) of what is kept, as in `State`."""
@@ -137,21 +131,8 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
     )
 
 
-def kernel_of(machine: CondensedMachine) -> StepKernel | None:
-    """Return what marches a machine, made once, or None if it is to be marched plainly."""
-    if machine not in _MADE:
-        _MADE[machine] = _step_kernel(machine)
-    return _MADE[machine]
-
-
-def without_kernel(machine: CondensedMachine) -> CondensedMachine:
-    """Return the same machine, to be marched plainly: what machine code is compared with."""
-    found = replace(machine)
-    _MADE[found] = None
-    return found
-
-
-def _step_kernel(machine: CondensedMachine) -> StepKernel | None:
+def step_kernel(machine: CondensedMachine) -> StepKernel | None:
+    """Return what marches a machine, or None if it is to be marched plainly."""
     thermal = machine.thermal
     if not machine.contacts or thermal.factor.solver != "diagonal":
         return None

@@ -14,7 +14,7 @@ import numpy as np
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.secant_step import step_heat
 from fesim.march.settling import initial_state, loaded_gap, settle_along
-from fesim.march.track import Track, kernel_track, track_of
+from fesim.march.track import Track, kernel_march, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
@@ -33,7 +33,10 @@ BLOCK = 128
 #: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
 #: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
-Advance = Callable[[CondensedMachine, State, Array], Step]
+#: From a state through inputs (n, k + l): one or more of these steps, as many as go at once.
+Take = Callable[[State, Array], Track]
+#: Begins a march of a machine; what its steps keep for the next ones belongs to that march alone.
+Advance = Callable[[CondensedMachine], Take]
 
 
 def march(
@@ -61,8 +64,10 @@ def march(
         A pressure is beyond the conductance law.
     """
     state = start if start is not None else initial_state(machine, inputs(0.0))
+    take = advance(machine)
     while True:
-        step = advanced(machine, advance, state, inputs((state.index + 1) * machine.thermal.step))
+        driven = inputs((state.index + 1) * machine.thermal.step)
+        step = advanced(machine, take, state, driven[None]).step(0)
         state = step.state
         yield step
 
@@ -88,20 +93,23 @@ def march_along(
     ConvergenceError, InputError
         As `march` does, after what came before is yielded.
     """
+    return tracks_along(machine, advance(machine), inputs, start)
+
+
+def tracks_along(
+    machine: CondensedMachine, take: Take, inputs: Array, start: State
+) -> Iterator[Track]:
+    """Yield the next steps of a march that has begun; otherwise as `march_along`."""
     state, done = start, 0
     while done < len(inputs):
-        track = None
-        if advance is staggered:
-            track = kernel_track(machine, state, inputs[done : done + BLOCK])
-        if track is None:
-            track = track_of(advanced(machine, advance, state, inputs[done]))
+        track = advanced(machine, take, state, inputs[done : done + BLOCK])
         done += len(track)
         state = track.step(-1).state
         yield track
 
 
-def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: Array) -> Step:
-    """Take one step; an error says which.
+def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array) -> Track:
+    """Take one step or more; an error says which.
 
     Raises
     ------
@@ -109,22 +117,39 @@ def advanced(machine: CondensedMachine, advance: Advance, state: State, inputs: 
         As `march` does.
     """
     try:
-        return advance(machine, state, inputs)
+        return take(state, inputs)
     except ThermojointError as error:
         time = (state.index + 1) * machine.thermal.step
         raise type(error)(f"step to t = {time:g} s: {error}") from error
 
 
-def staggered(machine: CondensedMachine, state: State, inputs: Array) -> Step:
-    """One step in which the last step's pressure sets the conductance, as in the paper."""
-    track = kernel_track(machine, state, inputs[None])
-    if track is not None:
-        return track.step(0)
-    return _step_with(machine, state, inputs, machine.conductance_in(state))
+def staggered(machine: CondensedMachine) -> Take:
+    """Steps in which the last step's pressure sets the conductance, as in the paper."""
+    fast, plain = kernel_march(machine), plainly_staggered(machine)
+    if fast is None:
+        return plain
+
+    def take(state: State, inputs: Array) -> Track:
+        track = fast(state, inputs)
+        return plain(state, inputs) if track is None else track
+
+    return take
 
 
-def iterated(machine: CondensedMachine, state: State, inputs: Array) -> Step:
-    """One step in which conductance and pressure agree at its end, unless the joint snaps in it.
+def plainly_staggered(machine: CondensedMachine) -> Take:
+    """Take the same steps without machine code for the whole of one."""
+    return lambda state, inputs: track_of(
+        _step_with(machine, state, inputs[0], machine.conductance_in(state))
+    )
+
+
+def iterated(machine: CondensedMachine) -> Take:
+    """Steps in which conductance and pressure agree at the end, unless the joint snaps in one."""
+    return lambda state, inputs: track_of(_iterated_step(machine, state, inputs[0]))
+
+
+def _iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Step:
+    """One step of `iterated`.
 
     Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
     sees one increment only.

@@ -5,8 +5,9 @@ What a `Step` says of one step a `Track` says of several.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
 if TYPE_CHECKING:
-    from fesim.march.compiled_march import Record
+    from fesim.march.compiled_march import Kept, Record
+    from fesim.march.kernel import StepKernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +111,27 @@ def joined(tracks: Sequence[Track]) -> Track:
     return Track(**arrays, model=tracks[0].model)
 
 
-def kernel_track(machine: CondensedMachine, state: State, inputs: Array) -> Track | None:
-    """Return the steps through inputs (n, k + l) that machine code takes; None if none."""
+def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | None] | None:
+    """Begin a march in machine code; None where that does not know a law or the thermal model.
+
+    What comes back takes a state and inputs (n, k + l) and gives the steps up to where a joint
+    snaps or a body comes loose, None if that is the first of them.
+    """
     if not machine.contacts:
         return None
     # Here, not above: a compiler is loaded with it, which no structure without joints needs.
-    from fesim.march.kernel import kernel_of
+    from fesim.march.kernel import new_kept, step_kernel
 
-    kernel = kernel_of(machine)
+    kernel = step_kernel(machine)
     if kernel is None:
         return None
-    record, taken, loose = kernel.run(state, inputs)
+    return partial(_kernel_track, machine, kernel, new_kept(kernel.blocks))
+
+
+def _kernel_track(
+    machine: CondensedMachine, kernel: StepKernel, kept: Kept, state: State, inputs: Array
+) -> Track | None:
+    record, taken, loose = kernel.run(kept, state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
         # Its error is that of the plain step; those before it are good.
         record, taken = type(record)._make(one[:-1] for one in record), taken - 1

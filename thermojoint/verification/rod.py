@@ -178,7 +178,7 @@ def response(still: CondensedMachine, case: Case, pressure: float) -> State:
     `still` has a time step of `FOREVER`.
     """
     given = replace(initial_state(still), pressure=np.array([pressure]))
-    return staggered(still, given, case.inputs).state
+    return next(march(still, lambda _: case.inputs, staggered, given)).state
 
 
 def excess(still: CondensedMachine, case: Case, pressure: float) -> float:

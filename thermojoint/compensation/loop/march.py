@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,9 +12,9 @@ from threadpoolctl import threadpool_limits
 from estimator.interface import Estimate
 from estimator.joint_aware.estimator import JointAware
 from fesim.case.schema import Case
-from fesim.march.machine import State, Step
 from fesim.march.settling import initial_state
-from fesim.march.stepping import Inputs, march
+from fesim.march.stepping import Inputs, tracks_along
+from fesim.march.track import joined
 from fesim.setup.loads import input_layout, thermal_inputs
 from fesim.setup.machine import Setup
 from fesim.simulate import COUPLINGS
@@ -128,7 +129,7 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
     axes = [DIRECTIONS.index(axis) for axis in estimator.axes]
     disturbances = [k for k in range(layout.sources) if k != acting.heater]
     state, observed = initial_state(machine), estimator.initial_state()
-    act = _at_rest(acting, len(axes))
+    act, take = _at_rest(acting, len(axes)), COUPLINGS[plant.case.march.coupling](machine)
     sent: list[Estimate] = []
     rows = []
     for index, added in enumerate(noise):
@@ -139,7 +140,10 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
         sent.append(estimate)
         arrived = sent[index - acting.delay] if index >= acting.delay else None
         act = _act(acting, act, estimator.axes, arrived, time)
-        for step in _steps(plant, inputs, state, each, acting.heater, act.heat):
+        times = [(state.index + 1 + k) * machine.thermal.step for k in range(each)]
+        driven = _driven(inputs, times, acting.heater, act.heat)
+        track = joined(list(tracks_along(machine, take, driven, state)))
+        for step in map(track.step, range(each)):
             state = step.state
             rows.append(
                 (
@@ -240,19 +244,12 @@ def _sensor_rows(plant: Plant, estimator: JointAware) -> Array:
     return np.asarray(rows if isinstance(rows, np.ndarray) else rows.toarray())
 
 
-def _steps(
-    plant: Plant, inputs: Inputs, state: State, count: int, heater: int, heat: float
-) -> list[Step]:
-    """March some steps with a heat (W) of the heater that stays; -1: there is none."""
-
-    def driven(time: float) -> Array:
-        found = inputs(time)
-        if heater >= 0:
-            found[heater] = heat
-        return found
-
-    marching = march(plant.setup.machine, driven, COUPLINGS[plant.case.march.coupling], state)
-    return [next(marching) for _ in range(count)]
+def _driven(inputs: Inputs, times: Sequence[float], heater: int, heat: float) -> Array:
+    """Inputs (n, k + l) at times with a heat (W) of the heater that stays; -1: there is none."""
+    found = np.array([inputs(time) for time in times])
+    if heater >= 0:
+        found[:, heater] = heat
+    return found
 
 
 def _course(rows: Array, axes: int) -> Course:
