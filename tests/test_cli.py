@@ -7,8 +7,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import tomllib
-from contextlib import contextmanager
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +21,7 @@ from reference_case import lasting
 from short_runs import SHORT, quick_bands
 
 from estimator.judge import ESTIMATORS
-from thermojoint import console
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
@@ -308,39 +308,6 @@ def test_an_inspection_that_cannot_draw_writes_nothing(command, files_at_hand, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_ends_with_130_and_leaves_no_file(command, files_at_hand, tmp_path, monkeypatch):
-    @contextmanager
-    def interrupted():
-        def report(name, done, total):
-            if name == "marching" and done == 3:
-                signal.raise_signal(signal.SIGINT)
-
-        yield report
-
-    monkeypatch.setattr(console, "progress_bars", interrupted)
-    out = tmp_path / "out.nc"
-    code, _, err = command(
-        "simulate", files_at_hand / "case.toml", "--out", out, "--save-state", tmp_path / "s.npz"
-    )
-    assert code == 130
-    assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_interrupted_estimate_leaves_no_file(command, files_at_hand, tmp_path, monkeypatch):
-    def interrupted():
-        yield "time_s,delta_T_K,T1_K,T2_K\n"
-        yield from ("0,0,0,0\n", "2,0,0,0\n", "4,0,0,0\n")
-        assert [path.suffix for path in tmp_path.iterdir()] == [".csv"]  # half-written, hidden
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(sys, "stdin", interrupted())
-    model = files_at_hand / "model.json"
-    code, _, _ = command("estimate", model, "-", "--out", tmp_path / "out.csv")
-    assert code == 130
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand, tmp_path):
     case = files_at_hand / "case.toml"
     assert command("simulate", case, "--out", tmp_path / "whole.nc")[0] == 0
@@ -490,6 +457,20 @@ def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
     assert json.loads(state.read_text())["state"][0] == 2.0
 
 
+def test_an_interrupted_estimate_leaves_no_file(files_at_hand, tmp_path):
+    arguments = ["estimate", files_at_hand / "model.json", "-", "--out", tmp_path / "out.csv"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "thermojoint.cli", *arguments], stdin=subprocess.PIPE
+    ) as running:
+        running.stdin.write(b"time_s,delta_T_K,T1_K,T2_K\n0,0,0,0\n2,0,0,0\n4,0,0,0\n")
+        running.stdin.flush()
+        while not list(tmp_path.iterdir()):  # half-written, hidden
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+    assert running.returncode == 130
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_bad_row_ends_a_stream_with_the_state_before_it(
     command, files_at_hand, tmp_path, monkeypatch
 ):
@@ -610,21 +591,21 @@ def test_the_report_holds_everything_in_one_page(results):
 def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
     command, results, tmp_path, monkeypatch
 ):
-    """Ctrl-C comes when the new responses are written."""
+    """The calibration fails when the new responses are written."""
     out = tmp_path / "results"
     shutil.copytree(results, out)
     (out / "figures" / "notes.txt").write_text("mine")
     before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
     (tmp_path / "short.toml").write_text(lasting(0.5))
 
-    def interrupted(case, responses):
+    def failing(case, responses):
         [beside] = tmp_path.glob(".results.*")
         assert len(list(beside.rglob("*.nc"))) == len(responses)
-        signal.raise_signal(signal.SIGINT)
+        raise InputError("these responses determine nothing")
 
-    monkeypatch.setattr(reproduce, "_calibrate", interrupted)
+    monkeypatch.setattr(reproduce, "_calibrate", failing)
     code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
-    assert (code, err) == (130, "thermojoint: interrupted; no unfinished file is left\n")
+    assert (code, err) == (2, "thermojoint: these responses determine nothing\n")
     assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
     assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]
 

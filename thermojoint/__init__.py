@@ -11,12 +11,12 @@ Examples
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from thermojoint.own_packages import check_not_hidden
 
 check_not_hidden()
 
+#: As in `typing`, which is not loaded here: the command line cannot handle Ctrl-C before this is.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from calibrate.chain import Calibrated
     from calibrate.chain import calibrate_responses as calibrate

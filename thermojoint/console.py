@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+
+from thermojoint.artefacts.unfinished import cleared_at_stop
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
@@ -55,8 +58,14 @@ def progress_bars() -> Iterator[Report]:
             tasks[name] = bars.add_task(name, total=total)
         bars.update(tasks[name], completed=done, total=total)
 
-    with bars:
+    with bars, cleared_at_stop(_show_cursor):
         yield report
+
+
+def _show_cursor() -> None:
+    """Give a terminal its cursor back, which live output hides."""
+    if sys.stderr.isatty():
+        os.write(sys.stderr.fileno(), b"\x1b[?25h\n")
 
 
 def say(text: str) -> None:

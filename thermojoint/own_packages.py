@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from importlib.machinery import PathFinder
-from pathlib import Path
 
 #: The packages beside this one that stand at the top level, with names a script may have too.
 BESIDE = ("calibrate", "estimator", "fesim", "meshes")
@@ -25,7 +24,6 @@ def check_not_hidden() -> None:
 
 def _hiding(name: str) -> str:
     """Path of what an import of `name` finds in place of ours; empty if it finds ours."""
-    ours = Path(__file__).parents[1] / name / "__init__.py"
     if (loaded := sys.modules.get(name)) is not None:
         found = getattr(loaded, "__file__", None)
     elif (spec := PathFinder.find_spec(name)) is not None:
@@ -33,4 +31,10 @@ def _hiding(name: str) -> str:
         found = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
     else:  # an editable installation is found after the path
         return ""
-    return "" if found is None or Path(found).resolve() == ours.resolve() else str(found)
+    if found is None or found == f"{__file__.rpartition('thermojoint')[0]}{name}/__init__.py":
+        return ""
+    # Here, not above: it takes most of the time of this check, and is rarely needed.
+    from pathlib import Path
+
+    ours = Path(__file__).parents[1] / name / "__init__.py"
+    return "" if Path(found).resolve() == ours.resolve() else str(found)

@@ -6,7 +6,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import tempfile
 import zipfile
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 from estimator.export.c_source import c_files, environment
 from estimator.export.program import Program
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.files import temporary_folder, whole_file
 
 
 class Standard(StrEnum):
@@ -70,9 +69,9 @@ def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.
     sources = c_files(program) | fmi_files(program, standard)
     description = sources.pop("modelDescription.xml")
     name = program.name
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         for file, text in sources.items():
-            (Path(folder) / file).write_text(text, encoding="utf-8")
+            (folder / file).write_text(text, encoding="utf-8")
         command = [
             compiler,
             "-std=c99",
@@ -87,7 +86,7 @@ def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.
         )
         if done.returncode:
             raise InputError(f"--to fmu: {compiler} failed: {done.stderr.decode()[:200]}")
-        library = (Path(folder) / "library").read_bytes()
+        library = (folder / "library").read_bytes()
     with (
         whole_file(Path(path)) as part,
         zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,

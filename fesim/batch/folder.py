@@ -22,6 +22,7 @@ import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from fesim.batch.summary import COUNTS, FIGURES
 from fesim.batch.worker import Outcome
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file, write_text
+from thermojoint.artefacts.unfinished import cleared_at_stop
 
 Record = dict[str, Any]
 
@@ -80,10 +82,15 @@ def locked(folder: Path) -> Iterator[None]:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
         file.flush()
-        for pattern in _UNFINISHED:
-            for left in folder.glob(pattern):
-                left.unlink()
-        yield
+        _remove_unfinished(folder)
+        with cleared_at_stop(partial(_remove_unfinished, folder)):
+            yield
+
+
+def _remove_unfinished(folder: Path) -> None:
+    for pattern in _UNFINISHED:
+        for left in folder.glob(pattern):
+            left.unlink()
 
 
 def response_path(folder: Path, case: str) -> Path:

@@ -12,18 +12,14 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from threading import Thread
 
 from threadpoolctl import threadpool_limits
 
 from fesim.batch.crew import Report
 from fesim.batch.worker import Outcome, Task, run
-
-#: Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
-_CONTEXT = get_context("spawn")
+from thermojoint.artefacts.processes import CONTEXT, end_with_parent
 
 #: A worker that is told to end gets this long, s.
 _PATIENCE = 5.0
@@ -97,17 +93,9 @@ class LocalCrew:
         self._recruit()
 
     def _recruit(self) -> None:
-        ours, theirs = _CONTEXT.Pipe()
-        process = _CONTEXT.Process(target=_serve, args=(theirs, self._threads), daemon=True)
-        # Ctrl-C goes to every process of the terminal; the main one decides what it means. A child
-        # inherits what is blocked, so not even its start is disturbed. The resource
-        # tracker, were it started with the first process, would unblock it again.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        ours, theirs = CONTEXT.Pipe()
+        process = CONTEXT.Process(target=_serve, args=(theirs, self._threads), daemon=True)
+        process.start()
         theirs.close()
         self._workers[f"process {process.pid}"] = _Worker(process, ours)
 
@@ -142,7 +130,7 @@ def _ending(worker: _Worker) -> str:
 
 def _serve(pipe: Connection, threads: int) -> None:
     """Work off cases until the other end of the pipe is closed: what a worker process does."""
-    Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     limit = None
     if "OMP_NUM_THREADS" not in os.environ:
         # For libraries that are still to be loaded; the limit below is for those that are.
@@ -154,11 +142,3 @@ def _serve(pipe: Connection, threads: int) -> None:
             except EOFError:
                 return
             pipe.send(run(task))
-
-
-def _end_with_parent() -> None:
-    """End at once when the main process is gone: nobody waits for the case any more."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

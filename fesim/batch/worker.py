@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
@@ -21,6 +19,7 @@ from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError, UnreadableError
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.artefacts.response import write_response
 
 if TYPE_CHECKING:
@@ -182,7 +181,7 @@ def _line(error: BaseException) -> str:
 
 def _encode(response: xr.Dataset) -> bytes:
     """Encode here, so that the main process only has to write the bytes."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "response.nc"
+    with temporary_folder() as folder:
+        path = folder / "response.nc"
         write_response(response, path)
         return path.read_bytes()

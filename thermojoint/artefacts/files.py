@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from shutil import rmtree
+from tempfile import gettempdir
+
+from thermojoint.artefacts.unfinished import cleared_at_stop
 
 #: What reading a damaged or foreign NPZ file raises: zip files fail in many ways.
 DAMAGED_ARCHIVE = (
@@ -43,20 +47,30 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    part = Path(name)
-    try:
-        yield part
-        # mkstemp makes private files; results are for everybody the umask admits.
-        umask = os.umask(0)
-        os.umask(umask)
-        part.chmod(0o666 & ~umask)
-        with part.open("r+b") as file:
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    part = path.with_name(f".{path.stem}.{os.urandom(4).hex()}{path.suffix}")
+    remove = partial(part.unlink, missing_ok=True)
+    with cleared_at_stop(remove):
+        try:
+            part.touch(exist_ok=False)
+            yield part
+            with part.open("r+b") as file:
+                os.fsync(file.fileno())
+            part.replace(path)
+        finally:
+            remove()
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Give a folder for the time of the block, where the system has its temporary files."""
+    place = Path(gettempdir()) / f"thermojoint-{os.urandom(8).hex()}"
+    remove = partial(rmtree, place, ignore_errors=True)
+    with cleared_at_stop(remove):
+        try:
+            place.mkdir(mode=0o700)
+            yield place
+        finally:
+            remove()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -25,10 +25,12 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.unfinished import cleared_at_stop
 
 #: Lists the files of a folder that this program wrote. All others are somebody's own.
 CONTENTS = "contents.json"
@@ -88,22 +90,25 @@ def whole_folder(path: Path) -> Iterator[Path]:
     place.parent.mkdir(parents=True, exist_ok=True)
     _clear_up_after_killed(place)
     check_replaceable(path)
-    work = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
-    try:
-        with (work / _MARK).open("w", encoding="utf-8") as mark:
-            with suppress(OSError):  # some file systems have no locks
-                fcntl.flock(mark, fcntl.LOCK_EX)
-            mark.write(place.name)
-            mark.flush()
-            new = work / "new"
-            new.mkdir()
-            yield new
-            names = [one.relative_to(new).as_posix() for one in new.rglob("*") if one.is_file()]
-            listed = {"schema": SCHEMA, "schema_version": 1, "files": sorted(names)}
-            write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
-            _put_in_place(path, place, work)
-    finally:
-        _settle(work, place)
+    work = place.with_name(f".{place.name}.{os.urandom(4).hex()}")
+    settle = partial(_settle, work, place)
+    with cleared_at_stop(settle):
+        try:
+            work.mkdir(mode=0o700)
+            with (work / _MARK).open("w", encoding="utf-8") as mark:
+                with suppress(OSError):  # some file systems have no locks
+                    fcntl.flock(mark, fcntl.LOCK_EX)
+                mark.write(place.name)
+                mark.flush()
+                new = work / "new"
+                new.mkdir()
+                yield new
+                names = [one.relative_to(new).as_posix() for one in new.rglob("*") if one.is_file()]
+                listed = {"schema": SCHEMA, "schema_version": 1, "files": sorted(names)}
+                write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
+                _put_in_place(path, place, work)
+        finally:
+            settle()
 
 
 def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:

@@ -178,11 +178,17 @@ def estimate(opened: tuple[Learned, Array, Iterable[Sample]], out: Path, save: P
     from estimator.interface import follow
     from estimator.learned.saved_state import save_state
     from thermojoint.artefacts.quantities import column_named
+    from thermojoint.artefacts.unfinished import cleared_at_stop
 
     estimator, state, samples = opened
     columns = [one for name in estimator.axes if (one := column_named(name))]
     live = str(out) == "-"
-    with arguments.output(out) as target:
+
+    def keep_state() -> None:
+        if save and live:
+            save_state(estimator, state, save)
+
+    with arguments.output(out) as target, cleared_at_stop(keep_state):
         writer = csv.writer(target, lineterminator="\n")
         bands = (f"band_{name}" for name in estimator.axes)
         writer.writerow(["time_s", *estimator.axes, *bands, "status"])
@@ -199,8 +205,7 @@ def estimate(opened: tuple[Learned, Array, Iterable[Sample]], out: Path, save: P
                 if live:
                     target.flush()
         finally:
-            if save and live:
-                save_state(estimator, state, save)
+            keep_state()
     if save and not live:
         save_state(estimator, state, save)
 

@@ -272,9 +272,15 @@ def _write_estimates(
     """Write one row for each sample, and save the state at the end."""
     from estimator import estimate_table
     from estimator.interface import follow
+    from thermojoint.artefacts.unfinished import cleared_at_stop
 
     live = str(out) == "-"
-    with arguments.output(out) as target:
+
+    def keep_state() -> None:
+        if save and live:
+            save(state)
+
+    with arguments.output(out) as target, cleared_at_stop(keep_state):
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow(estimate_table.header(estimator))
         try:
@@ -284,8 +290,7 @@ def _write_estimates(
                 target.flush()
         finally:
             # What stands on standard output is out, however a logger's pipe comes to its end.
-            if save and live:
-                save(state)
+            keep_state()
     if save and not live:
         save(state)
 

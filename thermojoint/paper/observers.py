@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +28,7 @@ from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
 from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.processes import process_pool
 from thermojoint.reduced.machine import reduce_machine
 
 if TYPE_CHECKING:
@@ -113,8 +112,7 @@ def observers_beside(
         yield list
         return
     known = observer_case(case, sensors)
-    # Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
-    with ProcessPoolExecutor(len(KINDS), get_context("spawn")) as crew:
+    with process_pool(len(KINDS)) as crew:
         paths = [
             crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder)
             for kind in KINDS

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +21,7 @@ from fesim.setup.machine import set_up
 from thermojoint import console
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.folders import whole_folder
+from thermojoint.artefacts.processes import process_pool
 from thermojoint.artefacts.response import write_response
 from thermojoint.models.baselines import Baselines, write_baselines
 from thermojoint.models.model_file import Provenance, write_model
@@ -158,8 +157,7 @@ def _judged(
     at_rest = [(one, one.initial_state()) for one in observers]
     warm = [(one, one.warm_state()) for one in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
-    # Fresh interpreters: forking a process with threads and a loaded MKL is not safe.
-    with ProcessPoolExecutor(JUDGES, get_context("spawn")) as crew:
+    with process_pool(JUDGES) as crew:
         long = crew.submit(
             judge.validate_model, model, None, lasting, baselines=baselines, observers=at_rest
         )

@@ -11,7 +11,6 @@ import io
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +24,8 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from thermojoint.artefacts.files import temporary_folder
+from thermojoint.artefacts.unfinished import cleared_at_stop
 from thermojoint.pictures.camera import Array, Camera, Window
 from thermojoint.pictures.colour_scale import ColourScale
 from thermojoint.pictures.scene_file import load_scene, save_scene
@@ -66,8 +67,8 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
     if find_spec("pyvista") is None:
         yield from (None for _ in scenes)
         return
-    with tempfile.TemporaryDirectory(prefix="thermojoint-") as name:
-        folders = [Path(name) / f"{k}" for k in range(len(films))]
+    with temporary_folder() as place:
+        folders = [place / f"{k}" for k in range(len(films))]
         for folder, film in zip(folders, films, strict=True):
             folder.mkdir()
             for k, scene in enumerate(film):
@@ -79,9 +80,12 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
             str(height),
             *map(str, folders),
         ]
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
-        ) as process:
+        with (
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+            ) as process,
+            cleared_at_stop(process.kill),
+        ):
             output = process.stdout or io.BytesIO()
             try:
                 for scene in scenes:

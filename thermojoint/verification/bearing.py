@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import meshio
 import numpy as np
@@ -24,6 +23,7 @@ from fesim.snapshots import structure_snapshot
 from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check
 from thermojoint.verification.loaded import AREA, DENSITY, GRAVITY, HALF, WEIGHT, column_case, joint
 
@@ -39,8 +39,7 @@ AROUND, ALONG = 32, 20
 
 def checks() -> Iterator[Check]:
     """What columns and a ring bear."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         yield from _column_checks(folder)
         yield from _ring_checks(folder)
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check
 from thermojoint.verification.rod import FOREVER
 
@@ -170,8 +170,7 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
 
 def checks() -> Iterator[Check]:
     """Three steady states; the march settles in two of them and leaves the third."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         write_structure(rod(), folder / "rod.vtu")
         yield from _checks(folder)
 

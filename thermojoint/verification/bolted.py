@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from scipy.optimize import brentq
 
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check
 from thermojoint.verification.loaded import AREA, HALF, MODULUS, column_case, joint, separation
 
@@ -42,8 +42,7 @@ BOLT: dict[str, Any] = {
 
 def checks() -> Iterator[Check]:
     """Forces of bolts and contact pressures."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         yield from _diagram_checks(folder)
         yield from _sleeve_checks(folder)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check
 
 #: Axial stress at A, Pa.
@@ -114,8 +114,7 @@ def case_of(folder: Path, mesh: str) -> Case:
 
 def checks() -> Iterator[Check]:
     """The axial stress at A on two meshes."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         for name, counts in (("coarse", COARSE), ("fine", FINE)):
             write_structure(quarter(*counts), folder / f"{name}.vtu")
             response = simulate(case_of(folder, f"{name}.vtu")).response

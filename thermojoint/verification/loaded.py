@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, closed_form
 
 #: Half of the column, and its width, m.
@@ -124,8 +124,7 @@ def separation(pressure: float) -> float:
 
 def checks() -> Iterator[Check]:
     """Displacements and pressures under weight and force."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         yield from _weight_checks(folder)
         yield from _force_checks(folder)
 

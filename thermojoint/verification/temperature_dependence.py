@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from skfem import MeshHex
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, closed_form
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
@@ -58,8 +58,7 @@ _check = partial(closed_form, "temperature dependence")
 
 def checks() -> Iterator[Check]:
     """All of them."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         yield from _conducting(folder)
         yield from _radiating(folder)
         yield from _growing(folder)

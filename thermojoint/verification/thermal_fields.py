@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erfc
 
+from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, closed_form
 from thermojoint.verification.loaded import (
     HALF,
@@ -67,8 +67,7 @@ def pressed_pressure(rise: float) -> float:
 
 def checks() -> Iterator[Check]:
     """All four."""
-    with TemporaryDirectory() as made:
-        folder = Path(made)
+    with temporary_folder() as folder:
         yield from _decaying_wave(folder)
         yield from _warm_start(folder)
         yield _uneven_source(folder)

@@ -1,0 +1,83 @@
+"""Child processes: fresh interpreters that end with their parent, and at Ctrl-C by its hand only.
+
+Fresh, because forking a process with threads and a loaded MKL is not safe.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import active_children, parent_process, resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
+from threading import Thread
+
+from thermojoint.artefacts.unfinished import cleared_at_stop
+
+
+class _Child(SpawnProcess):
+    """A process that Ctrl-C does not reach.
+
+    A terminal sends it to every process, and the main one decides what it means. A child inherits
+    what is blocked, so not even its start is disturbed.
+    """
+
+    def start(self) -> None:
+        _start_tracker()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _start_tracker() -> None:
+    """Start Python's tracker of shared resources, which clears up after a stop, without a word.
+
+    Were it started with the first child, it would unblock the signals again.
+    """
+    before = os.environ.get("PYTHONWARNINGS", "")
+    os.environ["PYTHONWARNINGS"] = f"{before},ignore:resource_tracker".lstrip(",")
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        os.environ["PYTHONWARNINGS"] = before
+
+
+class _Context(SpawnContext):
+    Process = _Child
+
+
+CONTEXT = _Context()
+
+
+@contextmanager
+def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of `count` processes, which are killed if the main one is stopped."""
+    _start_tracker()
+    with (
+        cleared_at_stop(_kill_children),
+        ProcessPoolExecutor(count, CONTEXT, end_with_parent) as pool,
+    ):
+        yield pool
+
+
+def end_with_parent() -> None:
+    """Have this process end at once when its parent is gone: nobody waits for its results."""
+
+    def watch() -> None:
+        if (parent := parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+def _kill_children() -> None:
+    children = active_children()
+    for one in children:
+        one.kill()
+    for one in children:
+        one.join()
