@@ -80,7 +80,7 @@ def box_mesh(
     size: float,
     refinements: Sequence[Refinement] = (),
 ) -> MeshHex:
-    """Mesh the union of `solids` less the `cavities`.
+    """Mesh the union of `solids` minus the `cavities`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""From CAD to a mesh with names, by Gmsh (the extra ``gmsh``): STEP, IGES or BREP in, MSH out.
+"""Meshing of CAD files with names by Gmsh (the extra ``gmsh``): STEP, IGES or BREP to MSH.
 
-Solids keep their names and become bodies. What faces of two solids share becomes the two sides of
+Solids keep their names and become bodies. Faces shared by two solids become the two sides of
 a joint, ``BODY1_BODY2.a`` and ``.b``; a face that is only partly covered is divided there, so that
 its rest still convects. The solids are meshed apart: they share no node. Faces are named by points
 on them; those without a name are gathered as ``BODY_outer``.
@@ -23,7 +23,7 @@ from thermojoint.artefacts.settings.section import Point, Section
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 #: A face may be this far from a point that names it, relative to the size of the part.
 NEAR = 1e-4
-#: Faces that share less than this part of the smaller one only touch at an edge.
+#: Faces that share less than this fraction of the smaller one touch only at an edge.
 LEAST_OVERLAP = 1e-3
 
 DimTag = tuple[int, int]

@@ -1,4 +1,4 @@
-"""What part of a surface the joints cover."""
+"""Fractions of surfaces covered by joints."""
 
 from __future__ import annotations
 

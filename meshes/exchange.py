@@ -1,6 +1,6 @@
-"""Structures in files, through meshio: written as VTU or Gmsh MSH, read from more formats.
+"""Reading and writing of structures by meshio: VTU and Gmsh MSH, reading also other formats.
 
-How the names are kept:
+How names are stored:
 
 - VTU, VTK: cell arrays of 0 and 1, ``body:NAME`` for volume cells, ``surface:NAME`` for facet
   cells and ``probe:NAME`` or ``probe:NAME@BODY`` for vertex cells;
@@ -10,7 +10,7 @@ How the names are kept:
   repeated;
 - all: a joint is the pair of surfaces ``JOINT.a`` and ``JOINT.b``.
 
-How many copies make the whole structure stands in the case, not in these files.
+The number of copies that make up the whole structure is in the case, not in these files.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def _read(path: Path) -> meshio.Mesh:
 
 
 def _check_cards(path: Path) -> None:
-    """Refuse Abaqus files that meshio reads without a word, but not as they are meant.
+    """Refuse Abaqus files that meshio silently misreads.
 
     It ends a card at a comment, keeps only the last *NODE card and the last card of an element set,
     gives sets of *ELEMENT cards to the first of these cards, and cannot join sets to a set.

@@ -1,4 +1,4 @@
-"""Faces of a mesh as polygons: what a picture of it is made of."""
+"""Faces of a mesh as polygons, for pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is in a structure, and what looks wrong with it, before anything is simulated."""
+"""Inspection of a structure before simulation: contents, quality and suspicious features."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Inspection:
     unnamed_area : float
         Boundary without any name, m2: nothing convects there.
     warnings : tuple of str
-        What looks wrong, each in one line.
+        Suspicious features, one line each.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""Pairs the two sides of a joint, whose meshes need not match, into contact elements.
+"""Pairing of the two sides of a joint, with non-matching meshes, into contact elements.
 
 Side a is divided where it has edges. A plane part is covered by a rectangular grid of contact
 elements, as far as side b lies before it; a curved part (a cylindrical seat) is bisected into
@@ -28,7 +28,7 @@ from thermojoint.artefacts.errors import InputError
 FLATNESS = 1e-3
 #: Neighbouring facets whose normals differ by more than this belong to different parts, rad.
 EDGE = np.deg2rad(20.0)
-#: Facets take part in a contact element if their normals are this near to its own, rad.
+#: Facets belong to a contact element if their normals differ from its own by less than this, rad.
 FACING = np.deg2rad(60.0)
 #: A curved part whose normals are farther than this from their mean is divided by its normals, rad.
 ROUND = np.deg2rad(45.0)

@@ -1,4 +1,4 @@
-"""Plane convex polygons: clipping, area and quadrature points. Corners are (n, 2), m."""
+"""Clipping, area and quadrature points of plane convex polygons. Corners are (n, 2), m."""
 
 from __future__ import annotations
 

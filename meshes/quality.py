@@ -1,4 +1,4 @@
-"""Shape of cells: 1 is the best there is, 0 is flat, below 0 is folded."""
+"""Shape quality of cells: 1 is ideal, 0 is flat, negative is inverted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A structure: a mesh with named bodies, surfaces, joint sides and probes, checked when made."""
+"""A structure: a mesh with named bodies, surfaces, joint sides and probes; checked on creation."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Structure:
         _check_probes(self)
 
     def body(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the cells of a body; InputError names the nearest one if there is none.
+        """Return the cells of a body; if there is none, an InputError suggests the closest name.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Structure:
         return self.bodies[name]
 
     def surface(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the facets of a surface; InputError names the nearest one if there is none.
+        """Return the facets of a surface; otherwise an InputError suggests the closest name.
 
         Parameters
         ----------

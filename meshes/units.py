@@ -1,4 +1,4 @@
-"""Units of mesh files, and the sizes by which a wrong one shows."""
+"""Units of mesh files, and the sizes that reveal a wrong one."""
 
 from __future__ import annotations
 

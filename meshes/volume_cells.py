@@ -1,4 +1,4 @@
-"""Volume cells and facets of a mesh file as a scikit-fem mesh, checked."""
+"""Volume cells and facets of a mesh file as a validated scikit-fem mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skfem.io.meshio import from_meshio
 
 from thermojoint.artefacts.errors import InputError
 
-#: A structure larger than this (m) is taken for one in mm.
+#: A structure larger than this (m) is assumed to be in mm.
 LARGEST_EXTENT = 50.0
 #: A cell counts as straight if no mid node lies off the middle by more than this fraction of the
 #: cell's size.
@@ -47,7 +47,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     Parameters
     ----------
     raw : meshio.Mesh
-        What the file holds, coordinates in m.
+        Content of the file, coordinates in m.
     path : Path
         The file, for the error messages.
 

@@ -1,4 +1,4 @@
-"""A rigid wall before a surface: one layer of cells that takes the surface's own facets.
+"""A rigid wall against a surface: one layer of cells on copies of the surface's facets.
 
 The layer shares no node with the body before it. Its cells only carry the wall's name and its
 temperature: who makes it rigid holds all of its nodes.

@@ -103,7 +103,7 @@ def _variables(
 ) -> dict[str, tuple[tuple[str, ...], str, str]]:
     """Return what is kept of the responses of a study: what no case asks for has no labels."""
     asked = {"displacement"} if study.keep == "displacement" else set(VARIABLES)
-    if not any(secant_sections(one.case) for one in study.cases):
+    if not any(secant_sections(case.case) for case in study.cases):
         asked.discard("secant_residual")
     return {
         name: said
@@ -139,7 +139,7 @@ def stored_status(dataset: Dataset) -> dict[str, str]:
 
 
 def _runs(study: Study) -> set[tuple[float, float]]:
-    marches = [one.case.march for one in study.cases]
+    marches = [case.case.march for case in study.cases]
     return {(march.duration_min, march.step_s) for march in marches}
 
 
@@ -169,7 +169,7 @@ def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
 
 def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
     parts: list[Any] = [list(study.paths), list(_variables(study, labels))]
-    parts += [[one.id, *(plain(value) for value in one.values.values())] for one in study.cases]
+    parts += [[case.id, *(plain(value) for value in case.values.values())] for case in study.cases]
     parts += [[name, some.tolist()] for name, some in labels.items()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -177,7 +177,7 @@ def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
 def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -> zarr.Group:
     group = zarr.open_group(path, mode="w", zarr_format=2)
     count = len(study.cases)
-    _coordinate(group, "case", ("case",), np.array([one.id for one in study.cases]))
+    _coordinate(group, "case", ("case",), np.array([case.id for case in study.cases]))
     for name, some in labels.items():
         attrs = {"units": "s", "long_name": "time"} if name == "time" else {}
         _coordinate(group, name, (name,), some, attrs)
@@ -185,7 +185,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
     for path_name in study.paths:
         # A whole section, as "heat_input", may be called like a variable of the response.
         varied.append(path_name if "." in path_name else f"case.{path_name}")
-        values = [plain(one.values[path_name]) for one in study.cases]
+        values = [plain(case.values[path_name]) for case in study.cases]
         numbers = all(isinstance(value, int | float) for value in values)
         column = np.array(values, dtype=float if numbers else str)
         _coordinate(group, varied[-1], ("case",), column, {"long_name": path_name})
@@ -193,7 +193,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
         shape = (count, *(len(labels[dim]) for dim in dims))
         chunks = (1, *(CHUNK if dim == "time" else max(len(labels[dim]), 1) for dim in dims))
         text = name == "contact_joint"
-        width = max([1, *(len(joint) for one in study.cases for joint in one.case.joints)])
+        width = max([1, *(len(joint) for case in study.cases for joint in case.case.joints)])
         _array(
             group,
             name,

@@ -118,17 +118,17 @@ def read_records(folder: Path, study: Study) -> dict[str, Record]:
     Cases that broke off for a reason that may pass are left out, and damaged records.
     """
     found = {}
-    for one in study.cases:
-        path = folder / "records" / f"{one.id}.json"
+    for case in study.cases:
+        path = folder / "records" / f"{case.id}.json"
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
             status, _ = record["status"], record["reason"]
         except (OSError, ValueError, TypeError, LookupError):
             continue
-        kept = study.keep == "displacement" or response_path(folder, one.id).is_file()
+        kept = study.keep == "displacement" or response_path(folder, case.id).is_file()
         finished = status == "done" and kept
         if finished or status == "failed":
-            found[one.id] = record
+            found[case.id] = record
     return found
 
 
@@ -154,10 +154,10 @@ def note(folder: Path, event: str, case: str, worker: str, detail: str = "") -> 
 def summary(study: Study, records: Mapping[str, Record]) -> pd.DataFrame:
     """Return a row for each case of the study: varied values, what became of it, its figures."""
     rows = []
-    for one in study.cases:
-        record = records.get(one.id, {"status": "pending", "reason": ""})
-        values = {path: plain(one.values[path]) for path in study.paths}
-        told = {"id": one.id, "status": record["status"], "reason": record["reason"]}
+    for case in study.cases:
+        record = records.get(case.id, {"status": "pending", "reason": ""})
+        values = {path: plain(case.values[path]) for path in study.paths}
+        told = {"id": case.id, "status": record["status"], "reason": record["reason"]}
         names = [*FIGURES, "seconds", "setup_seconds"]
         rows.append(told | values | {name: record.get(name) for name in names})
     table = pd.DataFrame(rows)

@@ -143,17 +143,17 @@ class _Keeper:
     def _recover(self) -> None:
         """Bring records and dataset to what the responses say, after a kill or another study."""
         stored = collected.stored_status(self._dataset)
-        for one in self.study.cases:
-            path = on_disk.response_path(self.folder, one.id)
-            unrecorded = one.id not in self.records and path.is_file()
-            lost = self._status(one) == "done" and stored[one.id] != "done"
+        for case in self.study.cases:
+            path = on_disk.response_path(self.folder, case.id)
+            unrecorded = case.id not in self.records and path.is_file()
+            lost = self._status(case) == "done" and stored[case.id] != "done"
             if lost and not path.is_file():
                 # Only its displacement was kept, and the dataset is another one now.
-                del self.records[one.id]
+                del self.records[case.id]
             elif unrecorded or lost:
-                self._take_in(one, path)
-            if self._status(one) != stored[one.id]:
-                collected.store_status(self._dataset, one.id, self._status(one))
+                self._take_in(case, path)
+            if self._status(case) != stored[case.id]:
+                collected.store_status(self._dataset, case.id, self._status(case))
 
     def _status(self, one: StudyCase) -> str:
         return str(self.records[one.id]["status"]) if one.id in self.records else "pending"

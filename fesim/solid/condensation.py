@@ -201,8 +201,10 @@ class DisplacementField:
     def _apart(self, forces: Array, what: str) -> Array:
         """Displacements by forces without the springs of the ties, piece by piece."""
         found = np.zeros(forces.shape)
-        for one in self.structure.substructures:
-            found[one.unknowns] = checked_solve(one.factor, forces[one.unknowns], what)
+        for substructure in self.structure.substructures:
+            found[substructure.unknowns] = checked_solve(
+                substructure.factor, forces[substructure.unknowns], what
+            )
         return found
 
 

@@ -89,10 +89,10 @@ def condense_outputs(
 def stacked(rows: Sequence[OutputRows]) -> OutputRows:
     """Put the rows of several outputs one below the other."""
     return OutputRows(
-        csr_array(vstack([one.displacement for one in rows])),
-        csr_array(vstack([one.temperature for one in rows])),
-        np.vstack([one.remainder for one in rows]),
-        np.vstack([one.loads for one in rows]),
+        csr_array(vstack([row.displacement for row in rows])),
+        csr_array(vstack([row.temperature for row in rows])),
+        np.vstack([row.remainder for row in rows]),
+        np.vstack([row.loads for row in rows]),
     )
 
 

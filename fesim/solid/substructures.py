@@ -219,7 +219,7 @@ def factorised_structure(
 
 def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
     """Return E (q, n): gaps, then the anchored unknowns of one piece after the other."""
-    columns = np.concatenate([np.empty(0, dtype=np.int64), *(one.anchored for one in pieces)])
+    columns = np.concatenate([np.empty(0, dtype=np.int64), *(piece.anchored for piece in pieces)])
     ends = np.arange(columns.size + 1)
     anchors = csr_array((np.ones(columns.size), columns, ends), (columns.size, gap.shape[1]))
     return csr_array(vstack([gap, anchors], format="csr"))

@@ -137,7 +137,8 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             },
             share=pressure_share(responses[inputs.PRESSURE]),
             placement="" if calibrated.placement is None else str(calibrated.placement),
-            fits=provenance.reports | {one.kind: fitted_text(one) for one in observers},
+            fits=provenance.reports
+            | {observer.kind: fitted_text(observer) for observer in observers},
             pictures=pictures,
             case=case.model_dump_json(indent=2),
         )
@@ -154,8 +155,8 @@ def _judged(
     observers: Sequence[JointAware],
 ) -> Validated:
     """Judge every estimator in every case; those that know no warm start begin it as if cold."""
-    at_rest = [(one, one.initial_state()) for one in observers]
-    warm = [(one, one.warm_state()) for one in observers]
+    at_rest = [(observer, observer.initial_state()) for observer in observers]
+    warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
     with process_pool(JUDGES) as crew:
         long = crew.submit(

@@ -1,1 +1,1 @@
-"""Pictures: structures and fields in space, curves, films."""
+"""Drawing of structures, fields and curves, as pictures and films."""

@@ -1,4 +1,4 @@
-"""Where a picture is seen from: a parallel projection, and the window it fills."""
+"""Camera of a picture: a parallel projection and its window."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Vector = tuple[float, float, float]
 #: Left, right, bottom and top of a picture in the plane of projection, m.
 Window = tuple[float, float, float, float]
 
-#: Width over height of a window: neither a slit nor a strip.
+#: Smallest and largest width over height of a window.
 _NARROWEST, _WIDEST = 0.6, 1.7
-#: Room around what a window holds, of its larger side.
+#: Margin around the contents of a window, relative to its larger side.
 _MARGIN = 0.03
 
 
@@ -25,9 +25,9 @@ class Camera:
     Attributes
     ----------
     view : (float, float, float)
-        From what is seen towards the eye, any length.
+        From the object towards the eye, any length.
     up : (float, float, float)
-        What points upwards in the picture, as far as `view` lets it.
+        Upward direction of the picture, as far as compatible with `view`.
     """
 
     view: Vector
@@ -57,7 +57,7 @@ def facing(main: Array, up: Vector, side: float, height: float) -> Vector:
 
 
 def window_around(projected: Array) -> Window:
-    """Window that `projected` points (n, 2 or 3), m, fill but for a margin; no slit, no strip."""
+    """Window of `projected` points (n, 2 or 3), m, with a margin and a limited aspect ratio."""
     low, high = projected[:, :2].min(axis=0), projected[:, :2].max(axis=0)
     size = np.maximum(high - low, 1e-9)
     size += 2.0 * _MARGIN * size.max()

@@ -1,4 +1,4 @@
-"""What the colours of a field mean: bands between round numbers that show the whole field.
+"""Colour scale of a field: bands between round numbers over the whole range.
 
 A machine is hot at its source and nearly cold elsewhere. On an even scale such a field is one
 colour with a spot on it; there the bands follow the sequence 1, 2, 5, 10 instead.
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 _COLOURS = "plasma"
-#: Even bands, at most.
+#: Largest number of even bands.
 _BANDS = 12
-#: A field of which half lies within this part of its largest value gets uneven bands.
+#: A field of which half lies below this fraction of its largest value gets uneven bands.
 _SKEWED = 0.15
-#: The side of zero that holds less than this part of the largest value is one band.
+#: The side of zero with values below this fraction of the largest one is a single band.
 _LITTLE = 0.1
 #: Decades below the largest value that uneven bands cover.
 _DECADES = 2.7

@@ -1,4 +1,4 @@
-"""Temperature, deformation and contact pressure at one time, as panels of a picture or a film."""
+"""Panels of temperature, deformation and contact pressure at one time, for pictures and films."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _EXAGGERATED = 0.06
 
 @dataclass(frozen=True)
 class Fields:
-    """What is drawn of one step.
+    """Fields of one step.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Fields:
 
 @dataclass(frozen=True)
 class Stage:
-    """What stands still: the machine, its outer surface, what is up, and the symmetry plane."""
+    """Constant part of a film: the machine, its outer surface, upward direction, symmetry plane."""
 
     setup: Setup
     skin: Surface
@@ -78,7 +78,7 @@ def make_stage(setup: Setup, up: Vector, mirror: Mirror | None) -> Stage:
 
 
 def fields_at(stage: Stage, step: Step, sources: int) -> Fields:
-    """Return the fields of a step of a case with so many `sources`; solves for the displacement."""
+    """Return the fields of a step of a case with `sources` sources; solves for the displacement."""
     setup = stage.setup
     temperature = setup.nodal_temperature(step.state)
     displacement = setup.displacement(step)
@@ -94,7 +94,7 @@ def fields_at(stage: Stage, step: Step, sources: int) -> Fields:
 
 
 def exaggeration(stage: Stage, largest: float) -> float:
-    """Round factor that draws a displacement of `largest` (m) well visible; 1 if it is zero."""
+    """Round magnification that makes a displacement of `largest` (m) visible; 1 if it is zero."""
     if largest <= 0.0:
         return 1.0
     value = _EXAGGERATED * stage.size / largest
@@ -142,7 +142,7 @@ def deformed_panel(stage: Stage, fields: Fields, factor: float) -> Panel:
 
 
 def pressure_panel(stage: Stage, fields: Fields) -> Panel:
-    """Contact pressure on every contact element; there is a joint or more."""
+    """Contact pressure on every contact element; needs at least one joint."""
     structure, joints = stage.setup.structure, stage.setup.joints
     holder, normal = away_from(structure, structure.joints[joints[0].name][0])
     body = replace(bodies(structure)[holder], opacity=0.25)

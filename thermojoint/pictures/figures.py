@@ -1,7 +1,7 @@
-"""The paper's Figures 7-11 from our data: pure functions from data to a matplotlib figure.
+"""Matplotlib figures in the form of the paper's Figures 7-11, as pure functions of the data.
 
 Time is in minutes, temperature in K, displacement in µm, pressure in MPa. Curves differ in line
-style as well as in shade, so that they can be told apart in grey.
+style as well as in shade, so that they can be distinguished in grey.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _SHADES = (
     "#c04a8c",
 )
 _NOISY_WIDTH = 0.4
-#: What curves are written as.
+#: Formats of figures of curves.
 FORMATS = ("png", "svg", "pdf")
-#: Smaller errors are drawn as this, m: a logarithmic scale has no zero.
+#: Smaller errors are drawn at this value, m: a logarithmic scale has no zero.
 _LEAST_ERROR = 1e-9
 #: Above this many contact elements their curves get no label of their own.
 _LABELLED = 12
@@ -101,7 +101,7 @@ def pressure_along(response: xr.Dataset) -> Array:
     """Mean contact pressure at each place along the joint, Pa, shape (times, places).
 
     Along is the direction in which the contact elements spread most. Without their positions every
-    element is a place of its own.
+    element is a separate place.
     """
     pressure = response["pressure"].to_numpy()
     if "contact_position" not in response:
@@ -116,7 +116,7 @@ def pressure_along(response: xr.Dataset) -> Array:
 
 
 def heat_text(response: xr.Dataset) -> str:
-    """Return the heat input of a response in words; of a simulated one with the power of it all."""
+    """Return the heat input of a response in words, with the total power if it was simulated."""
     heat = response["heat_input"].to_numpy()
     at = int(np.abs(heat).argmax())
     steady = bool(np.allclose(heat[1:], heat[at], rtol=1e-6, atol=0.0))
@@ -187,11 +187,11 @@ def errors_figure(
     times : ndarray, shape (k,)
         s.
     errors : mapping
-        Estimator to estimated less actual displacement, m, shape (k, axes).
+        Estimator to estimated minus actual displacement, m, shape (k, axes).
     axes : sequence of str
         Names of the axes.
     case : str
-        What was judged.
+        Name of the case.
     """
     figure, panels = _figure(len(axes))
     figure.suptitle(case, fontsize=10)
@@ -255,7 +255,7 @@ def check_format(path: Path) -> str:
 
 
 def check_png(path: Path) -> None:
-    """Refuse a name that says another format than PNG.
+    """Refuse a name with another suffix than that of PNG.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A film of the fields: temperature, deformation and joint pressure side by side, in time."""
+"""Films of the fields: temperature, deformation and contact pressure side by side."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Report = Callable[[int, int], None]
 
 
 def check_film(path: Path) -> None:
-    """Refuse what cannot become a film, before any work.
+    """Refuse a file name that is not a film's, before any work.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def check_film(path: Path) -> None:
 def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
     """Write one frame for each scene to `path`, whole or not at all.
 
-    Camera, window and colour scale are those that suit all scenes.
+    Camera, window and colour scale are the same for all scenes.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
     """
     check_film(path)
     height = HEIGHTS[path.suffix.lower()]
-    # A writer left by an error does not end by itself: ffmpeg would write on beside us.
+    # After an error the writer must be closed, otherwise ffmpeg would continue to write.
     with (
         whole_file(path) as part,
         closing(_writer(part)) as writer,

@@ -1,18 +1,18 @@
-"""Where matplotlib keeps what it found out about fonts, for users without a home of their own."""
+"""Folder of matplotlib's font cache for users without a writable home."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-#: Variable to what stands in its place below the home.
+#: Environment variable to its default below the home folder.
 _FOLDERS = {"XDG_CONFIG_HOME": ".config", "XDG_CACHE_HOME": ".cache"}
 
 
 def find_place() -> None:
-    """Give matplotlib a folder if it would find none; else it warns, and looks in every run anew.
+    """Give matplotlib a cache folder if it has none; otherwise it warns and searches in every run.
 
-    To be called before matplotlib is imported; what it starts inherits the folder.
+    To be called before matplotlib is imported; child processes inherit the folder.
     """
     home = Path(os.path.expanduser("~"))  # noqa: PTH111 - it raises where nobody knows the home
     usual = [Path(os.environ.get(name) or home / below) for name, below in _FOLDERS.items()]

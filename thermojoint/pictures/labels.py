@@ -1,4 +1,4 @@
-"""Where labels stand beside their points, so that none covers another or another's point."""
+"""Placement of labels beside their points without overlaps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
     sizes : ndarray, shape (n, 2)
         Width and height of the labels, same unit.
     window : (left, right, bottom, top)
-        Labels stay inside as long as there is room.
+        Labels stay inside if there is room.
 
     Returns
     -------

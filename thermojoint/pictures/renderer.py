@@ -1,8 +1,8 @@
-"""Panels to pixels: pyvista off-screen in a process of its own, or a painter of polygons.
+"""Rendering of panels: pyvista off-screen in a separate process, or matplotlib polygons.
 
-VTK can end the whole process where there is no OpenGL, so it works in another one
+VTK can terminate the whole process where there is no OpenGL, so it runs in another one
 (``python -m thermojoint.pictures.renderer HEIGHT FOLDER ...``), which writes raw pixels to its
-standard output. Whoever gets fewer than announced paints the rest (`painted`).
+standard output. If fewer pictures than announced arrive, the rest are drawn by `painted`.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
     Parameters
     ----------
     films : sequence of sequences of Scene
-        `finished` scenes. Those of one film show the same surfaces, moved and coloured anew: one
-        plotter for each panel serves them all.
+        `finished` scenes. Those of one film show the same surfaces, moved and recoloured, so one
+        plotter per panel serves them all.
     height : int
         Of the panels, pixels.
 
@@ -194,7 +194,7 @@ def creases(points: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 class _View:
-    """A pyvista plotter of one panel, kept for all scenes of a film: only this process has it."""
+    """A pyvista plotter of one panel, reused for all scenes of a film."""
 
     def __init__(self, panel: Panel, height: int) -> None:
         import pyvista

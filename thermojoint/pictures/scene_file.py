@@ -1,4 +1,4 @@
-"""A scene as a file, for a renderer in another process."""
+"""Storage of a scene for a renderer in another process."""
 
 from __future__ import annotations
 

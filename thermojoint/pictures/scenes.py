@@ -1,4 +1,4 @@
-"""What a 3-D picture shows, as plain arrays: surfaces, markers and a camera, for any renderer."""
+"""Contents of a 3-D picture as plain arrays, for any renderer: surfaces, markers, a camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from thermojoint.pictures.colour_scale import ColourScale, colour_scale
 
 BODY_COLOURS = ("#c9ccd1", "#9db7d5", "#8f8f8f", "#d9c39a", "#a9c9a4")
 _AXES = {"x": 0, "y": 1, "z": 2}
-#: Supports whose normals cancel to less than this part of their area do not say what is up.
+#: Supports whose normals cancel to less than this fraction of their area define no upward
+#: direction.
 _AGREE = 0.5
 _UP_WITHOUT_SUPPORTS: Vector = (0.0, 0.0, 1.0)
 
@@ -37,7 +38,7 @@ class Surface:
     opacity : float
         0 to 1; of what is 0 the edges are drawn.
     values : ndarray, shape (n,) or (m,), optional
-        What the colour map shows, at the points or on the faces.
+        Values for the colour map, at the points or on the faces.
     """
 
     points: Array
@@ -62,21 +63,21 @@ class Panel:
     Attributes
     ----------
     title : str
-        Above it.
+        Title above the panel.
     surfaces : tuple of Surface
-        What it shows.
+        Surfaces of the panel.
     camera : Camera
         From where.
     markers : tuple of Marker
         Points to name.
     shows : str
-        What the values of its surfaces are, with their unit; empty if there are none.
+        Quantity and unit of the values on its surfaces; empty if there are none.
     close_to : ndarray, shape (n, 3), optional
-        What the picture is to hold, m; default everything.
+        Points that must be visible, m; default all.
     window : Window, optional
-        What it holds, in the plane of projection; given by `finished`.
+        Visible window in the plane of projection; set by `finished`.
     scale : ColourScale, optional
-        Given by `finished` if there are values.
+        Set by `finished` if there are values.
     """
 
     title: str
@@ -98,7 +99,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture: panels side by side, and a line above them that says when and under what heat."""
+    """A picture: panels side by side, and a line above them with time and heat input."""
 
     panels: tuple[Panel, ...]
     caption: str = ""
@@ -119,9 +120,9 @@ class Mirror:
 
 
 def finished(scenes: Sequence[Scene]) -> list[Scene]:
-    """Give every panel a window and a colour scale that suit all scenes: those of a film, or one.
+    """Give every panel a window and a colour scale that all scenes of a film share.
 
-    Panels that show the same have the same scale.
+    Panels with the same quantity share one scale.
     """
     values: dict[str, list[Array]] = {}
     for panel in (panel for scene in scenes for panel in scene.panels):
@@ -157,7 +158,7 @@ def _drawn(panel: Panel) -> list[Array]:
 
 
 def _held(panel: Panel) -> Array:
-    """What a panel's window is to hold, projected."""
+    """Projected points that a panel's window must contain."""
     if panel.close_to is not None:
         return panel.camera.project(panel.close_to)
     points = [surface.points[np.unique(surface.faces)] for surface in panel.surfaces]
@@ -177,7 +178,7 @@ def mirror_of(structure: Structure, symmetry: Mapping[str, str]) -> Mirror | Non
 def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
     """Return the axis along which a structure stands up from its supports.
 
-    It is the axis nearest to the opposite of the supports' outward normals, weighted by area.
+    It is the axis closest to the opposite of the area-weighted outward normal of the supports.
     Where they cancel (a beam held at both ends) or there are none, it is z, as in CAD.
 
     Parameters
@@ -185,7 +186,7 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
     structure : Structure
         The structure.
     supports : iterable of str
-        Surfaces that hold it.
+        Surfaces on which it is supported.
     """
     facets = [structure.surface(name, "supports") for name in supports]
     if not facets:
@@ -270,7 +271,7 @@ def away_from(structure: Structure, side: str) -> tuple[str, Array]:
 
 
 def probe_position(structure: Structure, name: str) -> Vector:
-    """Return where a named probe is, m; InputError if there is none."""
+    """Return the position of a named probe, m; InputError if there is none."""
     if name not in structure.probes:
         raise unknown_name("probe", name, structure.probes, "picture")
     return structure.probes[name].position

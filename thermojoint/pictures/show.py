@@ -1,4 +1,4 @@
-"""What a picture can show: names only, so that the command line can list them without drawing."""
+"""Names of the pictures that can be drawn, for the command line; without imports for drawing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Show(StrEnum):
-    """What a picture shows."""
+    """Content of a picture."""
 
     structure = "structure"
     curves = "curves"
@@ -17,7 +17,7 @@ class Show(StrEnum):
 
 
 class Up(StrEnum):
-    """What points upwards in a picture."""
+    """Upward direction of a picture."""
 
     x = "x"
     y = "y"

@@ -1,4 +1,4 @@
-"""Scenes to PNG files: the panels with their titles, labels, axes and colour bars on one sheet."""
+"""PNG files of scenes: panels with titles, labels, axes and colour bars on one sheet."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def structure_scene(
     points : sequence of Marker
         Points and sensors to name.
     up : (float, float, float)
-        What points upwards.
+        Upward direction.
     mirror : Mirror, optional
         Symmetry plane of a half model: the first view looks onto it.
     caption : str

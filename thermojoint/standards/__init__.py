@@ -1,1 +1,1 @@
-"""Tests of machine tools that a standard describes: what a record of one says, in its terms."""
+"""Evaluation of machine-tool tests by standards."""

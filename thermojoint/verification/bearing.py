@@ -38,7 +38,7 @@ AROUND, ALONG = 32, 20
 
 
 def checks() -> Iterator[Check]:
-    """What columns and a ring bear."""
+    """Forces and stresses in columns and a ring."""
     with temporary_folder() as folder:
         yield from _column_checks(folder)
         yield from _ring_checks(folder)

@@ -1,4 +1,4 @@
-"""Barber's bistable rod from a case file: cold it stands off a hot wall, with air between.
+"""Barber's bistable rod from a case file: separated from a hot wall by air when cold.
 
 The air warms the rod, the rod grows towards the wall, and air and contact conduct the better for
 it. Between two temperatures of the wall the rod has three steady states (Barber, Dundurs and

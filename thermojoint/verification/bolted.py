@@ -1,4 +1,4 @@
-"""Bolts from case files: the joint diagram, a sleeve that grows, the sum of the contact pressures.
+"""Bolts from case files: joint diagram, an expanding sleeve, balance with contact pressures.
 
 Bars along z without lateral contraction are one-dimensional, and a bolt that takes hold of a whole
 end of one pulls it evenly. A bolt of stiffness k_b clamps parts of stiffness k_c. A force F that

@@ -1,4 +1,4 @@
-"""One verified quantity: what the simulator gives against what is known."""
+"""A verified quantity: the simulator's value against a known result."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Check:
     Attributes
     ----------
     name : str
-        What is checked, unique in the suite.
+        Name of the check, unique in the suite.
     quantity : str
-        What is compared, e.g. "heat flow".
+        Quantity compared, e.g. "heat flow".
     unit : str
         Unit of `reference` and `computed`; "1" if they have none.
     reference, computed : float
@@ -25,12 +25,12 @@ class Check:
     tolerance : float
         Largest relative error that passes; positive.
     source : str
-        Where the reference comes from.
+        Source of the reference.
     relative_error : float
         Without one: |computed - reference| / scale. Give it where the error is that of a whole
         field or history and `reference` and `computed` are only its most telling values.
     scale : float
-        What the error is relative to; without one: |reference|. A reference of zero needs one.
+        Scale of the relative error; default |reference|. A reference of zero needs one.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def closed_form(
     computed: float,
     tolerance: float = 1e-7,
 ) -> Check:
-    """Return a check against a closed form; `group` stands before its name."""
+    """Return a check against a closed form; `group` is the prefix of its name."""
     return Check(
         name=f"{group}, {name}, {quantity}",
         quantity=quantity,

@@ -1,4 +1,4 @@
-"""Two dissimilar rods between walls: the march against a one-dimensional solution by other means.
+"""Two dissimilar rods between walls: the simulator against an independent 1-D solution.
 
 Steel and aluminium press on each other between a hot wall and a cold one; their joint conducts the
 better the more it is pressed. When the aluminium is warmed its expansion raises the pressure, and

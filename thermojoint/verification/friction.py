@@ -1,4 +1,4 @@
-"""Friction: a pressed block pushed to and fro, and round in a circle.
+"""Friction: a pressed block moved back and forth and in a circle.
 
 Two bodies are so stiff that only the joint between them gives way; the far face of one is fixed,
 that of the other is driven. Force and work are those of a spring k_t A in series with a slider
@@ -124,7 +124,7 @@ def checks() -> Iterator[Check]:
 
 @dataclass(frozen=True)
 class Drive:
-    """What the driver of the block feels.
+    """Force on the driver of the block.
 
     Attributes
     ----------

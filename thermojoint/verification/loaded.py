@@ -94,7 +94,7 @@ def column_case(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str,
 
 
 def joint(**said: float | str) -> dict[str, Any]:
-    """Return a joint of four contact elements, with what is said of it."""
+    """Return a joint of four contact elements with changed keys."""
     surface = {"along": 2, "across": 2, "asperity_slope": 0.14, "friction_coefficient": 0.2}
     return surface | {"roughness_um": 1e6 * ROUGHNESS, "hardness_GPa": 1e-9 * HARDNESS} | said
 

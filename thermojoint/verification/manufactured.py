@@ -1,9 +1,9 @@
-"""Manufactured solutions: the order at which each element and the time scheme converge.
+"""Manufactured solutions: orders of convergence of the elements and the time integration.
 
 A smooth field is chosen, the heat or the force that it needs is put on the body, and its values are
 given on the boundary. The error in L2 falls like h^order when the mesh is refined.
 
-What theory says (h is the size of the elements):
+Theoretical orders (h is the element size):
 
 - temperature of first order: 2;
 - displacement of second order: 3, its stress: 2;

@@ -1,4 +1,4 @@
-"""The march against a plain assembly that condenses nothing, and its errors in the time step."""
+"""The condensed simulator against a full assembly, and its order in the time step."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ COUNT = 10
 HISTORY = np.array([[0.0, 6.0, 8.0], [0.0, 2000.0, -4000.0]])
 WARMING = 0.1
 
-#: What the reduced model may be off by at so much heat: K and m; pressure, of the largest.
+#: Tolerances of the reduced model at this heat: K and m; pressure relative to the largest.
 _HEAT = np.abs(HISTORY[1]).max() / USUAL_POWER
 ALLOWED = {
     "temperature": _HEAT * TEMPERATURE_ERROR,
@@ -76,7 +76,7 @@ class Assembled:
     thermometer : scipy.sparse.csr_array, shape (1, n)
         Row of a temperature probe.
     machine : CondensedMachine
-        What marches.
+        The machine to be simulated.
     field : DisplacementField
         Displacements from its results.
     """
@@ -215,7 +215,7 @@ def compared(
     plain : sequence of PlainStep
         The same steps by the plain march.
     modes : ThermalModes, optional
-        What the machine's temperatures are made of, if it is a reduced one.
+        Modes of the machine's temperatures, if it is reduced.
     """
     found: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
     for theirs, step in zip(plain, march(made.machine, driven(made), staggered), strict=False):

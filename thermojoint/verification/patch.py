@@ -1,4 +1,4 @@
-"""Patch tests: fields that every element must reproduce, on meshes shaken out of shape."""
+"""Patch tests: fields that every element must reproduce, on distorted meshes."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def worst(
     source: str,
     scale: float = 0.0,
 ) -> Check:
-    """Check a field at its worst value, relative to `scale` or to the largest exact value."""
+    """Check the largest error of a field, relative to `scale` or to the largest exact value."""
     at = np.unravel_index(int(np.argmax(np.abs(found - exact))), found.shape)
     return Check(
         name=f"{name}: {quantity}",

@@ -1,6 +1,6 @@
-"""The staggered march without condensation: every matrix whole, assembled and factorised anew.
+"""Staggered time stepping without condensation: full matrices, factorised in every step.
 
-It takes the same operators and joint laws as the product's march and shares nothing else with it:
+It uses the same operators and joint laws as the simulator and shares nothing else with it:
 the unknowns are all temperatures and displacements, Newton's method works on the forces.
 """
 
@@ -52,7 +52,7 @@ def plain_march(
     machine: CondensedMachine,
     inputs: Inputs,
 ) -> Iterator[PlainStep]:
-    """Yield the staggered march's steps, every matrix whole and factorised anew each time.
+    """Yield the steps of the staggered scheme with full matrices, factorised each time.
 
     Nothing of `machine` counts but its joint laws and its step length. No surface may have a held
     temperature.

@@ -1,4 +1,4 @@
-"""Results of the suite as JSON data and as the docs page."""
+"""Results of the suite as JSON data and as the page of the documentation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ said otherwise.
 def results_data(
     results: Sequence[Result],
 ) -> dict[str, list[dict[str, str | float | None]]]:
-    """Return what ``verify --out`` writes: {"cases": [...]}, one entry for each check.
+    """Return the content of ``verify --out``: {"cases": [...]}, one entry for each check.
 
     A number that is not finite (its check fails) becomes None: JSON knows only finite ones.
     """
@@ -77,7 +77,7 @@ def _table(checks: Sequence[Check]) -> str:
 
 
 def shown(check: Check) -> tuple[str, str, str, str, str, str]:
-    """Return what is compared, reference, computed, error, tolerance and source as text."""
+    """Return quantity, reference, computed value, error, tolerance and source as text."""
     named = check.quantity in check.name
     what = check.name if named else f"{check.name}: {check.quantity}"
     unit = "" if check.unit == "1" else f", {check.unit}"

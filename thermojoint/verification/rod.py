@@ -43,7 +43,7 @@ from thermojoint.verification.check import Check
 from thermojoint.verification.rods import NO_FRICTION, Rods, rods
 from thermojoint.verification.structures import IRON, STEEL
 
-#: So long an implicit Euler step ends in the steady state, s.
+#: An implicit Euler step of this length reaches the steady state, s.
 FOREVER = 1e15
 
 LENGTH, WALL_LENGTH = 0.1, 0.02
@@ -63,9 +63,9 @@ OPENINGS = (-0.5e-6, -1e-6, -4e-6, -6e-6, -7e-6, -7.4e-6, -8e-6)
 #: Temperature of the wall at which the rod has three steady states, K, and their names.
 BISTABLE = 25.0
 STATES = ("open", "middle", "closed")
-#: Time step of a march to a steady state, and the length of such a march, in times of diffusion.
+#: Time step and length of a simulation to a steady state, in diffusion times.
 LONG, SETTLED = 0.05, 16.0
-#: Change of a mode in one step, about.
+#: Approximate change of a mode in one step.
 GROWTH = 0.1
 #: Steps of the march away from a steady state, and how many of them pass before its rate is
 #: measured.
@@ -105,7 +105,7 @@ class Case:
         return conductance * LENGTH / ROD.conductivity
 
     def misfit(self, opening: float) -> float:
-        """Opening less that of the steady state at its pressure, m."""
+        """Opening minus that of the steady state at its pressure, m."""
         pressure = self.pressure(opening)
         biot = self.biot(pressure)
         growth = 0.5 * ROD.expansion * LENGTH * self.wall * biot / (1.0 + biot)
@@ -143,7 +143,7 @@ def leading_root(case: Case, opening: float) -> complex:
 
 
 def joint_law() -> JointLaw:
-    """Return the joint: the plastic contact of two rough surfaces, hardly touching when cold."""
+    """Return the joint: plastic contact of two rough surfaces, barely touching when cold."""
     share = 0.5 * float(erfc(SEPARATION / (np.sqrt(2.0) * ROUGHNESS)))
     ends = (np.array([m.conductivity]) for m in (ROD, WALL))
     conductivity = float(harmonic_conductivity(*ends)[0])
@@ -238,7 +238,7 @@ def rate_of(root: complex) -> float:
 
 
 def settled(machine: CondensedMachine, case: Case, start: State) -> float:
-    """Pressure (Pa) at which a march from `start` comes to rest."""
+    """Pressure (Pa) of the steady state that a simulation from `start` reaches."""
     steps = march(machine, lambda _: case.inputs, iterated, start)
     count = round(SETTLED / LONG)
     return float(next(islice(steps, count - 1, None)).state.pressure[0])

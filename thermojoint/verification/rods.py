@@ -1,4 +1,4 @@
-"""Two rods in line between walls, one-dimensional: meshed, assembled and ready to march."""
+"""Two one-dimensional rods in line between walls, meshed and assembled."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Rods:
     elastic : ElasticCondensation
         Both rods between walls.
     law : JointLaw
-        What happens at the joint.
+        Law of the joint.
     x : ndarray, shape (n,)
         Of the temperature unknowns, m; the second rod's begin at `second`.
     second : int

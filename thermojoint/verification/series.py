@@ -38,7 +38,7 @@ HOT, COLD = 100.0, 20.0
 #: Pressures of the joint, Pa.
 PRESSURES = (0.1e6, 1.0e6, 4.41e6, 40.0e6)
 ROUGHNESS, SLOPE, HARDNESS = 1.25e-6, 0.14, 1.961e9
-#: So long an implicit Euler step ends in the steady state, s.
+#: An implicit Euler step of this length reaches the steady state, s.
 FOREVER = 1e15
 
 MESHES = {
@@ -59,7 +59,7 @@ def law_at(pressure: float) -> JointLaw:
 
 
 def steady_machine(structure: Structure) -> CondensedMachine:
-    """Two bars between rollers with held ends, one step of which leads to the steady state.
+    """Two bars between rollers with held end temperatures; one step reaches the steady state.
 
     The bars do not expand, so that the joint keeps its preload.
     """
@@ -77,7 +77,7 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     return CondensedMachine(thermal, condensed, [(law_at(PRESSURES[0]), len(joints[0].area))])
 
 
-#: What a case says of a joint whose conductance is another than Eq. 11, and its h, W/(m2 K).
+#: Keys of a joint with a conductance other than Eq. 11, and its h, W/(m2 K).
 _OPEN = {"preload_MPa": 0.0, "reference_pressure_MPa": 1.0, "initial_opening_um": 30.0}
 AIR, JUMP, WARM, EMISSIVITIES = 0.026, 0.4e-6, 60.0, (0.3, 0.8)
 OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
@@ -106,7 +106,7 @@ OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
 
 
 def other_checks() -> Iterator[Check]:
-    """Heat flow through the two bars with the conductances beside Eq. 11."""
+    """Heat flow through the two bars with conductances other than Eq. 11."""
     cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
     surface = {
         "along": 3,

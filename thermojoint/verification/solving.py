@@ -1,4 +1,4 @@
-"""Linear systems with some of their unknowns given."""
+"""Solution of linear systems with prescribed unknowns."""
 
 from __future__ import annotations
 

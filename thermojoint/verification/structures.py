@@ -1,4 +1,4 @@
-"""Structures that the verification cases share: blocks and pairs of bars."""
+"""Structures shared by verification cases: blocks and pairs of bars."""
 
 from __future__ import annotations
 

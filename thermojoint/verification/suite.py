@@ -1,4 +1,4 @@
-"""The verification suite: its groups in the order they are printed."""
+"""The verification suite: groups of checks in the order of printing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Group:
     run : callable
         Gives the checks.
     about : str
-        What is compared with what, for the docs page; Markdown.
+        Description of the comparison for the docs page; Markdown.
     """
 
     title: str
@@ -259,9 +259,9 @@ class Result:
     Attributes
     ----------
     group : Group
-        What ran.
+        Group that was run.
     checks : tuple of Check
-        What came out.
+        Checks of the group.
     """
 
     group: Group
@@ -276,7 +276,7 @@ class Result:
 def run(groups: Sequence[Group] = GROUPS) -> Iterator[Result]:
     """Run one group after another, and yield each as it ends.
 
-    A group that breaks off has failed: what it broke off with is its last check.
+    A group that raises an error has failed; the error is its last check.
     """
     for group in groups:
         checks: list[Check] = []

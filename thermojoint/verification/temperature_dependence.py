@@ -1,4 +1,4 @@
-"""Conductivity, film, radiation and expansion that depend on temperature, from case files.
+"""Temperature-dependent conductivity, convection, radiation and expansion, from case files.
 
 In the steady state of a bar along x all is in closed form:
 
@@ -170,7 +170,7 @@ def _enclosing(folder: Path) -> Iterator[Check]:
 
 
 def _settled(name: str, response: xr.Dataset) -> Check:
-    """The last change of the secant steps beside the temperatures they settle to."""
+    """Last change of the secant iteration relative to the converged temperatures."""
     largest = float(np.abs(response["temperature"]).max())
     return Check(
         name=f"temperature dependence, {name}: last secant step, temperature",

@@ -1,4 +1,4 @@
-"""A bar, or a plate, as a case file has it: what the checks of thermal fields are made of."""
+"""Bars and plates as case files, for the checks of thermal fields."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from thermojoint.verification.structures import block, box_grid
 #: Length and width of the bar along x, m.
 LENGTH, WIDTH = 0.1, 0.02
 CONDUCTIVITY, DENSITY, CAPACITY, EXPANSION = 47.0, 7200.0, 500.0, 11e-6
-#: So long an implicit Euler step ends in the steady state, s.
+#: An implicit Euler step of this length reaches the steady state, s.
 FOREVER = 1e13
 METAL: dict[str, Any] = {
     "conductivity_W_mK": CONDUCTIVITY,

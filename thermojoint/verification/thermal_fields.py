@@ -1,4 +1,4 @@
-"""Temperatures, heat and held temperatures that vary in space, from case files.
+"""Initial temperatures, heat and held temperatures that vary in space, from case files.
 
 - A bar without film that starts at A cos(pi x/L): the wave keeps its shape and decays by
   exp(-kappa (pi/L)^2 t).

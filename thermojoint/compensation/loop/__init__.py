@@ -1,1 +1,1 @@
-"""The closed loop: a marched machine, an estimator that reads it, a heater and axes that act."""
+"""Closed-loop compensation: a simulated machine, its estimator, a heater and axis offsets."""

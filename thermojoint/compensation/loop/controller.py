@@ -1,10 +1,11 @@
-"""PID with feed-forward on one heater (Eq. 17), which can only heat, and only so much.
+"""PID controller with feed-forward for one heater (Eq. 17) with limited, non-negative power.
 
-The controlled value is an estimated displacement, which should be at a setpoint δ0:
+The controlled variable is an estimated displacement with a setpoint δ0:
 
 u = k_g F(s) Q_d + K (1 + 1/(T_i s) + T_d s/(1 + T_f s)) e,   e = sign (δ0 - δ),
 
-sign that of what the heater does to δ, F a first-order low-pass; sampled by backward differences.
+where sign is that of the heater's effect on δ and F is a first-order low-pass; discretised by
+backward differences.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import NamedTuple
 
 @dataclass(frozen=True)
 class Controller:
-    """Its settings.
+    """Settings of the controller.
 
     Attributes
     ----------
@@ -33,13 +34,13 @@ class Controller:
     feed_forward_filter : float
         Time constant of F, s.
     largest : float
-        Most heat, W; the least is 0.
+        Largest heat, W; the smallest is 0.
     resolution : float
         Step of the heat, W; 0 for none.
     interval : float
         Between samples, s.
     setpoint : float
-        δ0, m. Away from zero it keeps the heater warm, so that it can give less.
+        δ0, m. A setpoint other than zero keeps the heater warm, so that its heat can be reduced.
     """
 
     gain: float
@@ -56,7 +57,7 @@ class Controller:
 
 
 class ControllerState(NamedTuple):
-    """What a sample leaves to the next.
+    """State of the controller between two samples.
 
     Attributes
     ----------
@@ -80,9 +81,9 @@ AT_REST = ControllerState(0.0, 0.0, 0.0, 0.0)
 def control(
     controller: Controller, state: ControllerState, displacement: float, disturbing: float
 ) -> tuple[ControllerState, float]:
-    """Return the state after a sample, and the heat that is asked of the heater, W.
+    """Return the state after a sample, and the heat demanded from the heater, W.
 
-    The integral stands still where the heater can do no more, unless it leads back.
+    Anti-windup: at a limit of the heater the integral changes only towards the range.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Bode and step figures of a loop, and the runs against time."""
+"""Bode plot, step responses and simulated runs of a closed loop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STEP, _POINTS = 7200.0, 1500
 
 
 def bode_figure(design: Design, delay: float) -> Figure:
-    """Return gain and phase of the open loop, and what the disturbance does free and controlled.
+    """Return gain and phase of the open loop, and the disturbance response, free and controlled.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def bode_figure(design: Design, delay: float) -> Figure:
 
 
 def step_figure(model: ObserverModel, closed: Closed) -> Figure:
-    """Return what steps of 1 kW of the disturbance and of the heater do, near the preload."""
+    """Return the responses to 1 kW steps of disturbance and heater, near the preload."""
     heater = closed.loop.heater
     figure, (panel,) = _panels(1)
     if heater is not None:
@@ -87,7 +87,7 @@ def step_figure(model: ObserverModel, closed: Closed) -> Figure:
 
 
 def runs_figure(closed: Closed) -> Figure:
-    """Return displacement, what is left of it, and the heat, against time."""
+    """Return displacement, residual and heat against time."""
     axes = closed.axes
     figure, panels = _panels(2 * len(axes) + (closed.heated is not None))
     for k, axis in enumerate(axes):

@@ -1,4 +1,4 @@
-"""What is left of the displacement, and why where it is more than the noise."""
+"""Residual displacement of the runs, and its cause where it exceeds the noise."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from thermojoint.compensation.loop.march import Course
 from thermojoint.compensation.loop.run import Closed, Design
 
 SCHEMA, SCHEMA_VERSION = "thermojoint-control", 1
-#: A heater that stands at a limit for more than this part of a run is said to do so.
+#: A heater that is at a limit for more than this share of a run is reported.
 NOTICED = 0.02
 
 
 def runs_of(closed: Closed) -> Iterator[tuple[str, Course, bool]]:
-    """Yield name, course, and whether the heater acts, of every run."""
+    """Yield the name and the course of every run, and whether the heater acts."""
     yield "free", closed.free, False
     if closed.heated is not None:
         yield "heater", closed.heated, True
@@ -29,7 +29,7 @@ def runs_of(closed: Closed) -> Iterator[tuple[str, Course, bool]]:
 
 
 def as_content(closed: Closed) -> dict[str, Any]:
-    """Return margins and residuals for a JSON file, units in the names of the keys."""
+    """Return margins and residuals for a JSON file, with units in the keys."""
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -101,7 +101,7 @@ def _run(closed: Closed, name: str, run: Course, heated: bool) -> dict[str, Any]
 
 
 def _extent(times: Array, values: Array) -> dict[str, float]:
-    """The largest of a signal (m) by its size, when, and its root mean square."""
+    """The largest absolute value of a signal (m), its time, and the root mean square."""
     at = int(np.abs(values).argmax())
     return {
         "largest_um": float(np.abs(values[at])) / MICRO,
@@ -111,13 +111,13 @@ def _extent(times: Array, values: Array) -> dict[str, float]:
 
 
 def judged(closed: Closed, course: Course) -> Course:
-    """Return the part of a course that is judged: from `plant.judged_from_min` on."""
+    """Return the part of a course that counts: from `plant.judged_from_min` on."""
     kept = course.times >= 60.0 * closed.loop.plant.judged_from_min
     return Course(*(part[kept] for part in course))
 
 
 def setpoints(closed: Closed, heated: bool) -> Array:
-    """Return where each axis of a run should be, m, shape (axes,)."""
+    """Return the setpoint of each axis of a run, m, shape (axes,)."""
     heater, found = closed.loop.heater, np.zeros(len(closed.axes))
     if heater is not None and heated:
         found[closed.axes.index(heater.axis)] = MICRO * heater.setpoint_um
@@ -125,7 +125,7 @@ def setpoints(closed: Closed, heated: bool) -> Array:
 
 
 def reached(closed: Closed, run: Course) -> str:
-    """Say what the heater reached on its axis, and what it could not, and why."""
+    """Describe what the heater achieved on its axis, and the cause of what remains."""
     heater = closed.loop.heater
     if heater is None:
         return ""
@@ -144,7 +144,7 @@ def reached(closed: Closed, run: Course) -> str:
         ),
         (course.heater <= 0.0, "the heater cannot cool"),
     )
-    # Before it gives anything for the first time there was nothing to do.
+    # Before its first heat there was nothing to control.
     begun = int(np.argmax(course.heater > 0.0))
     reasons = []
     for stands, why in limits:

@@ -1,8 +1,8 @@
-"""The linear loop: what the heater does to the displacement and to its estimate, by frequency.
+"""Frequency responses and margins of the loop, linearised near the preload.
 
-Machine and estimator near the preload are those of a joint-aware model: modes and relaxations,
-diagonal, sampled at the estimator's own step T. With x' = D x + b u of the machine and the steady
-filter x+ = F x + K e, e = y - H F x, of the estimator (docs/closing-the-loop.md):
+Machine and estimator are those of a joint-aware model: modes and relaxations, diagonal, sampled at
+the estimator's own step T. With x' = D x + b u of the machine and the steady filter x+ = F x + K e,
+e = y - H F x, of the estimator (docs/closing-the-loop.md):
 
 δ/u = M (z - D)^-1 b,  y/u = H (z - D)^-1 b,  x/y = z N (1 + z H N - H K)^-1,  N = (z - F)^-1 K.
 """
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     import control
 
 Complex = NDArray[np.complex128]
-#: Slowest frequency that is looked at, 1/s: what is slower, the integral keeps at zero.
+#: Lowest frequency evaluated, 1/s; below it the integral part keeps the error at zero.
 SLOWEST = 1e-5
-#: Frequencies in all.
+#: Number of frequencies.
 COUNT = 300
 
 
 @dataclass(frozen=True)
 class Channels:
-    """What a loop goes through.
+    """Inputs and output of a loop.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Channels:
 
 
 class SourceResponse(NamedTuple):
-    """What one source does.
+    """Frequency response to one heat source.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Responses:
 
 
 def channels_of(model: ObserverModel, heater: str, disturbance: str, axis: str) -> Channels:
-    """Return where they stand in a model.
+    """Return the channels of a loop in a model.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def channels_of(model: ObserverModel, heater: str, disturbance: str, axis: str) 
 
 
 def frequencies_of(model: ObserverModel) -> Array:
-    """Return the frequencies at which a loop of its sampling is looked at, 1/s, shape (f,)."""
+    """Return the frequencies at which a sampled loop is evaluated, 1/s, shape (f,)."""
     return np.geomspace(SLOWEST, np.pi / model.step, COUNT)
 
 
@@ -168,7 +168,7 @@ def _estimator_response(system: LinearSystem, gain: Array, out: Array, z: comple
 def controller_response(
     controller: Controller, frequencies: Array, delay: float
 ) -> tuple[Complex, Complex]:
-    """Return what a controller does to the estimate (W/m) and to the disturbing heat (W/W).
+    """Return the response of a controller to the estimate (W/m) and to the disturbing heat (W/W).
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def open_loop(responses: Responses, controller: Controller, delay: float) -> Com
 
 @dataclass(frozen=True)
 class Margins:
-    """What a loop can still bear.
+    """Stability margins of a loop.
 
     Attributes
     ----------
@@ -207,9 +207,9 @@ class Margins:
     phase : float
         rad.
     delay : float
-        More of it, s.
+        Additional delay until instability, s.
     crossover : float
-        Where the loop has gain 1, 1/s.
+        Frequency at which the loop has gain 1, 1/s.
     """
 
     gain: float
@@ -250,7 +250,7 @@ def disturbed(responses: Responses, controller: Controller, delay: float) -> Com
 def noise_of_heat(
     responses: Responses, controller: Controller, delay: float, noise: Array
 ) -> float:
-    """Standard deviation of the heater's power that the sensors' noise makes, W.
+    """Standard deviation of the heater's power caused by sensor noise, W.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The loop in time: the marched machine, read by its estimator, driven by what that leads to."""
+"""Time simulation of the closed loop: machine, estimator, heater and axis offsets."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from thermojoint.compensation.offsets.usable import usable
 
 @dataclass(frozen=True)
 class Plant:
-    """The machine that is compensated.
+    """The compensated machine.
 
     Attributes
     ----------
     case : Case
-        Its heater, if it has one, gives nothing by itself.
+        The heater, if there is one, has no heat input of its own.
     setup : Setup
         Of the case.
     """
@@ -51,14 +51,14 @@ class Plant:
 
 @dataclass(frozen=True)
 class Acting:
-    """What acts on a machine.
+    """Actuators of a closed loop.
 
     Attributes
     ----------
     controller : Controller or None
         None if there is no heater.
     heater, disturbance, axis : int
-        Source of the plant, source of the estimator, and axis of the estimate.
+        Indices of the plant's source, of the estimator's source, and of the estimate's axis.
     offsets : Settings or None
         None if no axis is moved.
     delay : int
@@ -74,7 +74,7 @@ class Acting:
 
 
 class Course(NamedTuple):
-    """A run; rows are the plant's steps.
+    """Time histories of a run; one row per step of the plant.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Course(NamedTuple):
     displacement, estimate : ndarray, shape (n, axes)
         Of the machine, and the newest estimate of it, m.
     moved : ndarray, shape (n, axes)
-        What the axes' offsets add to the displacement, m.
+        Contribution of the axis offsets to the displacement, m.
     heater, disturbing : ndarray, shape (n,)
         W.
     """
@@ -97,22 +97,22 @@ class Course(NamedTuple):
 
     @property
     def residual(self) -> Array:
-        """What is left at the tool, m, shape (n, axes)."""
+        """Residual displacement at the tool, m, shape (n, axes)."""
         return np.asarray(self.displacement + self.moved)
 
 
 @threadpool_limits.wrap(limits=1)
 def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) -> Course:
-    """Run a machine from rest, with its estimator in the loop.
+    """Simulate a machine from rest, with its estimator in the loop.
 
     Parameters
     ----------
     plant : Plant
-        Marched by `fesim`.
+        Simulated by `fesim`.
     estimator : JointAware
         Sampled at the step of its model, a multiple of the plant's.
     acting : Acting
-        What its estimates lead to.
+        Actuators driven by its estimates.
     noise : ndarray, shape (samples, sensors)
         On every reading, K; as many samples as the run has.
 
@@ -159,7 +159,7 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
 
 
 class _Act(NamedTuple):
-    """What acts between two samples: the heat, W, and what offsets add to the displacement, m."""
+    """Actuation between two samples: heat, W, and the offsets' displacement, m."""
 
     controlled: ControllerState
     output: OutputState | None
@@ -175,7 +175,7 @@ def _at_rest(acting: Acting, axes: int) -> _Act:
 def _act(
     acting: Acting, before: _Act, axes: tuple[str, ...], arrived: Estimate | None, time: float
 ) -> _Act:
-    """What acts after a sample, in which an estimate has arrived, or none yet."""
+    """Actuation after a sample, with the newest estimate or none yet."""
     after = before
     if acting.controller is not None and arrived is not None:
         controlled, heat = control(
@@ -194,12 +194,12 @@ def _act(
 
 
 def steps_of(plant: Plant, estimator: JointAware) -> int:
-    """Return how many steps of the plant a sample of the estimator takes.
+    """Return the number of plant steps per sample of the estimator.
 
     Raises
     ------
     InputError
-        It is no whole number.
+        It is not an integer.
     """
     ratio = estimator.model.step / plant.setup.machine.thermal.step
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
@@ -211,9 +211,9 @@ def steps_of(plant: Plant, estimator: JointAware) -> int:
 
 
 def added_by(settings: Settings, axes: tuple[str, ...], offsets: Array) -> Array:
-    """Return what offsets (m) add to the displacement along the estimate's axes, m.
+    """Return the displacement that offsets (m) cause along the estimate's axes, m.
 
-    An offset of sign -1 is made of minus the estimate, and is added; one of sign 1 the other way.
+    An offset with sign -1 is the negative estimate and is added; with sign 1 it is subtracted.
     """
     found = np.zeros(len(axes))
     given = zip(settings.output.estimated, settings.output.signs, offsets, strict=True)
@@ -245,7 +245,7 @@ def _sensor_rows(plant: Plant, estimator: JointAware) -> Array:
 
 
 def _driven(inputs: Inputs, times: Sequence[float], heater: int, heat: float) -> Array:
-    """Inputs (n, k + l) at times with a heat (W) of the heater that stays; -1: there is none."""
+    """Inputs (n, k + l) at times with constant heat (W) of the heater; -1: no heater."""
     found = np.array([inputs(time) for time in times])
     if heater >= 0:
         found[:, heater] = heat

@@ -1,4 +1,4 @@
-"""The library of transfer functions, which is an extra."""
+"""Import of python-control, an optional dependency."""
 
 from __future__ import annotations
 

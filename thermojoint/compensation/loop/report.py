@@ -1,4 +1,4 @@
-"""The report of a loop: one self-contained HTML page, and the same figures as JSON."""
+"""Report of a closed loop: one self-contained HTML page, and the same figures as JSON."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from thermojoint.compensation.loop.run import Closed
 
 
 def report_html(closed: Closed, content: dict[str, Any]) -> str:
-    """Return the page; everything in it is escaped, nothing is loaded from elsewhere.
+    """Return the page; all content is escaped, and nothing is loaded from elsewhere.
 
     Parameters
     ----------
     closed : Closed
         The loop.
     content : dict
-        What `thermojoint.compensation.loop.judging.as_content` says of it.
+        The result of `thermojoint.compensation.loop.judging.as_content`.
     """
     environment = templates_of("thermojoint.compensation.loop")
     figures = [("The runs against time", runs_figure(closed))]

@@ -1,4 +1,4 @@
-"""From the file of a loop to its margins and what it leaves of the displacement."""
+"""Tune and simulate a closed loop as defined by its file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from thermojoint.compensation.loop.schema import HeaterSection, Loop
 from thermojoint.compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
 from thermojoint.compensation.offsets.settings import Settings, read_settings
 
-#: Standard deviation of the noise that the tuning reckons with, relative to its peak to peak.
+#: Standard deviation of the noise assumed in tuning, relative to its peak-to-peak value.
 RMS = 1.0 / 6.0
 
 Progress = Callable[[str], None]
@@ -46,7 +46,7 @@ class Design:
     tuned : Tuned
     responses : Responses
     late : dict of float to Margins
-        Delay of the estimates (s) to what is left with the same controller.
+        Delay of the estimates (s) to the margins of the same controller.
     """
 
     tuned: Tuned
@@ -56,7 +56,7 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """All that came of a loop.
+    """Results of a closed loop.
 
     Attributes
     ----------
@@ -65,11 +65,11 @@ class Closed:
     design : Design or None
         None without a heater.
     free : Course
-        No heat of the heater; the offsets, if any, act.
+        Without heat from the heater; the offsets, if any, act.
     heated : Course or None
         The heater acts, too; None without one.
     late : dict of float to Course
-        With everything that acts, at each delay that was tried (s).
+        With all actuators, at each delay that was tried (s).
     """
 
     loop: Loop
@@ -81,19 +81,19 @@ class Closed:
 
 
 def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
-    """Tune a loop and run it.
+    """Tune and simulate a closed loop.
 
     Parameters
     ----------
     loop : Loop
         As its file says.
     progress : callable, optional
-        Called with what is done next.
+        Called with a description of the next stage.
 
     Raises
     ------
     InputError
-        What the file names does not fit together, or no controller keeps what it requires.
+        The contents of the file are inconsistent, or no controller meets the requirements.
     ConvergenceError
         The machine or the estimator does not converge.
     """
@@ -122,7 +122,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
 
 
 def plant_case(loop: Loop) -> Case:
-    """Return the plant of a loop as a case: driven as the loop says, its heater silent.
+    """Return the plant of a loop as a case with the loop's heat input and an unheated heater.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _acting(
 
 
 def _samples(delay: float, step: float) -> int:
-    """A delay (s) in samples."""
+    """Number of samples of a delay (s)."""
     if abs(delay / step - round(delay / step)) > 1e-6:
         raise InputError(
             f"delay of {delay:g} s: no whole number of the estimator's steps of {step:g} s; make "

@@ -1,4 +1,4 @@
-"""The file of a closed loop: plant, estimator, what acts, what is required; units in the keys."""
+"""Schema of the file of a closed loop: plant, estimator, actuators, requirements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thermojoint.compensation.offsets.settings import MOST_STEPS
 
 
 class PlantSection(Section):
-    """``[plant]``: the machine, and what drives its sources but the heater."""
+    """``[plant]``: the machine, and the heat input of its sources except the heater."""
 
     case: File
     heat_input: HeatInput
@@ -36,7 +36,7 @@ class PlantSection(Section):
 
 
 class EstimatorSection(Section):
-    """``[estimator]``: a joint-aware model, and what its readings and estimates suffer."""
+    """``[estimator]``: a joint-aware model, sensor noise and delay."""
 
     model: File
     noise_pp_K: NotNegative = 0.12
@@ -45,7 +45,7 @@ class EstimatorSection(Section):
 
 
 class HeaterSection(Section):
-    """``[heater]``: which source is under control, for which axis, against which source."""
+    """``[heater]``: the controlled source, the controlled axis, the source for feed-forward."""
 
     source: str
     axis: str
@@ -65,7 +65,7 @@ class HeaterSection(Section):
 
 
 class TuningSection(Section):
-    """``[tuning]``: what the tuned loop keeps."""
+    """``[tuning]``: requirements for the tuned loop."""
 
     gain_margin_dB: Positive = 6.0
     phase_margin_deg: Positive = 45.0
@@ -75,7 +75,7 @@ class TuningSection(Section):
 
 
 class Loop(Section):
-    """A closed loop as its file says."""
+    """A closed loop as defined in its file."""
 
     title: str
     plant: PlantSection

@@ -1,10 +1,10 @@
-"""Tuning by a rule: the fastest loop that keeps its margins, whatever the model may be wrong by.
+"""Tuning rule: the fastest loop that keeps its margins under assumed model errors.
 
-At a crossover ω the machine is taken for an integrator of its gain there, |δ/u| ω, which is what
-diffusion comes nearest to from the cautious side. Skogestad's SIMC for an integrator then has the
-integral time 4/ω, the gain that makes |L(jω)| = 1, and no derivative; the feed-forward is
-low-passed at ω, its gain the least squares of both step responses. The crossover is the highest
-at which all of `Requirements` hold.
+At a crossover ω the machine is approximated by an integrator with its gain there, |δ/u| ω, a
+conservative approximation of diffusion. Skogestad's SIMC for an integrator then has the integral
+time 4/ω, the gain that makes |L(jω)| = 1, and no derivative; the feed-forward is low-passed at ω,
+its gain the least squares of both step responses. The crossover is the highest at which all of
+`Requirements` hold.
 
 Skogestad (2003), Simple analytic rules for model reduction and PID controller tuning, J. Process
 Control 13, 291-309.
@@ -31,7 +31,7 @@ from thermojoint.compensation.loop.linear import (
     open_loop,
 )
 
-#: Crossovers tried, in a decade.
+#: Number of crossovers tried per decade.
 A_DECADE = 20
 #: SIMC's integral time in units of 1/ω.
 INTEGRAL = 4.0
@@ -39,22 +39,22 @@ INTEGRAL = 4.0
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a tuned loop has to keep.
+    """Requirements for a tuned loop.
 
     Attributes
     ----------
     gain_margin : float
-        Least factor on the gain.
+        Smallest gain margin, a factor.
     phase_margin : float
-        Least, rad.
+        Smallest phase margin, rad.
     gain_error : float
-        The machine's gain may be so much more or less than the model's, relative.
+        Relative error of the model's gain to be tolerated, either way.
     delay, delay_error : float
-        Of the estimates on their way, and by how much it may be longer, s.
+        Delay of the estimates, and its possible increase, s.
     noise : ndarray, shape (p + 1,)
         Standard deviation of each reading, K.
     most_noise : float
-        Most standard deviation of the heat because of it, W.
+        Largest standard deviation of the heat caused by it, W.
     """
 
     gain_margin: float
@@ -68,7 +68,7 @@ class Requirements:
 
 @dataclass(frozen=True)
 class Tuned:
-    """A controller, its margins with the model itself, and the worst with what it may be wrong by.
+    """A controller, its margins with the nominal model, and the smallest under model errors.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Tuned:
     worst_gain, worst_phase : float
         Factor, and rad.
     heat_noise : float
-        Standard deviation of the heat that the sensors' noise makes, W.
+        Standard deviation of the heat caused by sensor noise, W.
     """
 
     controller: Controller
@@ -88,12 +88,13 @@ class Tuned:
 
 
 def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) -> float:
-    """Return k_g, W/W: what of the heater makes least of the disturbance's step up to a time (s).
+    """Return k_g, W/W: the heat that minimises the response to a disturbance step up to a time (s).
 
     Raises
     ------
     InputError
-        The heater moves the axis as the disturbance does, so that heat cannot undo it.
+        The heater moves the axis in the same direction as the disturbance, so heat cannot
+        compensate it.
     """
     system = Observer(model).system
     dynamic = system.decay.size
@@ -116,20 +117,20 @@ def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) 
 
 
 def tune(responses: Responses, start: Controller, required: Requirements) -> Tuned:
-    """Return the fastest controller that keeps what is required.
+    """Return the fastest controller that meets the requirements.
 
     Parameters
     ----------
     responses : Responses
         Of the model.
     start : Controller
-        With its sign, limits and feed-forward gain; the rest is found.
+        With its sign, limits and feed-forward gain; the other settings are computed.
     required : Requirements
 
     Raises
     ------
     InputError
-        No crossover keeps it.
+        No crossover meets them.
     """
     low, high = responses.frequencies[0] * 4.0, responses.frequencies[-1] / 3.0
     crossovers = np.geomspace(low, high, round(A_DECADE * np.log10(high / low)))
@@ -148,7 +149,7 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
 
 
 def _simc(responses: Responses, start: Controller, crossover: float) -> Controller:
-    """SIMC for the integrator that the machine is at a crossover (1/s)."""
+    """SIMC controller for the machine approximated by an integrator at a crossover (1/s)."""
     given = replace(
         start,
         gain=1.0,
@@ -168,7 +169,7 @@ def _simc(responses: Responses, start: Controller, crossover: float) -> Controll
 
 
 def _checked(responses: Responses, controller: Controller, required: Requirements) -> Tuned:
-    """The margins of a controller with the model and with what it may be wrong by."""
+    """Margins of a controller with the nominal model and under model errors."""
     nominal = margins_of(responses.frequencies, open_loop(responses, controller, required.delay))
     late = open_loop(responses, controller, required.delay + required.delay_error)
     worst = [

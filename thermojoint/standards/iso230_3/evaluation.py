@@ -1,4 +1,4 @@
-"""How a record of a test is evaluated."""
+"""Evaluation of the record of a test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thermojoint.standards.iso230_3.record import Record
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a record of a test says.
+    """Result of evaluating a record.
 
     Attributes
     ----------

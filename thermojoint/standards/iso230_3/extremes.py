@@ -1,4 +1,4 @@
-"""The lowest and the highest value of a signal within a period of time."""
+"""Minimum and maximum of a signal within a period."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Extremes:
 
     @property
     def range(self) -> float:
-        """Highest less lowest value."""
+        """Highest minus lowest value."""
         return self.high - self.low
 
 

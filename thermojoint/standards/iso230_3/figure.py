@@ -1,4 +1,4 @@
-"""The picture of a test: displacement, tilt and temperature against time, the parameters marked."""
+"""Figure of a test: displacement, tilt and temperature against time, with the parameters marked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Quantity to the factor from SI, and what stands on the axis.
+#: Quantity to the factor from SI and the axis label.
 SHOWN: dict[Quantity, tuple[float, str, str]] = {
     "displacement": (1e6, "µm", "displacement (µm)"),
     "tilt": (1e6, "µm/m", "tilt (µm/m)"),
@@ -25,7 +25,7 @@ SHOWN: dict[Quantity, tuple[float, str, str]] = {
 }
 _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 _STYLES = ("-", "--", "-.", ":")
-#: What is shown before and after the test, relative to its length.
+#: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
 
 
@@ -59,7 +59,9 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
         _draw(panel, record.times[inside], quantity, shown)
         _mark_periods(panel, evaluation)
         if quantity != "temperature":
-            marked = [one for one in evaluation.parameters if one.quantity == quantity]
+            marked = [
+                parameter for parameter in evaluation.parameters if parameter.quantity == quantity
+            ]
             _mark_ranges(panel, list(channels), marked)
     panels[-1].set_xlim(first / 3600.0, last / 3600.0)
     panels[-1].set_xlabel("time (h)")
@@ -102,12 +104,12 @@ def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
 
 def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) -> None:
     """Draw an arrow from the lowest to the highest value of a period, side by side within it."""
-    for one in parameters:
-        k = channels.index(one.channel)
-        factor = SHOWN[one.quantity][0]
-        found = one.extremes
-        apart = one.period.length / (len(channels) + 1)
-        at = (one.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
+    for parameter in parameters:
+        k = channels.index(parameter.channel)
+        factor = SHOWN[parameter.quantity][0]
+        found = parameter.extremes
+        apart = parameter.period.length / (len(channels) + 1)
+        at = (parameter.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
         low, high = factor * found.low, factor * found.high
         arrow = {
             "arrowstyle": "<->",
@@ -121,7 +123,7 @@ def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) 
         panel.text(
             at,
             middle,
-            one.symbol,
+            parameter.symbol,
             color=_shade(k),
             fontsize=7,
             rotation=90,

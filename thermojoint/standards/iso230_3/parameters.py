@@ -1,6 +1,6 @@
 """The parameters of the tests: ranges of displacement, tilt and temperature over their periods.
 
-Every parameter is a range, highest less lowest value, so none depends on where a sensor was zeroed.
+Every parameter is a range, highest minus lowest value, and does not depend on a sensor's zero.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Parameter:
     channel : str
         Of the record.
     period : Period
-        Over which it is taken.
+        Period of the range.
     extremes : Extremes
         Its `range` is the figure.
     """

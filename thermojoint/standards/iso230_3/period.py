@@ -1,4 +1,4 @@
-"""When a test ran: the whole record, or while something turned or moved."""
+"""Running period of a test: the whole record, or from the first to the last motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tests by name; nothing is loaded for them."""
+"""Names of the tests, without imports of their implementation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Protocol(StrEnum):
 
     @property
     def heading(self) -> str:
-        """What the test is called."""
+        """Name of the test."""
         return _TITLES[self]
 
 

@@ -1,4 +1,4 @@
-"""What was recorded in a test: displacements, tilts, temperatures and the drive, against time."""
+"""Record of a test: displacements, tilts, temperatures and speed against time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from thermojoint.artefacts.response import axes_of, columns_of, probes_of
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Most temperatures of a response that are taken if none is named: candidates come by the hundred.
+#: Largest number of temperatures taken from a response by default: it may have hundreds of
+#: candidates.
 MOST_PROBES = 6
 #: Celsius' zero, K.
 _ICE = 273.15
-#: An axis along which less moves than this has not moved, m: a plane of symmetry, for instance.
+#: An axis with less displacement than this counts as unmoved, m, e.g. across a plane of symmetry.
 STILL = 1e-12
 
 
@@ -39,7 +40,7 @@ class Record:
     tilts : mapping
         Channel to angle, rad, shape (n,); see `with_tilts`.
     drive : ndarray, shape (n,), optional
-        Speed or heat input: 0 where the machine stands still.
+        Speed or heat input: 0 at standstill.
     """
 
     times: Array
@@ -57,11 +58,11 @@ def response_record(
     Parameters
     ----------
     response : xarray.Dataset
-        As `thermojoint.artefacts.response` says.
+        A response (`thermojoint.artefacts.response`).
     axes : mapping, optional
         Channel of the record to axis of the response; default every axis that moves, by its name.
     probes : list of str, optional
-        Default the first `MOST_PROBES`. The ambient comes with them where it changes.
+        Default the first `MOST_PROBES`. The ambient is added if it changes.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def log_record(
     temperatures : list of str, optional
         Columns; default every temperature.
     speed : str, optional
-        Column that is 0 where the machine stands still; default the speed, if there is just one.
+        Column that is 0 at standstill; default the speed, if there is exactly one.
 
     Raises
     ------
@@ -138,7 +139,7 @@ def _column(log: Log, name: str, quantity: str) -> Array:
 
 
 def _celsius(log: Log, name: str) -> Array:
-    """Return temperatures as a person reads them: °C, or K as they stand in the log."""
+    """Return temperatures in display units: °C, or K if the log has K."""
     values = _column(log, name, "temperature")
     return values if log.columns[log.index(name)].unit == "K" else values - _ICE
 
@@ -151,7 +152,7 @@ def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
     record, second : Record
         Read at the same times.
     suffix : str
-        What the channels of the second point get behind their names.
+        Suffix of the names of the second point's channels.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The report of a test: one self-contained HTML page, and the same figures as JSON."""
+"""Report of a test: one self-contained HTML page, and the same figures as JSON."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
         "origin": origin,
         "begin_s": evaluation.period.begin,
         "end_s": evaluation.period.end,
-        "parameters": [_row(one) for one in evaluation.parameters],
+        "parameters": [_row(parameter) for parameter in evaluation.parameters],
         "last_60_min_over_first": evaluation.unsettled,
     }
 
@@ -63,7 +63,7 @@ def report_html(
         moves=evaluation.protocol is not Protocol.ETVE,
         facts=[("record", origin), *facts],
         period=evaluation.period,
-        rows=[_row(one) for one in evaluation.parameters],
+        rows=[_row(parameter) for parameter in evaluation.parameters],
         unsettled=evaluation.unsettled,
         picture=f"data:image/svg+xml;base64,{drawn}",
     )
