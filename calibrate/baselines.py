@@ -16,12 +16,13 @@ from scipy.signal import lfilter
 from calibrate.chain import Calibrated
 from calibrate.linear import SLOWEST
 from calibrate.placement.fchs import DEVIATION_UNCERTAINTY, with_roles
+from calibrate.ridge import linear_weights, ridge_weights
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import axes_of, columns_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.models.baselines import Autoregression, Baselines, Regression, low_passes
-from thermojoint.models.filters.bank import respond_to_line
+from thermojoint.models.baselines import Autoregression, Baselines, Regression, taus_of
+from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.parameters import Span
 from thermojoint.models.sensors import ROLES, rises
 
@@ -47,8 +48,6 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     InputError
         A probe is missing or the samples are uneven.
     """
-    from sklearn.linear_model import LinearRegression
-
     axes = tuple(axes_of(responses[0]))
     times = [steps.times(response) for response in responses]
     interval = steps.even_interval(times[0], "baselines")
@@ -57,21 +56,19 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     inputs = [rises(run) for run in runs]
     outputs = [MEGA * columns_of(run, "displacement", axes) for run in runs]
     constants = tuple(length * share for share in TIME_CONSTANTS)
-    low = low_passes(constants)
-    passed = [
-        respond_to_line(low, steps.times(run), one, interval)[1]
-        for run, one in zip(runs, inputs, strict=True)
-    ]
     plain = np.concatenate(inputs)
-    filtered = np.column_stack((plain, np.concatenate(passed)))
+    filtered = np.concatenate(
+        [
+            _relaxed(steps.times(run), one, constants, interval)
+            for run, one in zip(runs, inputs, strict=True)
+        ]
+    )
     target = np.concatenate(outputs)
-    least = LinearRegression(fit_intercept=False).fit(plain, target).coef_
-    shrunk = _ridge(filtered, target, DEVIATION_UNCERTAINTY)
     seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
     levels = [0.0, *(float(one) for run in runs for one in run["heat_input"].to_numpy())]
     return Baselines(
-        mlr=Regression((), _by_axis(axes, least)),
-        ridge=Regression(constants, _by_axis(axes, shrunk)),
+        mlr=Regression((), _by_axis(axes, linear_weights(plain, target))),
+        ridge=Regression(constants, _by_axis(axes, _ridge(filtered, target))),
         arx={
             axis: fit_autoregression(
                 inputs, [one[:, k] / MEGA for one in outputs], interval, SLOWEST / length
@@ -117,8 +114,6 @@ def fit_autoregression(
     slowest : float
         Slowest rate, 1/s.
     """
-    from sklearn.linear_model import LinearRegression
-
     target = MEGA * np.concatenate(outputs)
     lagged = [
         np.column_stack([_delayed(MEGA * one, lag)[:, None] for lag in range(1, PAST + 1)])
@@ -126,7 +121,7 @@ def fit_autoregression(
     ]
     stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
     table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
-    predicted = LinearRegression(fit_intercept=False).fit(table, target).coef_
+    predicted = linear_weights(table, target)
     past = bounded_past(predicted[:PAST], float(np.exp(-slowest * interval)))
     denominator = np.concatenate(([1.0], -past))
     # What the current temperature does, and what its change does: two features for b_0 and b_1.
@@ -137,7 +132,7 @@ def fit_autoregression(
     impulse = lfilter([1.0, -1.0], denominator, np.eye(1, max(map(len, outputs)))[0])
     scale = np.repeat([1.0 / denominator.sum(), np.linalg.norm(impulse)], level.shape[1])
     features = np.hstack((level, change)) / scale
-    of_level, of_change = np.split(_ridge(features, target, DEVIATION_UNCERTAINTY) / scale, 2)
+    of_level, of_change = np.split(_ridge(features, target) / scale, 2)
     table = np.stack((of_level + of_change, -of_change)) / MEGA
     return Autoregression(tuple(map(float, past)), tuple(tuple(map(float, r)) for r in table))
 
@@ -159,14 +154,18 @@ def _delayed(values: Array, lag: int) -> Array:
     return np.concatenate((np.zeros((lag, *values.shape[1:])), values))[: len(values)]
 
 
-def _ridge(features: Array, target: Array, uncertainty: float) -> Array:
-    """Return weights, shape (..., features), for features that err by `uncertainty` rms."""
-    from sklearn.linear_model import Ridge
+def _relaxed(times: Array, inputs: Array, constants: Sequence[float], interval: float) -> Array:
+    """Return temperatures of a run from rest and their low-passes, shape (k, features)."""
+    taus = taus_of(constants, inputs.shape[1])
+    begun = np.concatenate(([times[0] - interval], times))
+    signals = np.tile(np.vstack((np.zeros(inputs.shape[1]), inputs)), 1 + len(constants))
+    return relax_all(begun, signals, taus, np.zeros(len(taus)))[1:]
 
-    penalty = len(features) * uncertainty**2
-    found = Ridge(alpha=penalty, fit_intercept=False, solver="svd").fit(features, target)
-    return np.asarray(found.coef_)
+
+def _ridge(features: Array, target: Array) -> Array:
+    """Return weights for features that err by `DEVIATION_UNCERTAINTY` rms."""
+    return ridge_weights(features, target, len(features) * DEVIATION_UNCERTAINTY**2)
 
 
 def _by_axis(axes: Sequence[str], weights: Array) -> dict[str, tuple[float, ...]]:
-    return {axis: tuple(map(float, row / MEGA)) for axis, row in zip(axes, weights, strict=True)}
+    return {axis: tuple(map(float, row / MEGA)) for axis, row in zip(axes, weights.T, strict=True)}

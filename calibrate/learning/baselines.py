@@ -14,6 +14,7 @@ import numpy as np
 from calibrate.learning.blocks import Blocks, Sums, held_out, weights_of
 from calibrate.learning.selection import Fitted
 from calibrate.learning.structures import SLOW
+from calibrate.ridge import linear_weights
 from thermojoint.artefacts.arrays import Array
 
 #: Penalties to choose from, of standardised temperatures.
@@ -50,7 +51,7 @@ def autoregressive_tau(rows: Array, features: int, now: list[int], interval: flo
     poles = []
     for own in told.T:
         table = np.column_stack((own[:-1], inputs[1:]))
-        poles.append(np.linalg.lstsq(table, own[1:], rcond=None)[0][0])
+        poles.append(linear_weights(table, own[1:])[0])
     pole = float(np.clip(np.median(poles), 0.0, 1.0 - 1e-9))
     return float(np.clip(-interval / np.log(max(pole, 1e-6)), interval, SLOW[-1]))
 

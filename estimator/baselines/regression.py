@@ -12,8 +12,8 @@ from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.models.baselines import Regression, regression_bank
-from thermojoint.models.filters.bank import Bank, over_interval
+from thermojoint.models.baselines import Regression, taus_of
+from thermojoint.models.filters.relaxations import relaxed
 from thermojoint.models.parameters import Span
 from thermojoint.models.sensors import ROLES
 
@@ -50,23 +50,26 @@ class RegressionEstimator:
         return tuple(self.regression.weights)
 
     @cached_property
-    def bank(self) -> Bank:
-        """The regression as a linear system."""
-        return regression_bank(self.regression)
+    def _taus(self) -> Array:
+        return taus_of(self.regression.time_constants, len(CHANNELS))
+
+    @cached_property
+    def _weights(self) -> Array:
+        """Shape (axes, features)."""
+        return np.array(list(self.regression.weights.values()))
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
-        return np.concatenate(([np.nan] * 2, np.zeros(len(CHANNELS) + self.bank.n_state)))
+        return np.concatenate(([np.nan] * 2, np.zeros(len(self._taus))))
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
         begun, dt = began(state, time, values, CHANNELS, self.dt_s)
-        over = over_interval(self.bank, dt)
-        old, low = np.split(state[2:], [len(CHANNELS)])
-        new = np.asarray(values, dtype=float)
-        low = over.advance @ low + over.old @ old + over.new @ new
+        old, new = state[2 : 2 + len(CHANNELS)], np.asarray(values, dtype=float)
+        times = len(self._taus) // len(CHANNELS)
+        features = relaxed(state[2:], np.tile(old, times), np.tile(new, times), dt, self._taus)
         status = status_of(self.span, time - begun, dict(zip(ROLES, values, strict=True)))
         band = np.full(len(self.axes), np.nan)
-        return np.concatenate(([time, begun], new, low)), Estimate(
-            time, over.end @ low + over.end_new @ new, band, status, np.empty(0)
+        return np.concatenate(([time, begun], features)), Estimate(
+            time, self._weights @ features, band, status, np.empty(0)
         )

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import PositiveFloat, TypeAdapter
 
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.json_file import JsonKind, read_json, validated
-from thermojoint.models.filters.bank import Bank
 from thermojoint.models.parameters import STRICT, Span
 from thermojoint.models.sensors import ROLES
 
@@ -133,30 +133,9 @@ def read_baselines(path: Path) -> Baselines:
     return found
 
 
-def regression_bank(regression: Regression) -> Bank:
-    """Return a regression as a bank: temperatures in (K), an output for each axis (m)."""
-    low = low_passes(regression.time_constants)
-    table = np.array(list(regression.weights.values()), dtype=float)
-    channels = len(ROLES)
-    return replace(
-        low,
-        gain=table[:, channels:] @ low.gain,
-        double=np.zeros((len(table), low.poles.size), dtype=complex),
-        constant=table[:, :channels],
-        slope=np.zeros((len(table), channels)),
-    )
+def taus_of(time_constants: Sequence[float], channels: int) -> Array:
+    """Return the time constant of every feature, s: 0 for the channels, then those of low-passes.
 
-
-def low_passes(time_constants: Sequence[float]) -> Bank:
-    """Return the bank that gives every channel through every low-pass, K."""
-    channels = len(ROLES)
-    rates = np.repeat(1.0 / np.array(time_constants, dtype=float), channels)
-    nothing = np.zeros((rates.size, channels))
-    return Bank(
-        poles=-rates.astype(complex),
-        drive=np.tile(np.eye(channels), (len(time_constants), 1)),
-        gain=np.diag(rates).astype(complex),
-        double=np.zeros((rates.size, rates.size), dtype=complex),
-        constant=nothing,
-        slope=nothing,
-    )
+    Features in this order are what `thermojoint.models.filters.relaxations` makes of the channels.
+    """
+    return np.repeat(np.array([0.0, *time_constants]), channels)
