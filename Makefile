@@ -19,22 +19,19 @@ test: $(INSTALLED)
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
 # matrices are large (elsewhere they only wait for each other).
-tests = $(1:%=tests/test_%.py)
-NUMERICAL := bolts calibrate_fictitious calibrate_linear compiled_gap condensation curved_cells deformation \
-	driven_deformation elasticity element_matrices fchs_stream gap heat invariance inverse_filter joint_law \
-	least_squares linear_solver loosening march modified_newton placement pole_residue reduced_march reduction \
-	relaxation rigid_motions ring_source covered state_file stress temperature_dependence thermal_fields \
-	verification without_joints
-THREADED := condensation elasticity heat linear_solver march
+NUMERICAL := tests/fesim/solid tests/fesim/joint tests/fesim/march tests/calibrate tests/estimator/fchs \
+	tests/thermojoint/models tests/thermojoint/verification
+THREADED := $(patsubst %,tests/fesim/solid/test_%.py,condensation elasticity heat linear_solver) \
+	tests/fesim/march/test_march.py
 PLAIN := OPENBLAS_CORETYPE=Prescott NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX512_ICL AVX512_SPR' \
 	NUMBA_CPU_NAME=generic THERMOJOINT_SOLVER=superlu
 AVX2 := OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES='X86_V4 AVX512_ICL AVX512_SPR' \
 	NUMBA_CPU_NAME=haswell MKL_CBWR=COMPATIBLE THERMOJOINT_SOLVER=pardiso
 
 portable: $(INSTALLED)
-	$(PLAIN) $(BIN)/python -m pytest -n 2 --dist loadscope $(call tests,$(NUMERICAL))
-	$(AVX2) $(BIN)/python -m pytest -n 2 --dist loadscope $(call tests,$(NUMERICAL))
-	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(call tests,$(THREADED))
+	$(PLAIN) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+	$(AVX2) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(THREADED)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -36,7 +36,7 @@ ABANDONED = 86_400.0
 LIMIT = 10_000_000_000
 
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "meshio")
-_SOURCES = ("artefacts", "meshes", "fesim")
+_SOURCES = ("thermojoint.artefacts", "meshes", "fesim")
 
 #: What entries are called: other files in the folder are left alone.
 _NAME = 64 * "[0-9a-f]"

@@ -9,10 +9,24 @@ from pathlib import Path
 
 @cache
 def source_digest(package: str) -> str:
-    """Return a digest of every module of a package at the top, and of where each stands."""
+    """Return a digest of every module of one of our packages, and of where each stands.
+
+    Parameters
+    ----------
+    package : str
+        Its name in an import, as ``thermojoint.artefacts``.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such package: a digest of nothing would be the same for every source.
+    """
     found = hashlib.sha256()
     root = Path(__file__).parents[2]
-    for path in sorted((root / package).rglob("*.py")):
+    modules = sorted(root.joinpath(*package.split(".")).rglob("*.py"))
+    if not modules:
+        raise ModuleNotFoundError(f"no package {package} in {root}", name=package)
+    for path in modules:
         found.update(f"{path.relative_to(root).as_posix()}\n".encode())
         found.update(path.read_bytes())
     return found.hexdigest()

@@ -1,0 +1,86 @@
+"""A kept inverse, corrected and moved: the equilibria and marches of the plain method."""
+
+import numpy as np
+from bars import surface_law
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_joints import TIGHT, law_of, powers, problems, random_problem, settled
+
+from fesim.joint.anchor import ANCHORED, block_anchor, make_anchor, new_anchors
+from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.gap import solve_gap
+
+
+def nowhere(count):
+    """The anchor of one block that has not been anywhere."""
+    return new_anchors(np.array([0, count]))
+
+
+@settings(max_examples=150, derandomize=True)
+@given(**problems, friction=st.sampled_from([0.0, 0.15, 0.3]), power=powers)
+def test_it_finds_the_equilibrium_of_the_plain_method(seed, count, size, friction, power):
+    """Or says that it did not: then its caller takes Newton's own method."""
+    law = law_of(friction, power)
+    problem, thermal_gap = random_problem(seed, count, size, friction, law=law)
+    zero = np.zeros((3, count))
+    theirs = solve_gap(problem, thermal_gap, zero[1:], zero, TIGHT)
+    found, residual, gap, slip = settled(
+        problem, [(law, count)], thermal_gap, zero[1:], zero, nowhere(count)
+    )
+    if not found:
+        assert size > 1e-7  # what a long step of a march moves
+        return
+    assert residual <= TIGHT
+    true = problem.residual(gap, problem.law(gap, zero[1:]), thermal_gap)
+    np.testing.assert_allclose(true, 0.0, rtol=0.0, atol=2.0 * TIGHT)
+    np.testing.assert_allclose(gap, theirs.gap, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(slip, theirs.traction.slip, rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=150, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), friction=st.sampled_from([0.05, 0.15, 0.3]))
+def test_an_anchor_far_away_changes_nothing(seed, friction):
+    """Other contact elements slide, stick and are open there: they are corrected exactly."""
+    count, law = 6, surface_law(friction)
+    problem, thermal_gap = random_problem(seed, count, 1e-6, friction, law=law)
+    zero = np.zeros((3, count))
+    near, far = nowhere(count), nowhere(count)
+    first, _, gap, slip = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, near)
+    rng = np.random.default_rng(seed)
+    made = compile_gap(problem, [(law, count)])
+    elsewhere = made.solve(
+        random_problem(seed + 1, count, 3e-6, friction, law=law)[1],
+        1e-7 * rng.normal(size=(2, count)),
+        zero,
+    )
+    normal = elsewhere.traction.tangent
+    anchor = block_anchor(far, 0)
+    anchor.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
+    make_anchor(anchor, problem.springs, problem.compliance)
+    second, _, other, moved = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, far)
+    if first and second:
+        np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(moved, slip, rtol=1e-9, atol=1e-13)
+
+
+def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
+    """The rounding of k0 (g - s), another in every iteration, is no change of a state."""
+    count, law = 12, surface_law(0.6)
+    problem, thermal_gap = random_problem(5, count, 1e-7, 0.6, law=law)
+    slip = 1e-8 * np.random.default_rng(5).normal(size=(2, count))
+    anchors, gap = nowhere(count), np.vstack([np.zeros((1, count)), slip])
+    for factor in np.linspace(0.0, 1.0, 20):
+        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchors)
+        solved, _, gap, moved = settled(*driven, tolerance=1e-13)
+        assert solved
+        np.testing.assert_array_equal(moved, slip)
+    assert anchors.every.about[0, ANCHORED] <= 3
+
+
+def test_a_tolerance_out_of_reach_is_not_reached():
+    problem, thermal_gap = random_problem(7, 4, 1e-6, 0.6)
+    zero = np.zeros((3, 4))
+    laws = [(surface_law(0.6), 4)]
+    assert not settled(problem, laws, thermal_gap, zero[1:], zero, nowhere(4), 0.0)[0]
+    none = np.full_like(thermal_gap, np.nan)
+    assert not settled(problem, laws, none, zero[1:], zero, nowhere(4))[0]

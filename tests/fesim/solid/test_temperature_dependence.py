@@ -1,0 +1,222 @@
+"""Conductivity, film, radiation and expansion that depend on temperature."""
+
+import numpy as np
+import pytest
+from batch_cases import case_text, grid
+from hypothesis import given
+from hypothesis import strategies as st
+from repository import ROOT
+from scipy.integrate import quad
+from scipy.sparse import diags_array
+
+from fesim.batch.dataset import open_dataset
+from fesim.batch.study import read_study
+from fesim.case.schema import case_from_data, read_case
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.paper.observers import observers_beside
+from thermojoint.verification.temperature_dependence import FALLING, RISING
+from thermojoint.verification.thermal_bar import FOREVER, bar_case, run
+
+EXAMPLE = ROOT / "examples" / "warm_machine" / "machine.toml"
+FLAT = {"rise_K": [0.0], "factor": [1.0]}
+MARCH = {"step_s": 20.0, "duration_min": 5.0, "thermal": "full"}
+
+points = st.lists(st.floats(-200.0, 200.0), min_size=1, max_size=5, unique=True).map(sorted)
+
+
+@given(rises=points, data=st.data(), temperature=st.floats(-400.0, 400.0))
+def test_the_integral_of_a_factor_is_its_integral(rises, data, temperature):
+    values = data.draw(
+        st.lists(st.floats(0.1, 3.0), min_size=len(rises), max_size=len(rises)), label="values"
+    )
+    factor = TemperatureFactor(np.array(rises), np.array(values))
+    low, high = sorted((0.0, temperature))
+    inside = [rise for rise in rises if low < rise < high]
+    ends = [low, *inside, high]
+    # Piecewise linear: the trapezoidal rule is exact.
+    exact = np.trapezoid(np.interp(ends, rises, values), ends) * (1 if temperature > 0 else -1)
+    found = factor.integral(np.array([temperature]))[0]
+    assert found == pytest.approx(exact, rel=1e-9, abs=1e-9)
+
+
+def test_the_integral_is_that_of_a_quadrature():
+    factor = TemperatureFactor(np.array([-10.0, 0.0, 20.0, 50.0]), np.array([1.0, 1.2, 0.8, 1.0]))
+    for temperature in (-30.0, 7.0, 45.0):
+        exact = quad(lambda t: np.interp(t, factor.rises, factor.values), 0.0, temperature)[0]
+        assert factor.integral(np.array([temperature]))[0] == pytest.approx(exact, rel=1e-6)
+
+
+def driven(folder, **changes):
+    """A heated bar with a film, both ends free of supports but one."""
+    given = {
+        "sources": {"heat": {"surface": "x0", "reference_power_W": 40.0}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "convection_W_m2K": {"x1": 50.0, "y1": 20.0},
+        "march": MARCH,
+    }
+    return bar_case(folder, given | changes, (10, 2, 1))
+
+
+def test_factors_of_one_are_the_constant_march(tmp_path):
+    plain = run(driven(tmp_path), tmp_path)
+    data = driven(tmp_path, convection_factor={"x1": FLAT})
+    data["materials"]["metal"] |= {"conductivity_factor": FLAT, "expansion_factor": FLAT}
+    same = run(data, tmp_path)
+    np.testing.assert_allclose(same["temperature"], plain["temperature"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(same["displacement"], plain["displacement"], rtol=1e-9, atol=1e-14)
+    assert "secant_residual" not in plain
+
+
+def test_every_step_satisfies_its_own_equation(tmp_path):
+    """Assembled anew at the temperatures that came out, nothing is left of the heat equation."""
+    data = driven(
+        tmp_path,
+        convection_factor={"x1": RISING},
+        radiation={"y1": {"emissivity": 0.9, "ambient_degC": 20.0}},
+    )
+    data["materials"]["metal"] |= {"conductivity_factor": FALLING}
+    case = case_from_data(data, "bar", tmp_path)
+    setup, steps = set_up(case), []
+    response = simulate(case, setup=setup, on_step=steps.append).response
+    thermal, variable = setup.machine.thermal, setup.machine.variable
+    upper = thermal.factor.matrix
+    system = upper + upper.T - diags_array(upper.diagonal())
+    before = np.zeros(setup.spaces.heat.N)
+    for step in steps:
+        after = step.state.temperature
+        lack = (
+            system @ after
+            + variable.lost(after, step.inputs)
+            - thermal.capacity_rate @ before
+            - thermal.inputs @ step.inputs
+        )
+        assert np.abs(lack).max() < 1e-6
+        before = after
+    assert response["secant_residual"].max().item() < 1.1e-8
+    assert np.abs(response["heat_balance"]).max().item() < 1e-8
+    # What leaves by film and radiation counts: the bar does not keep all of its heat.
+    assert steps[-1].state.temperature.max() > 5.0
+
+
+def test_what_conducts_and_radiates_more_is_cooler(tmp_path):
+    def hottest(**changes):
+        data = driven(tmp_path, **changes)
+        if "metal" in changes:
+            data["materials"]["metal"] |= data.pop("metal")
+        return run(data, tmp_path)["temperature"][-1].max().item()
+
+    plain = hottest()
+    assert hottest(metal={"conductivity_factor": RISING}) < plain
+    assert hottest(metal={"conductivity_factor": FALLING}) > plain
+    assert hottest(convection_factor={"x1": RISING}) < plain
+    assert hottest(radiation={"x1": {"emissivity": 1.0, "ambient_degC": 20.0}}) < plain
+
+
+def test_radiation_is_a_film_for_small_differences(tmp_path):
+    film = 4.0 * 0.9 * 5.670374419e-8 * 293.15**3
+    weak = {"sources": {"heat": {"surface": "x0", "reference_power_W": 0.05}}}
+    linear = run(driven(tmp_path, convection_W_m2K={"x1": film}, **weak), tmp_path)
+    radiation = {"x1": {"emissivity": 0.9, "ambient_degC": 20.0}}
+    quartic = run(driven(tmp_path, convection_W_m2K={}, radiation=radiation, **weak), tmp_path)
+    np.testing.assert_allclose(quartic["temperature"], linear["temperature"], rtol=1e-3, atol=1e-9)
+
+
+def test_radiation_follows_the_ambient(tmp_path):
+    (tmp_path / "hall.csv").write_text("time_s,ambient_degC\n0,20\n10,50\n")
+    still = {
+        "ambient": {"file": "hall.csv"},
+        "sources": {},
+        "convection_W_m2K": {},
+        "radiation": {name: {"emissivity": 1.0, "ambient_degC": 20.0} for name in ("x1", "y1")},
+        "march": {"step_s": FOREVER, "duration_min": FOREVER / 60.0, "thermal": "full"},
+    }
+    found = run(driven(tmp_path, **still), tmp_path)
+    np.testing.assert_allclose(found["temperature"][-1], 30.0, rtol=1e-9)
+
+
+def test_an_unsettled_secant_step_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("fesim.march.secant_step.MOST", 2)
+    data = driven(tmp_path)
+    data["materials"]["metal"] |= {"conductivity_factor": RISING}
+    with pytest.raises(ConvergenceError, match="secant steps: temperatures still change") as told:
+        run(data, tmp_path)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"convection_factor": {"z1": FLAT}}, "add its film to"),
+        ({"convection_factor": {"x1": {"rise_K": [0, 0], "factor": [1, 1]}}}, "must rise"),
+        ({"convection_factor": {"x1": {"rise_K": [0, 1], "factor": [1]}}}, "as many values"),
+        ({"convection_factor": {"x1": {"rise_K": [0], "factor": [0]}}}, "greater than 0"),
+        ({"radiation": {"x1": {"emissivity": 1.5, "ambient_degC": 20}}}, "less than or equal to 1"),
+        ({"radiation": {"x1": {"emissivity": 0.5}}}, "ambient_degC is missing"),
+        ({"cavities": {"air": {"surfaces": ["x1"], "film_W_m2K": 3}}}, "gives off heat elsewhere"),
+        ({"cavities": {"air": {"surfaces": ["q"], "film_W_m2K": 3}}}, "no surface named 'q'"),
+        ({"radiation": {"q": {"emissivity": 0.5, "ambient_degC": 20}}}, "no surface named 'q'"),
+    ],
+)
+def test_a_slip_about_what_depends_on_temperature_is_one_line(tmp_path, changes, message):
+    with pytest.raises(InputError, match=message) as refused:
+        run(driven(tmp_path, **changes), tmp_path)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "key", ["conductivity_factor", "expansion_factor", "convection_factor", "radiation"]
+)
+def test_the_reduced_model_refuses_what_depends_on_temperature(tmp_path, key):
+    data = driven(tmp_path, march=MARCH | {"thermal": "reduced"})
+    if key.startswith("con") and "vec" in key:
+        data[key] = {"x1": FLAT}
+    elif key == "radiation":
+        data[key] = {"x1": {"emissivity": 0.5, "ambient_degC": 20.0}}
+    else:
+        data["materials"]["metal"][key] = FLAT
+    with pytest.raises(InputError, match='thermal = "full"') as refused:
+        case_from_data(data, "bar", tmp_path)
+    assert key in str(refused.value)
+
+
+def test_a_copy_of_a_case_is_refused_as_the_case_would_be(tmp_path):
+    """Commands that need modes copy a case: what it cannot be marched with is found then."""
+    data = driven(tmp_path, radiation={"x1": {"emissivity": 0.5, "ambient_degC": 20.0}})
+    case = case_from_data(data, "bar", tmp_path)
+    march = case.march.model_copy(update={"thermal": "reduced"})
+    with pytest.raises(InputError, match=r"radiation\.x1: modes are"):
+        set_up(case.model_copy(update={"march": march}))
+    with observers_beside(case, {}, {}, tmp_path) as observers:
+        assert observers() == []
+
+
+def test_a_batch_has_a_place_for_the_error_of_secant_steps(tmp_path):
+    text = case_text(0.1)
+    black = "[radiation.exterior]\nemissivity = 0.5\nambient_degC = 20.0\n"
+    (tmp_path / "machine.toml").write_text(text + black)
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "machine.toml"\n{grid("radiation.exterior.emissivity", 0.5, 0.9)}')
+    arrays = open_dataset(tmp_path / "dataset.zarr", read_study(path)).arrays
+    assert arrays["secant_residual"].shape == arrays["heat_balance"].shape
+
+
+def test_bodies_that_share_nodes_do_not_grow_in_two_ways():
+    factor = TemperatureFactor(np.zeros(1), np.ones(1))
+    nodes = {"a": np.array([0, 1]), "b": np.array([1, 2])}
+    with pytest.raises(InputError, match="body 'a' shares nodes with 'b'"):
+        thermal_growth(nodes, {"a": factor})
+    both = thermal_growth(nodes, {"a": factor, "b": TemperatureFactor(np.zeros(1), np.ones(1))})
+    assert both is not None
+
+
+def test_the_example_starts_warm_and_tells_its_secant_error():
+    case = read_case(EXAMPLE)
+    response = simulate(case).response
+    assert response["temperature"][0].sel(probe="head").item() == pytest.approx(7.4, rel=1e-9)
+    assert np.abs(response["displacement"][0]).max().item() > 1e-6
+    assert response["secant_residual"].max().item() < 1e-7
+    assert np.abs(response["heat_balance"]).max().item() < 1e-8
+    assert response["gap_residual"].max().item() < 1e-11

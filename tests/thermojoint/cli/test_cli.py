@@ -1,0 +1,621 @@
+"""The command line: the whole chain from one command, and one line for every mistake."""
+
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from functools import partial
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import typer
+from in_process import undisturbed
+from reference_case import lasting
+from repository import TOP, modules
+from short_runs import SHORT, quick_bands
+
+from estimator.judge import ESTIMATORS
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import read_response, write_response
+from thermojoint.cli import main as cli
+from thermojoint.cli.app import app
+from thermojoint.models.model_file import Provenance, read_model, write_model
+from thermojoint.paper import inputs, paper_values, reproduce
+from thermojoint.pictures import view
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run the command line in this process; gives exit code, standard output and error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """What `reproduce` makes of the coarse machine."""
+    folder = tmp_path_factory.mktemp("reproduce")
+    (folder / "coarse.toml").write_text(lasting(3.0))
+    patch = pytest.MonkeyPatch()
+    short = partial(reproduce.reproduce, long=SHORT)
+    with patch.context() as within, undisturbed(), quick_bands():
+        within.setattr(reproduce, "reproduce", short)
+        arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
+        within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+    assert not stop.value.code
+    return folder / "results"
+
+
+@pytest.fixture(scope="module")
+def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
+    """A good case, response, model and CSV, and spoilt ones of each."""
+    folder = tmp_path_factory.mktemp("input")
+    (folder / "case.toml").write_text(lasting(1.0))
+    write_response(coarse_response, folder / "response.nc")
+    write_model(hand_made_model, folder / "model.json", Provenance(case="by hand"))
+    (folder / "samples.csv").write_text(
+        "time_s,delta_T_K,T1_K,T2_K\n"
+        + "".join(f"{2 * k},{0.01 * k},{0.001 * k},{0.002 * k**2}\n" for k in range(20))
+    )
+
+    def spoil(name, original, old, new):
+        text = (folder / original).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    spoil("unknown-key.toml", "case.toml", "friction_coefficient", "friction_coeficient")
+    spoil("no-region.toml", "case.toml", '"column_base"', '"column_bas"')
+    spoil("no-probe.toml", "case.toml", 'point = "A"', 'point = "C"')
+    spoil("negative.toml", "case.toml", "conductivity_W_mK = 47.0", "conductivity_W_mK = -47.0")
+    spoil("nan.toml", "case.toml", "density_kg_m3 = 7200.0", "density_kg_m3 = nan")
+    spoil("broken.toml", "case.toml", "[joints.knee]", "[joints.knee")
+    spoil(
+        "backwards.toml",
+        "case.toml",
+        'kind = "step"\nlevel = 1.0',
+        'kind = "sampled"\nfile = "backwards-history.csv"',
+    )
+    (folder / "backwards-history.csv").write_text("time_s,heat_input\n0,0\n10,1\n10,2\n")
+    whole = (folder / "response.nc").read_bytes()
+    (folder / "truncated.nc").write_bytes(whole[: len(whole) // 2])
+    text = (folder / "model.json").read_text()
+    (folder / "truncated.json").write_text(text[: len(text) // 2])
+    spoil("other-version.json", "model.json", '"schema_version": 3', '"schema_version": 99')
+    spoil("nan.csv", "samples.csv", "\n20,0.1,", "\n20,nan,")
+    spoil("word.csv", "samples.csv", "\n20,0.1,", "\n20,warm,")
+    spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
+    spoil("short-row.csv", "samples.csv", "\n20,0.1,", "\n20,")
+    spoil("no-column.csv", "samples.csv", "T2_K", "T2_F")
+    spoil("open-circuit.csv", "samples.csv", "\n20,0.1,", "\n20,0.1,9.9e37,0\n21,0,")
+    spoil("stray-quote.csv", "samples.csv", "\n20,0.1,", '\n20,0.1,"' + 140_000 * "0")
+    (folder / "truncated.npz").write_bytes(b"PK\x03\x04 not a state")
+    return folder
+
+
+MISTAKES = {
+    "unknown key": (["simulate", "unknown-key.toml", "--out"], "friction_coefficient"),
+    "missing region": (["simulate", "no-region.toml", "--out"], "column_base"),
+    "missing probe": (["simulate", "no-probe.toml", "--out"], "'C'"),
+    "negative property": (["simulate", "negative.toml", "--out"], "conductivity_W_mK"),
+    "NaN property": (["simulate", "nan.toml", "--out"], "density_kg_m3"),
+    "no TOML": (["simulate", "broken.toml", "--out"], "TOML"),
+    "no such case": (["simulate", "nowhere.toml", "--out"], "nowhere.toml"),
+    "history goes back": (["simulate", "backwards.toml", "--out"], "times must increase"),
+    "truncated state": (
+        ["simulate", "case.toml", "--continue", "truncated.npz", "--out"],
+        "truncated.npz",
+    ),
+    "truncated response": (["validate", "model.json", "truncated.nc", "--out"], "truncated"),
+    "a model for baselines": (
+        ["validate", "model.json", "response.nc", "--baselines", "model.json", "--out"],
+        "thermojoint-baselines",
+    ),
+    "truncated reference": (
+        ["calibrate", "--reference", "truncated.nc", "--input", "2=response.nc", "--out"],
+        "truncated",
+    ),
+    "truncated model": (["estimate", "truncated.json", "samples.csv", "--out"], "truncated"),
+    "another version": (["estimate", "other-version.json", "samples.csv", "--out"], "version"),
+    "no such model": (["estimate", "nothing.json", "samples.csv", "--out"], "nothing.json"),
+    "NaN sample": (["estimate", "model.json", "nan.csv", "--out"], "line 12: delta_T_K"),
+    "sample is a word": (["estimate", "model.json", "word.csv", "--out"], "'warm'"),
+    "samples go back": (["estimate", "model.json", "backwards.csv", "--out"], "line 12: time"),
+    "row too short": (["estimate", "model.json", "short-row.csv", "--out"], "line 12"),
+    "open thermocouple": (
+        ["estimate", "model.json", "open-circuit.csv", "--out"],
+        "line 12: T1_K is 9.9e+37",
+    ),
+    "stray quote": (
+        ["estimate", "model.json", "stray-quote.csv", "--out"],
+        "line 12: not readable as CSV",
+    ),
+    "a case for a case": (["inspect", "case.toml", "--case"], "give its mesh file"),
+    "column missing": (["estimate", "model.json", "no-column.csv", "--out"], "T2_K"),
+    "no such samples": (["estimate", "model.json", "no.csv", "--out"], "no.csv"),
+    "response for a case": (["view", "truncated.nc", "--out"], "truncated"),
+    "no level": (
+        ["calibrate", "--reference", "response.nc", "--input", "response.nc", "--out"],
+        "LEVEL=RESPONSE",
+    ),
+    "level that is not the response's": (
+        ["calibrate", "--reference", "response.nc", "--input", "2=response.nc", "--out"],
+        "heat input",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_exit_code_2_and_no_file(
+    mistake, command, files_at_hand, tmp_path, monkeypatch
+):
+    arguments, said = MISTAKES[mistake]
+    monkeypatch.chdir(files_at_hand)
+    before = sorted(files_at_hand.iterdir())
+    code, out, err = command(*arguments, tmp_path / "out.png")
+    assert code == 2
+    assert err.startswith("thermojoint: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert "Traceback" not in out + err
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+    assert sorted(files_at_hand.iterdir()) == before
+
+
+def test_every_mistake_of_a_case_is_told_at_once_a_line_each(files_at_hand, command, tmp_path):
+    text = (files_at_hand / "case.toml").read_text("utf-8")
+    case = tmp_path / "case.toml"
+    case.write_text(f"colour = 1\n{text.replace('step_s = ', 'step_s = -')}", "utf-8")
+    code, out, err = command("simulate", case, "--out", tmp_path / "out.nc")
+    assert (code, out) == (2, "")
+    assert sorted(line.split(": ")[0] for line in err.splitlines()) == ["thermojoint"] * 2
+    assert "no key named 'colour'" in err
+    assert "march.step_s: input should be greater than 0" in err
+
+
+def test_a_mistake_ends_the_real_process_without_a_traceback(files_at_hand, tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "thermojoint.cli", "simulate"),
+            *(files_at_hand / "unknown-key.toml", "--out", tmp_path / "out.nc"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "did you mean 'friction_coefficient'" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["simulate"], ["tables", "--nonsense"], ["no-command"]])
+def test_wrong_usage_ends_with_2(command, arguments):
+    code, _, err = command(*arguments)
+    assert code == 2
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("simulate", "calibrate", "tables", "estimate", "validate", "reproduce", "view"),
+        *("verify", "mesh", "inspect", "iso230-3", "compensate", "control"),
+    ],
+)
+def test_every_command_has_help_with_an_example(command, name):
+    code, out, _ = command(name, "--help")
+    assert code == 0
+    assert "Example" in out
+    assert f"thermojoint {name}" in out
+
+
+def stripped(text):
+    """Text without what a terminal puts around and between its words."""
+    return re.sub(r"[\s│─╭╮╰╯]", "", re.sub(r"\x1b\[[0-9;]*m", "", text))
+
+
+HELPED = typer.main.get_command(app).commands
+
+
+@pytest.mark.parametrize("name", HELPED)
+def test_help_keeps_its_brackets(command, name):
+    """Rich takes words in brackets for styles, unless they are escaped."""
+    _, out, _ = command(name, "--help")
+    texts = [HELPED[name].help, *(getattr(one, "help", None) for one in HELPED[name].params)]
+    for text in filter(None, texts):
+        plain = re.sub(r"\[/?bold\]", "", text)
+        for bracketed in re.findall(r"\\?(\[[^\[\]]+\])", plain):
+            assert stripped(bracketed) in stripped(out), bracketed
+
+
+def test_every_option_that_a_message_advises_exists():
+    known = {option for one in HELPED.values() for param in one.params for option in param.opts} | {
+        "--version",
+        "--help",
+    }
+    for package in TOP:
+        for path in modules(package):
+            advised = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", path.read_text("utf-8")))
+            assert advised <= known, path
+
+
+def test_the_version_is_printed(command):
+    code, out, _ = command("--version")
+    assert code == 0
+    assert re.fullmatch(r"thermojoint \d+\.\d+\.\d+\n", out)
+
+
+def test_an_output_that_cannot_be_is_refused_before_any_work(command, files_at_hand, monkeypatch):
+    monkeypatch.setattr("fesim.setup.machine.set_up", None)  # would fail if it were called
+    case = files_at_hand / "case.toml"
+    code, _, err = command("simulate", case, "--out", files_at_hand)
+    assert (code, err.count("\n")) == (2, 1)
+    code, _, err = command("simulate", case, "--out", case / "below-a-file.nc")
+    assert (code, err.count("\n")) == (2, 1)
+    code, _, err = command("reproduce", "--case", case, "--out", case)
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_a_folder_of_snapshots_that_cannot_be_is_refused_before_any_work(
+    command, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("fesim.setup.machine.set_up", None)  # would fail if it were called
+    case, taken = tmp_path / "case.toml", tmp_path / "run-snapshots"
+    case.write_text(lasting(0.1))
+    taken.write_text("a file")
+    run = ["simulate", case, "--out", tmp_path / "run.nc"]
+    code, _, err = command(*run, "--snapshots", taken)
+    assert (code, err) == (2, f"thermojoint: {taken}: is a file; give a folder\n")
+    code, _, err = command(*run, "--snapshots", taken / "below")
+    assert (code, err.count("\n")) == (2, 1)
+    case.write_text(case.read_text() + "\n[output]\nsnapshots_s = [2.0]\n")
+    code, _, err = command(*run)
+    assert (code, err) == (2, f"thermojoint: {taken}: is a file; give a folder\n")
+
+
+@pytest.mark.parametrize("show", ["curves", "pressure"])
+def test_a_picture_format_that_cannot_be_is_refused_before_any_work(
+    show, command, files_at_hand, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(view, "run_to_end", None)  # would fail if it were called
+    case = files_at_hand / "case.toml"
+    code, _, err = command("view", case, "--show", show, "--out", tmp_path / "x.xyz")
+    assert (code, err.count("\n")) == (2, 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_inspection_that_cannot_draw_writes_nothing(command, files_at_hand, tmp_path):
+    out, data = tmp_path / "machine.svg", tmp_path / "machine.json"
+    code, told, err = command("inspect", files_at_hand / "case.toml", "--json", data, "--out", out)
+    assert (code, told) == (2, "")
+    assert "name it machine.png" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand, tmp_path):
+    case = files_at_hand / "case.toml"
+    assert command("simulate", case, "--out", tmp_path / "whole.nc")[0] == 0
+    (tmp_path / "half.toml").write_text(lasting(0.5))
+    begun = ["simulate", tmp_path / "half.toml", "--out", tmp_path / "half.nc"]
+    assert command(*begun, "--save-state", tmp_path / "half.npz")[0] == 0
+    going_on = ["simulate", case, "--out", tmp_path / "rest.nc"]
+    code, out, err = command(*going_on, "--continue", tmp_path / "half.npz")
+    assert code == 0
+    assert "gap residual" in out
+    assert "wrote" in err
+    half, rest, whole = (
+        read_response(tmp_path / f"{name}.nc")["displacement"].to_numpy()
+        for name in ("half", "rest", "whole")
+    )
+    # Three set-ups, each with the rounding of its own factorisation.
+    joined = np.concatenate([half, rest])
+    np.testing.assert_allclose(joined, whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
+
+
+def test_a_simulation_ends_with_what_a_person_wants_to_know(command, files_at_hand, tmp_path):
+    out = tmp_path / "out.nc"
+    code, told, _ = command("simulate", files_at_hand / "case.toml", "--out", out)
+    assert code == 0
+    response = read_response(out)
+    displacement = 1e6 * response["displacement"].to_numpy()
+    assert "Displacement of A relative to B (µm)" in told
+    for axis, track in zip("xyz", displacement.T, strict=True):
+        (row,) = (line for line in told.splitlines() if line.startswith(f"│ {axis} "))
+        final, peak = (float(cell) for cell in row.split("│")[2:4])
+        assert final == pytest.approx(track[-1], abs=1e-3)
+        assert abs(peak) == pytest.approx(np.abs(track).max(), abs=1e-3)
+    hottest = response["temperature"].max("time")
+    probe = hottest["probe"].to_numpy()[hottest.to_numpy().argmax()]
+    assert f"{float(hottest.max()):.4g} K above the initial ambient; probe {probe}, after" in told
+    last = 1e-6 * response["pressure"].to_numpy()[-1]
+    assert f"Contact pressure: {last.min():.4g} to {last.max():.4g} MPa at the end" in told
+    assert re.search(r"at the end: [\d.]+% open \(at most [\d.]+%\), [\d.]+% sliding", told)
+    assert told.index("Displacement") < told.index("Contact pressure") < told.index("Solver")
+
+
+def test_an_implausible_case_is_simulated_with_a_warning(command, tmp_path):
+    text = lasting(0.1).replace("density_kg_m3 = 7200.0", "density_kg_m3 = 7.2", 1)
+    (tmp_path / "case.toml").write_text(text)
+    code, _, err = command("simulate", tmp_path / "case.toml", "--out", tmp_path / "out.nc")
+    assert code == 0
+    warnings = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert "7.2 g/cm3 would be 7200 kg/m3" in warnings[0]
+
+
+def test_a_measured_csv_in_kelvin_is_estimated_with_a_warning(command, files_at_hand, tmp_path):
+    rows = "".join(f"{2 * k},0.1,293.15,293.2\n" for k in range(3))
+    (tmp_path / "kelvin.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n" + rows)
+    given = [files_at_hand / "model.json", tmp_path / "kelvin.csv"]
+    code, _, err = command("estimate", *given, "--out", tmp_path / "out.csv")
+    assert code == 0
+    told = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert [line.partition(" = ")[0].rpartition(" ")[2] for line in told] == ["T1_K", "T2_K"]
+    assert all("absolute temperature" in line for line in told)
+
+
+def test_snapshots_are_written_where_they_are_asked_for(command, tmp_path):
+    case = lasting(0.1) + "\n[output]\nsnapshots_s = [2.0, 6.0]\n"
+    (tmp_path / "case.toml").write_text(case)
+    arguments = ["simulate", tmp_path / "case.toml", "--out", tmp_path / "run.nc"]
+    assert command(*arguments)[0] == 0
+    folder = tmp_path / "run-snapshots"
+    assert (folder / "snapshots.pvd").is_file()
+    assert len(list(folder.glob("structure_*.vtu"))) == 2
+
+
+def read_estimate(path):
+    """The numbers of an estimate; FCHS has no band, and the status is text."""
+    names = path.read_text().splitlines()[0].split(",")
+    numbers = [k for k, name in enumerate(names) if name != "status" and name[:4] != "band"]
+    return np.genfromtxt(path, delimiter=",", names=True, usecols=numbers)
+
+
+def test_an_estimate_is_the_same_from_a_response_and_from_a_csv(
+    command, files_at_hand, tmp_path, coarse_response
+):
+    """The response is above the ambient at its start, the thermometers see the ambient move."""
+    temperature = {
+        str(name): coarse_response["temperature"].to_numpy()[:, k]
+        for k, name in enumerate(coarse_response["probe"].to_numpy())
+    }
+    time = coarse_response["time"].to_numpy()
+    ambient, drift = 21.0, 1e-3 * time
+    columns = [time, *(temperature[name] + ambient for name in ("a", "b", "T1", "T2"))]
+    rows = np.column_stack([*columns, ambient + drift])
+    header = "time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC"
+    np.savetxt(tmp_path / "read.csv", rows, "%.17g", ",", header=header, comments="")
+    moving = {"ambient": ("time", drift, coarse_response["ambient"].attrs)}
+    write_response(coarse_response.assign(moving), tmp_path / "moving.nc")
+    model = files_at_hand / "model.json"
+    for source, out in ((tmp_path / "moving.nc", "one"), (tmp_path / "read.csv", "two")):
+        assert command("estimate", model, source, "--out", tmp_path / out)[0] == 0
+    one, two = read_estimate(tmp_path / "one"), read_estimate(tmp_path / "two")
+    assert one.dtype.names == two.dtype.names
+    assert {"time_s", "heat_input", "source_1", "deviation_T2_K", "total_x_um"} <= {
+        *one.dtype.names
+    }
+    for name in one.dtype.names:
+        scale = np.abs(one[name]).max()
+        assert two[name] == pytest.approx(one[name], rel=1e-6, abs=1e-6 * scale)
+    assert one["total_x_um"] == pytest.approx(one["linear_x_um"] + one["nonlinear_x_um"], abs=1e-6)
+
+
+def test_an_estimate_resumed_on_the_streams_goes_on_as_if_never_stopped(
+    command, files_at_hand, tmp_path, monkeypatch
+):
+    model = files_at_hand / "model.json"
+    lines = (files_at_hand / "samples.csv").read_text().splitlines(keepends=True)
+
+    def stream(part, *options):
+        monkeypatch.setattr(sys, "stdin", iter(part))
+        code, out, _ = command("estimate", model, "-", "--out", "-", "--interval-s", "2", *options)
+        assert code == 0
+        return out.splitlines()
+
+    whole = stream(lines)
+    state = tmp_path / "state.json"
+    first = stream(lines[:11], "--save-state", state)
+    second = stream([lines[0], *lines[11:]], "--continue", state)
+    assert first + second[1:] == whole
+
+
+def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
+    state = tmp_path / "state.json"
+    arguments = ["estimate", files_at_hand / "model.json", "-", "--out", "-", "--interval-s", "2"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "thermojoint.cli", *arguments, "--save-state", state],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as running:
+        # The logger writes its remarks in another encoding.
+        running.stdin.write(b"time_s,delta_T_K,T1_K,T2_K,21 \xb0C\n0,0,0,0,-\n2,0.1,0,0,-\n")
+        running.stdin.flush()
+        rows = [running.stdout.readline() for _ in range(3)]
+        running.send_signal(signal.SIGTERM)
+        _, err = running.communicate(timeout=60)
+    assert rows[2].startswith(b"2,")
+    assert running.returncode == 128 + signal.SIGTERM
+    assert b"Traceback" not in err
+    assert json.loads(state.read_text())["state"][0] == 2.0
+
+
+def test_an_interrupted_estimate_leaves_no_file(files_at_hand, tmp_path):
+    arguments = ["estimate", files_at_hand / "model.json", "-", "--out", tmp_path / "out.csv"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "thermojoint.cli", *arguments], stdin=subprocess.PIPE
+    ) as running:
+        running.stdin.write(b"time_s,delta_T_K,T1_K,T2_K\n0,0,0,0\n2,0,0,0\n4,0,0,0\n")
+        running.stdin.flush()
+        while not list(tmp_path.iterdir()):  # half-written, hidden
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+    assert running.returncode == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bad_row_ends_a_stream_with_the_state_before_it(
+    command, files_at_hand, tmp_path, monkeypatch
+):
+    model = files_at_hand / "model.json"
+    lines = (files_at_hand / "samples.csv").read_text().splitlines(keepends=True)
+    given = [*lines[:11], "20,warm,0,0\n", *lines[12:]]
+
+    def estimate(part, *options):
+        monkeypatch.setattr(sys, "stdin", iter(part))
+        return command("estimate", model, "-", "--interval-s", "2", *options)
+
+    whole = estimate([*lines[:11], *lines[12:]], "--out", "-")[1].splitlines()
+    state, out = tmp_path / "state.json", tmp_path / "out.csv"
+    code, first, _ = estimate(given, "--out", "-", "--save-state", state)
+    assert code == 2
+    rest = estimate([lines[0], *lines[12:]], "--out", "-", "--continue", state)[1]
+    assert first.splitlines() + rest.splitlines()[1:] == whole
+    # A file is not written, and then there is no state to go on from either.
+    state.unlink()
+    assert estimate(given, "--out", out, "--save-state", state)[0] == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_standard_input_in_another_encoding_is_read(command, files_at_hand, monkeypatch):
+    samples = (files_at_hand / "samples.csv").read_bytes().replace(b"T2_K\n", b"T2_K,\xb0C\n", 1)
+    samples = re.sub(rb"(\d)\n", lambda end: end[1] + b",\xb0\n", samples)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(samples), encoding="utf-8"))
+    code, out, _ = command("estimate", files_at_hand / "model.json", "-", "--out", "-")
+    assert code == 0
+    assert len(out.splitlines()) == 21
+
+
+def test_tables_of_a_model_as_tables_and_as_json(command, files_at_hand):
+    code, out, _ = command("tables", files_at_hand / "model.json")
+    assert code == 0
+    assert "Table 3" in out
+    code, out, _ = command("tables", files_at_hand / "model.json", "--json")
+    assert code == 0
+    assert json.loads(out)["table1"]["thermal"]["K"] == 3.372
+
+
+def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, coarse_response):
+    structure, curves = tmp_path / "structure.png", tmp_path / "curves.svg"
+    assert command("view", files_at_hand / "case.toml", "--out", structure)[0] == 0
+    assert command("view", files_at_hand / "response.nc", "--out", curves)[0] == 0
+    assert structure.read_bytes().startswith(b"\x89PNG")
+    assert "</svg>" in curves.read_text()
+    measured = tmp_path / "measured.nc"
+    alone = coarse_response[["heat_input", "temperature", "displacement"]].copy()
+    del alone.attrs["case"]
+    write_response(alone, measured)
+    picture = tmp_path / "field.png"
+    code, _, err = command("view", measured, "--show", "temperature", "--out", picture)
+    assert (code, err.count("\n"), picture.exists()) == (2, 1, False)
+
+
+def test_validation_noise_is_seeded(command, results, tmp_path):
+    found = []
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        out = tmp_path / f"{name}.json"
+        arguments = ["validate", results / "model.json", results / "responses" / "triangle.nc"]
+        reference = ["--reference", results / "responses" / "step-1.0.nc"]
+        noise = ["--noise-pp", "0.12", "--seed", seed]
+        code, text, _ = command(*arguments, *reference, *noise, "--out", out)
+        assert code == 0
+        assert "triangle" in text
+        found.append(json.loads(out.read_text())["rows"])
+    assert found[0] == found[1] != found[2]
+    # The noise is on every temperature: it is not the paper's case.
+    assert not {row["case"] for row in found[0]} & set(paper_values.VALIDATION_ERROR_UM)
+
+
+def test_reproduce_leaves_every_file(results):
+    names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
+    responses = {f"responses/{name}.nc" for name in inputs.CALIBRATION | inputs.VALIDATION}
+    figures = {f"figures/figure-{k:02d}" for k in range(6, 12)}
+    assert {"model.json", "tables.json", "validation.json", "report.html"} | responses <= names
+    assert all(any(name.startswith(figure) for name in names) for figure in figures)
+    assert {f"figures/{name}.png" for name in ("temperature", "deformation", "pressure")} <= names
+    assert not [name for name in names if "/." in name or name.startswith(".")]
+
+
+def test_reproduce_validates_every_case_with_every_estimator(results):
+    rows = json.loads((results / "validation.json").read_text())["rows"]
+    given = {(row["case"], row["estimator"], row["axis"]) for row in rows}
+    assert {(c, e, a) for c in inputs.CASES for e in ESTIMATORS for a in "xy"} <= given
+    for row in rows:
+        assert 0.0 <= row["rms_error_um"] <= row["max_abs_error_um"]
+        assert {"peak_total_um", "peak_nonlinear_um"} <= set(row)
+
+
+def test_reproduce_writes_the_tables_of_its_own_model(command, results):
+    code, out, _ = command("tables", results / "model.json", "--json")
+    assert code == 0
+    assert json.loads(out) == json.loads((results / "tables.json").read_text())
+
+
+def test_calibrating_the_written_responses_gives_the_same_model(command, results, tmp_path):
+    of = {level: results / "responses" / f"step-{level}.nc" for level in ("0.5", "1.0", "2.0")}
+    inputs = ["--input", f"0.5={of['0.5']}", "--input", f"2={of['2.0']}"]
+    out = tmp_path / "model.json"
+    code, text, _ = command("calibrate", "--reference", of["1.0"], *inputs, "--out", out)
+    assert code == 0
+    assert "Table 2" in text
+    assert read_model(out) == read_model(results / "model.json")
+
+
+def test_the_report_holds_everything_in_one_page(results):
+    page = (results / "report.html").read_text()
+    for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
+        assert words in page
+    shown = len(list((results / "figures").iterdir()))
+    assert page.count("data:image/png;base64,") == shown == 16
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert "<script" not in page
+
+
+def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
+    command, results, tmp_path, monkeypatch
+):
+    """The calibration fails when the new responses are written."""
+    out = tmp_path / "results"
+    shutil.copytree(results, out)
+    (out / "figures" / "notes.txt").write_text("mine")
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    (tmp_path / "short.toml").write_text(lasting(0.5))
+
+    def failing(case, responses):
+        [beside] = tmp_path.glob(".results.*")
+        assert len(list(beside.rglob("*.nc"))) == len(responses)
+        raise InputError("these responses determine nothing")
+
+    monkeypatch.setattr(reproduce, "_calibrate", failing)
+    code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
+    assert (code, err) == (2, "thermojoint: these responses determine nothing\n")
+    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]
+
+
+def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):
+    seen = []
+    monkeypatch.setattr(reproduce, "reproduce", lambda case, out: seen.append((case, out)))
+    code, _, _ = command("reproduce", "--out", tmp_path / "results")
+    assert code == 0
+    [(case, _)] = seen
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    assert case.title == tomllib.loads(text)["title"]
+    assert case.march.duration_min == 35.0

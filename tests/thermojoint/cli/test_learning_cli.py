@@ -1,0 +1,190 @@
+"""`learn`, and `estimate` and `validate` with what it made, from the command line."""
+
+import csv
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from in_process import undisturbed
+from machine_logs import as_csv, changed, machine_log
+from repository import ROOT
+
+from thermojoint.cli import main as cli
+from thermojoint.cli.app import app
+
+LEARN = ["--displacement", "x_um", "--displacement", "z_um"]
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """Run the command line in a folder of its own; gives exit code and standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Two days, a model of the first, and readings of the second."""
+    folder = tmp_path_factory.mktemp("logs")
+    day = machine_log(hours=6.0, seed=5, start=500000.0)
+    as_csv(machine_log(), folder / "log.csv")
+    as_csv(day, folder / "day.csv")
+    as_csv(day.part(slice(0, 1)), folder / "readings.csv", ["x_um"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        app(["learn", "log.csv", *LEARN, "--out", "model.json"], standalone_mode=False)
+    return folder
+
+
+@pytest.fixture
+def here(files, tmp_path):
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def rows(path):
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_an_estimate_has_a_column_for_each_displacement_named_as_in_the_log(here, command):
+    code, _ = command("estimate", "model.json", "day.csv", "--out", "estimate.csv")
+    assert not code
+    found, day = rows(here / "estimate.csv"), rows(here / "day.csv")
+    assert list(found[0]) == ["time_s", "x_um", "z_um", "band_x_um", "band_z_um", "status"]
+    assert [float(one["time_s"]) for one in found] == [float(one["time_s"]) for one in day]
+    for name in ("x_um", "z_um"):
+        error = [float(a[name]) - float(b[name]) for a, b in zip(found, day, strict=True)]
+        actual = [float(one[name]) for one in day]
+        assert np.std(error) < 0.3 * np.std(actual)
+
+
+def test_displacements_in_the_log_are_not_looked_at(here, command):
+    day = machine_log(hours=6.0, seed=5, start=500000.0)
+    as_csv(changed(day, "x_um", lambda values: values * 0.0), here / "other.csv")
+    command("estimate", "model.json", "day.csv", "--out", "a.csv")
+    command("estimate", "model.json", "other.csv", "--out", "b.csv")
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+
+
+def test_a_run_that_is_continued_is_the_run(here, command):
+    lines = (here / "day.csv").read_text("utf-8").splitlines(keepends=True)
+    (here / "one.csv").write_text("".join(lines[:100]))
+    (here / "two.csv").write_text("".join([lines[0], *lines[100:]]))
+    command("estimate", "model.json", "day.csv", "--out", "whole.csv")
+    command("estimate", "model.json", "one.csv", "--out", "a.csv", "--save-state", "s.json")
+    code, _ = command("estimate", "model.json", "two.csv", "--out", "b.csv", "--continue", "s.json")
+    assert not code
+    parts = rows(here / "a.csv") + rows(here / "b.csv")
+    assert parts == rows(here / "whole.csv")
+
+
+def test_readings_correct_an_estimate(here, command):
+    (here / "readings.csv").write_text("time_s,x_um\n500000,30\n", encoding="utf-8")
+    options = ["--readings", "readings.csv"]
+    assert not command("estimate", "model.json", "day.csv", "--out", "a.csv", *options)[0]
+    assert command("estimate", "model.json", "day.csv", "--out", "b.csv")[0] == 0
+    assert rows(here / "a.csv")[0]["status"] != ""
+    (here / "readings.csv").write_text("time_s,x_um\n500000,2\n", encoding="utf-8")
+    command("estimate", "model.json", "day.csv", "--out", "c.csv", *options)
+    assert float(rows(here / "c.csv")[0]["x_um"]) == pytest.approx(2.0, abs=1.0)
+    assert float(rows(here / "c.csv")[0]["z_um"]) == float(rows(here / "b.csv")[0]["z_um"])
+
+
+def test_validate_takes_a_log(here, command):
+    code, _ = command("validate", "model.json", "day.csv", "--out", "scores.json")
+    assert not code
+    found = json.loads((here / "scores.json").read_text("utf-8"))["rows"]
+    assert {(row["case"], row["axis"]) for row in found} == {("day", "x_um"), ("day", "z_um")}
+    assert all(row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"] for row in found)
+    # A validation is replaced by another, a file of rows that is none is not.
+    assert not command("validate", "model.json", "day.csv", "--out", "scores.json")[0]
+    (here / "mine.json").write_text('{"rows": [1]}', encoding="utf-8")
+    assert command("validate", "model.json", "day.csv", "--out", "mine.json")[0] == 2
+
+
+def test_columns_may_have_other_names_in_every_log(here, command):
+    for name in ("log.csv", "day.csv"):
+        text = (here / name).read_text("utf-8").replace("T1_degC", "Fühler 1", 1)
+        (here / name).write_text(text, encoding="utf-8")
+    (here / "map.toml").write_text("[columns]\n'Fühler 1' = 'T1_degC'\n", encoding="utf-8")
+    options = [*LEARN, "--mapping", "map.toml", "--out", "other.json"]
+    assert not command("learn", "log.csv", *options)[0]
+    assert not command("estimate", "other.json", "day.csv", "--out", "estimate.csv")[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["learn", "none.csv", *LEARN], "no such file"),
+        (["learn", "log.csv", "--displacement", "y_um"], "no column named 'y_um'"),
+        (["learn", "log.csv", *LEARN, "--column", "T1_degC=T1"], "--column T1_degC=T1"),
+        (["learn", "log.csv", *LEARN, "--ignore", "T9_degC"], "no column named 'T9_degC'"),
+        (["learn", "log.csv", *LEARN, "--max-sensors", "0"], "--max-sensors 0"),
+        (["learn", "short.csv", *LEARN], "h long"),
+        (["learn", "kelvin.csv", *LEARN], "kelvin and not"),
+        (["learn", "model.json", *LEARN], "no clock"),
+        (["estimate", "model.json", "readings.csv"], "no column named"),
+        (["estimate", "model.json", "day.csv", "--readings", "log.toml"], "log.toml"),
+        (["validate", "model.json", "none.csv"], "no such file"),
+    ],
+)
+def test_a_mistake_ends_in_one_line_and_nothing_is_written(here, command, arguments, said):
+    log = machine_log(hours=1.0)
+    as_csv(log, here / "short.csv")
+    text = (here / "log.csv").read_text("utf-8").splitlines()
+    text[1:] = [re.sub(r",2(\d\.\d+)$", r",29\1", line) for line in text[1:]]
+    (here / "kelvin.csv").write_text("\n".join(text) + "\n", encoding="utf-8")
+    code, told = command(*arguments, "--out", "out.file")
+    assert code == 2
+    assert said in told
+    assert len(told.strip().splitlines()) == 1
+    assert not (here / "out.file").exists()
+
+
+def test_readings_go_with_learned_models_only(here, command):
+    code, told = command(
+        "estimate", "log.csv", "day.csv", "--readings", "readings.csv", "--out", "e.csv"
+    )
+    assert code == 2
+    assert len(told.strip().splitlines()) == 1
+
+
+def test_the_guide_does_what_it_says(tmp_path, monkeypatch, capsys):
+    """Its commands in their order, then its Python, whose errors are those of its table."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    shutil.copytree(ROOT / "examples" / "measured_machine", tmp_path / "examples/measured_machine")
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "guide-measured-machine.md").read_text("utf-8")
+    for block in re.findall(r"^```sh\n(.*?)^```", page, re.M | re.S):
+        for line in block.strip().splitlines():
+            words = shlex.split(line)
+            if words[0] == "cd":
+                monkeypatch.chdir(words[1])
+            elif words[0] == "thermojoint":
+                with undisturbed():
+                    app(words[1:], standalone_mode=False)
+            else:
+                subprocess.run(words, check=True, capture_output=True)
+    [code] = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    capsys.readouterr()
+    exec(compile(code, "guide", "exec"), {})
+    told = [line.split() for line in capsys.readouterr().out.splitlines()]
+    table = re.findall(r"^\| (disp\d) \| (.*?) \| (.*?) \| (.*?) \|$", page, re.M)
+    assert len(told) == len(table) == 5
+    for (name, *found), (shown, *values) in zip(told, table, strict=True):
+        assert name == f"{shown}_um"
+        assert [float(one) for one in found] == pytest.approx([float(v) for v in values], abs=0.3)

@@ -1,0 +1,462 @@
+"""What a calibration takes: measured responses by its page; one line for what it cannot take."""
+
+import json
+import re
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from repository import ROOT
+
+from calibrate import chain
+from calibrate.responses import moving_axes
+from estimator import judge
+from fesim.case.schema import CandidatesSection, Case, case_from_data
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.artefacts.response import make_response, read_response
+from thermojoint.cli import arguments
+from thermojoint.cli.app import app
+from thermojoint.models import deformation, ring_source
+from thermojoint.models.model_file import read_model, read_provenance
+from thermojoint.models.parameters import DeformationModel, RingModel
+from thermojoint.paper import inputs, reproduce
+from thermojoint.paper.inputs import check_drivable, check_placeable
+from thermojoint.paper.verdict import paper_claim
+
+PAGE = (ROOT / "docs" / "calibration.md").read_text("utf-8")
+SECTION = PAGE[PAGE.index("## What a measured response must contain") :]
+BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", SECTION, re.M | re.S))
+
+TIMES = 10.0 * np.arange(151)
+#: Those of the page, m.
+DISTANCES = [[0.049, 0.125], [0.108, 0.062]]
+PLACES = {
+    "a": (0.575, 0.600, 0.175),
+    "b": (0.550, 0.450, 0.125),
+    "T1": (0.625, 0.450, 0.0875),
+    "T2": (0.625, 0.700, 0.0875),
+}
+MAIN = RingModel(K=8.0, a=3.2, alpha=2.1e-4, r=0.19, r0=0.12)
+SOURCES = [(1.3, 8.0, 2e-4), (0.9, 20.0, 3e-4)]
+STRENGTHS = {0.5: (-0.12, -0.2), 1.0: (0.0, 0.0), 2.0: (1.0, 1.0)}
+SHAPES = (
+    DeformationModel(3e-6, 5e-6, -1e-8, 0.004, 0.0011, 0.009, 2e-8, 0.02),
+    DeformationModel(-1e-6, 3e-6, 1e-8, 0.006, 0.0008, 0.012, -2e-8, 0.03),
+)
+
+
+def saturating(t, rate, gain):
+    return gain * -np.expm1(-rate * t)
+
+
+def measured(level, t=TIMES):
+    """What thermometers (K) and gauges (m) show: the heat's part, and that of two sources."""
+    b = level * saturating(t, 1e-3, 2.0)
+    shown = {
+        "a": b + level * ring_source.step_response(t, **asdict(MAIN)),
+        "b": b,
+        "T1": level * saturating(t, 6e-4, 1.5),
+        "T2": level * saturating(t, 4e-4, 1.0),
+        "x": level * saturating(t, 1e-3, 80e-6),
+        "y": 1e-9 * np.sin(t),
+        "z": level * saturating(t, 7e-4, -70e-6),
+    }
+    for i, strength in enumerate(STRENGTHS[level]):
+        for j, sensor in enumerate(("T1", "T2")):
+            shown[sensor] = shown[sensor] + strength * ring_source.step_response(
+                t, *SOURCES[i], DISTANCES[i][j], 0.02
+            )
+        for axis, sign in (("x", 1.0), ("z", -1.0)):
+            shown[axis] = shown[axis] + sign * strength * deformation.step_response(t, SHAPES[i])
+    return shown
+
+
+def response(level, *, probes=None, t=TIMES, **attributes):
+    """The same as a response; `probes` maps further names to those of `PLACES`."""
+    shown = measured(level, t)
+    probes = probes or {name: name for name in PLACES}
+    return make_response(
+        {
+            "heat_input": np.full(t.size, level),
+            "temperature": np.stack([shown[name] for name in probes.values()], axis=1),
+            "displacement": np.stack([shown[axis] for axis in "xyz"], axis=1),
+            "probe_position": np.array([PLACES[name] for name in probes.values()]),
+            "contact_position": np.array([[0.62, y, 0.09] for y in (0.40, 0.55, 0.72)]),
+        },
+        {"time": t, "probe": list(probes), "axis": ["x", "y", "z"]},
+        {"reference_power_W": 295.0} | attributes,
+    )
+
+
+def others(**options):
+    return {level: response(level, **options) for level in (0.5, 2.0)}
+
+
+# Measured responses
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """Do what the page says, in a folder with the files of a logger that skips samples."""
+    folder = tmp_path_factory.mktemp("measured")
+    times = np.delete(5.0 * np.arange(301), [7, 8, 100])
+    for level in STRENGTHS:
+        shown = measured(level, times)
+        columns = {"time_s": times}
+        columns |= {f"{name}_degC": 20.0 + shown[name] for name in PLACES}
+        columns |= {"ambient_degC": np.full(times.size, 20.0)}
+        columns |= {f"{axis}_um": 1e6 * shown[axis] for axis in "xyz"}
+        np.savetxt(
+            folder / f"step-{level}.csv",
+            np.column_stack(list(columns.values())),
+            "%.9g",
+            ",",
+            header=",".join(columns),
+            comments="",
+        )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        exec(compile(BLOCKS["python"], "calibration.md", "exec"), {})
+        program, *words = shlex.split(BLOCKS["sh"])
+        assert program == "thermojoint"
+        app(words, standalone_mode=False)
+    return folder
+
+
+def test_measured_steps_calibrate_as_the_page_says(page):
+    model = read_model(page / "model.json")
+    assert np.allclose(model.distances, DISTANCES)
+    assert model.sensors == PLACES
+    assert model.reference_power_W == 295.0
+    thermal = model.linear.thermal
+    assert ring_source.step_response(TIMES, **asdict(thermal)) == pytest.approx(
+        ring_source.step_response(TIMES, **asdict(MAIN)), abs=0.02
+    )
+
+
+def test_the_axes_that_move_are_calibrated_whatever_they_are_called(page):
+    model = read_model(page / "model.json")
+    assert list(model.linear.deformation) == ["x", "z"]
+    for source in model.sources:
+        assert list(source.deformation) == list(source.driven) == ["x", "z"]
+
+
+def test_every_command_takes_a_model_of_other_axes(page, capsys, monkeypatch):
+    monkeypatch.chdir(page)
+    app(["tables", "model.json"], standalone_mode=False)
+    assert "Deformation z (Eq. 8)" in capsys.readouterr().out
+    app(["estimate", "model.json", "step-2.0.csv", "--out", "estimate.csv"], standalone_mode=False)
+    estimate = np.genfromtxt("estimate.csv", delimiter=",", names=True)
+    truth = 1e6 * measured(2.0, estimate["time_s"])["z"]
+    assert np.abs(estimate["total_z_um"] - truth).max() < 0.05 * np.abs(truth).max()
+    arguments = ["validate", "model.json", "step-2.0.nc", "--reference", "step-1.0.nc"]
+    app([*arguments, "--out", "errors.json"], standalone_mode=False)
+    rows = json.loads(Path("errors.json").read_text())["rows"]
+    assert {row["axis"] for row in rows} == {"x", "z"}
+
+
+def test_the_paper_claims_nothing_of_an_axis_it_has_not():
+    row = {"case": "step-3.0", "estimator": "fchs"}
+    assert paper_claim(row | {"axis": "y"}) == 0.5
+    assert paper_claim(row | {"axis": "z"}) is None
+
+
+def test_the_model_file_tells_how_the_averaging_loop_ended(page):
+    text = read_provenance(page / "model.json").reports["averaging"]
+    assert re.search(r"the inputs agree after|the means stopped moving|did not agree", text)
+    assert re.search(r"max \S+ K, rms \S+ K; joint fit: max \S+ K, rms \S+ K", text)
+    condition = float(re.search(r"condition number of the strengths (\S+)", text)[1])
+    assert condition > 1.0
+
+
+def uneven():
+    times = TIMES.copy()
+    times[50:] += 3.0
+    return times
+
+
+UNSUITED = {
+    "samples are skipped": (
+        lambda: (response(1.0, t=uneven()), others(t=uneven())),
+        "10 to 13 s apart",
+    ),
+    "the first sample comes late": (
+        lambda: (response(1.0, t=TIMES + 25.0), others(t=TIMES + 25.0)),
+        "the first at 25 s",
+    ),
+    "no places": (lambda: (response(1.0).drop_vars("probe_position"), others()), "probe_position"),
+    "no power": (lambda: (response(1.0, reference_power_W="much"), others()), "reference_power_W"),
+    "one other step": (lambda: (response(1.0), {2.0: response(2.0)}), "as many heat inputs"),
+    "wrong level": (
+        lambda: (response(1.0), {0.6: response(0.5), 2.0: response(2.0)}),
+        "input 0.6: its heat input is 0.5",
+    ),
+    "another duration": (
+        lambda: (response(1.0), {0.5: response(0.5, t=TIMES[:90]), 2.0: response(2.0)}),
+        "sample times differ",
+    ),
+    "a sensor is missing": (
+        lambda: (
+            response(1.0),
+            {0.5: response(0.5).isel(probe=[0, 1, 2]), 2.0: response(2.0)},
+        ),
+        "input 0.5: no probe named 'T2'",
+    ),
+    "nothing moves": (
+        lambda: (
+            response(1.0).sel(axis=[]),
+            {level: one.sel(axis=[]) for level, one in others().items()},
+        ),
+        "zero along every axis",
+    ),
+    "no contact elements": (
+        lambda: (response(1.0).drop_vars("contact_position"), others()),
+        "--distances-mm",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", UNSUITED)
+def test_responses_that_cannot_be_calibrated_are_refused_before_any_fit(mistake, monkeypatch):
+    monkeypatch.setattr(chain, "calibrate_displacements", None)  # would fail if it were called
+    make, said = UNSUITED[mistake]
+    with pytest.raises(InputError) as caught:
+        chain.calibrate_responses(*make())
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("distances", [[[0.05, 0.1]], [[0.05, 0.1], [0.1]], [[0.05, -1], [1, 1]]])
+def test_distances_of_another_number_or_sign_are_refused_before_any_fit(distances, monkeypatch):
+    monkeypatch.setattr(chain, "calibrate_displacements", None)
+    with pytest.raises(InputError, match="distances"):
+        chain.calibrate_responses(response(1.0), others(), distances)
+
+
+def test_axes_along_which_nothing_moves_are_left_out_and_no_others():
+    assert moving_axes(response(1.0), others()) == ["x", "z"]
+    # What moves in one of the other steps only counts as well.
+    bent = others()
+    bent[2.0] = bent[2.0].copy(deep=True)
+    bent[2.0]["displacement"][-1, 1] = 1e-5
+    assert moving_axes(response(1.0), bent) == ["x", "y", "z"]
+
+
+# Responses with candidates
+
+CANDIDATES = {
+    "hot": "a",
+    "cold": "b",
+    "low": "T1",
+    "high": "T2",
+}
+
+
+@pytest.fixture(scope="module")
+def carried(coarse_case):
+    """A case with two candidate boxes, as responses carry it."""
+    boxes = [
+        CandidatesSection(body="column", low_mm=low, high_mm=high, spacing_mm=25.0)
+        for low, high in (
+            ((500.0, 400.0, 100.0), (600.0, 700.0, 200.0)),
+            ((610.0, 400.0, 50.0), (650.0, 750.0, 100.0)),
+        )
+    ]
+    return coarse_case.model_copy(update={"candidates": boxes}).model_dump_json()
+
+
+def placeable(level, case, **options):
+    return response(level, probes=CANDIDATES, case=case, **options)
+
+
+UNPLACEABLE = {
+    "wrong level": (lambda m: {0.6: m(0.5), 2.0: m(2.0)}, "input 0.6: its heat input is 0.5"),
+    "another duration": (
+        lambda m: {0.5: m(0.5, t=TIMES[:90]), 2.0: m(2.0)},
+        "sample times differ",
+    ),
+    "another interval": (
+        lambda m: {0.5: m(0.5, t=0.5 * TIMES), 2.0: m(2.0)},
+        "sample times differ",
+    ),
+    "other candidates": (
+        lambda m: {0.5: m(0.5).isel(probe=[0, 1, 2]), 2.0: m(2.0)},
+        "input 0.5: no probe named 'high'",
+    ),
+    "one input": (lambda m: {2.0: m(2.0)}, "as many heat inputs"),
+}
+
+
+@pytest.mark.parametrize("mistake", UNPLACEABLE)
+def test_responses_that_do_not_belong_together_are_refused_before_any_sensor_is_chosen(
+    mistake, carried, monkeypatch
+):
+    monkeypatch.setattr(chain, "choose_heat_pair", None)  # would fail if it were called
+    make, said = UNPLACEABLE[mistake]
+    with pytest.raises(InputError) as caught:
+        chain.calibrate_responses(
+            placeable(1.0, carried),
+            make(lambda level, **options: placeable(level, carried, **options)),
+        )
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_distances_go_with_named_sensors_only(carried):
+    made = {level: placeable(level, carried) for level in (0.5, 1.0, 2.0)}
+    with pytest.raises(InputError, match="name the probes a, b, T1 and T2"):
+        chain.calibrate_responses(made.pop(1.0), made, DISTANCES)
+
+
+def test_a_pair_that_fails_makes_way_for_the_next_without_fitting_table_1_again(
+    carried, monkeypatch
+):
+    tried, fitted = [], []
+    fit_heat = chain.calibrate_heat
+
+    def heat(*given):
+        fitted.append(given)
+        return fit_heat(*given)
+
+    def unstable(base, *_):
+        tried.append(base)
+        raise ConvergenceError("no stable inverse")
+
+    monkeypatch.setattr(chain, "calibrate_heat", heat)
+    monkeypatch.setattr(chain, "calibrate_fictitious", unstable)
+    rank = chain.rank_joint_pairs
+    monkeypatch.setattr(chain, "rank_joint_pairs", lambda *given: 3 * list(rank(*given)))
+    made = {level: placeable(level, carried) for level in (0.5, 1.0, 2.0)}
+    with pytest.raises(InputError, match="no stable inverse"):
+        chain.calibrate_responses(made.pop(1.0), made)
+    assert len(tried) == 3
+    assert len(fitted) == 1
+
+
+# Cases
+
+
+def drivable(coarse_data, **sections):
+    return case_from_data(coarse_data | sections, "case", Path())
+
+
+def own_input(data):
+    source = data["sources"]["bearings"] | {"heat_input": {"kind": "step", "level": 1.0}}
+    return {"sources": {"bearings": data["sources"]["bearings"], "drive": source}}
+
+
+def history(folder, column, last):
+    (folder / "history.csv").write_text(f"time_s,{column}\n0,20\n30,{last}\n")
+    return {"file": str(folder / "history.csv")}
+
+
+DISTURBED = {
+    "a source with a heat input of its own": (
+        lambda data, folder: own_input(data),
+        "sources.drive.heat_input",
+    ),
+    "no source": (
+        lambda data, folder: {"sources": {}, "held_temperatures": {"bearings": {"rise_K": 5.0}}},
+        "add [sources.NAME]",
+    ),
+    "an ambient that changes": (
+        lambda data, folder: {"ambient": history(folder, "ambient_degC", 21)},
+        "steady ambient",
+    ),
+    "a warm surface": (
+        lambda data, folder: {"held_temperatures": {"bearings": {"rise_K": 5.0}}},
+        "held_temperatures.bearings",
+    ),
+    "a surface that warms": (
+        lambda data, folder: {"held_temperatures": {"bearings": history(folder, "rise_K", 21)}},
+        "held_temperatures.bearings",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DISTURBED)
+def test_a_case_with_more_than_the_heat_input_is_refused_before_it_is_set_up(
+    name, coarse_data, tmp_path, monkeypatch
+):
+    make, said = DISTURBED[name]
+    case = drivable(coarse_data, **make(coarse_data, tmp_path))
+    monkeypatch.setattr(inputs, "set_up", None)  # would fail if they were called
+    monkeypatch.setattr(reproduce, "set_up", None)
+    for begin in (
+        lambda: inputs.simulate_inputs(case, inputs.CALIBRATION),
+        lambda: reproduce.reproduce(case, tmp_path / "out"),
+    ):
+        with pytest.raises(InputError) as caught:
+            begin()
+        assert said in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_steady_ambient_and_a_surface_at_ambient_do_no_harm(coarse_data, tmp_path):
+    sections = {
+        "ambient": history(tmp_path, "ambient_degC", 20),
+        "held_temperatures": {"bearings": {"rise_K": 0.0}},
+    }
+    check_drivable(drivable(coarse_data, **sections))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"probes": {}}, "two boxes"), ({"joints": {}}, "nothing is nonlinear")],
+)
+def test_a_case_that_could_not_be_calibrated_is_refused_before_it_is_set_up(
+    change, said, coarse_case, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(reproduce, "set_up", None)
+    check_placeable(coarse_case)
+    case = Case.model_construct(**(dict(coarse_case) | change))
+    with pytest.raises(InputError, match=said):
+        reproduce.reproduce(case, tmp_path / "out")
+
+
+# The command line
+
+
+@pytest.mark.parametrize("level", ["nan", "inf", "-inf", "0", "0.0", "two"])
+def test_a_heat_input_is_a_finite_number_other_than_0(level):
+    with pytest.raises(InputError, match="LEVEL=RESPONSE"):
+        arguments.level_and_file(f"{level}=r2.nc")
+    assert arguments.level_and_file("-0.5=r2.nc") == (-0.5, Path("r2.nc"))
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "1,2,3,4,5", "1,2,3,0", "1,2,3,nan", "1,2,3,four", ""])
+def test_distances_are_four_positive_numbers_in_millimetres(text):
+    with pytest.raises(InputError, match="--distances-mm"):
+        arguments.distances(text)
+    assert np.allclose(arguments.distances("49, 125,108,62"), DISTANCES)
+
+
+def test_a_response_is_judged_with_noise_only_where_noise_is_asked_for(
+    hand_made_model, coarse_response
+):
+    found = {
+        noisy: judge.validate_model(
+            hand_made_model, None, {"triangle": coarse_response}, noisy=noisy
+        )
+        for noisy in ((), ("triangle",))
+    }
+    assert set(found[()].estimates) == {"triangle"}
+    assert set(found["triangle",].estimates) == {"triangle", "triangle-noise"}
+
+
+def test_a_response_of_slow_samples_is_judged_whatever_its_name(hand_made_model):
+    slow = response(1.0, t=40.0 * np.arange(20))
+    slow["probe_position"][:] = [hand_made_model.sensors[name] for name in PLACES]
+    slow = slow.sel(axis=["x", "y"])
+    found = judge.validate_model(hand_made_model, None, {"triangle": slow})
+    assert {row["case"] for row in found.rows} == {"triangle"}
+
+
+def test_a_written_measured_response_is_what_the_page_says(page):
+    kept = read_response(page / "step-0.5.nc")
+    assert np.allclose(np.diff(kept["time"]), 10.0)
+    assert kept["temperature"].sel(probe="a").to_numpy() == pytest.approx(
+        measured(0.5, kept["time"].to_numpy())["a"], abs=0.01
+    )
