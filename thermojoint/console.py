@@ -1,4 +1,7 @@
-"""What the user sees: results on standard output, progress and warnings on the other one."""
+"""What the user sees: results on standard output, progress and warnings on standard error.
+
+How much of it is asked for by -q and -v, and holds for the process, as its streams do.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,10 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
 
 from rich.console import Console
 from rich.progress import (
@@ -20,36 +26,85 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
 #: Called with (what is being worked on, done, in all).
 Report = Callable[[str, int, int], None]
 
 
+class Verbosity(IntEnum):
+    """How much is printed."""
+
+    QUIET = 0
+    NORMAL = 1
+    VERBOSE = 2
+
+
+_verbosity = Verbosity.NORMAL
+
+
+def verbosity(quiet: bool, verbose: bool) -> Verbosity:
+    """Return what -q and -v ask for.
+
+    Raises
+    ------
+    InputError
+        Both are given.
+    """
+    if quiet and verbose:
+        raise InputError("--quiet and --verbose: give one of them")
+    return Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
+
+
+def set_verbosity(wanted: Verbosity) -> None:
+    """Choose how much is printed from now on."""
+    global _verbosity
+    _verbosity = wanted
+
+
 def out() -> Console:
     """Return the console for results, as wide as the terminal, or 100 columns in a file."""
-    console = Console(highlight=False, markup=False)
-    return console if console.is_terminal else Console(highlight=False, markup=False, width=100)
+    console = Console(highlight=False, markup=False, quiet=_verbosity is Verbosity.QUIET)
+    if not console.is_terminal:
+        console.width = 100
+    return console
 
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Give a function that shows one bar for each thing named; silent where there is no terminal.
+    """Give a function that shows how far each thing named is: a bar, or lines without a terminal.
 
     Yields
     ------
     callable
         To be called with (name, done, in all).
     """
-    console = Console(stderr=True)
+    if _verbosity is Verbosity.QUIET:
+        yield lambda name, done, total: None
+        return
+    with _bars() if sys.stderr.isatty() else progress_lines() as show:
+        yield show if _verbosity is Verbosity.NORMAL else _timed(show)
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Show that something is at work in the block, which does not say how far it is."""
+    with progress_bars() as report:
+        report(what, 0, 1)
+        yield
+        report(what, 1, 1)
+
+
+@contextmanager
+def _bars() -> Iterator[Report]:
     bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
+        console=Console(stderr=True),
     )
     tasks: dict[str, TaskID] = {}
 
@@ -62,6 +117,52 @@ def progress_bars() -> Iterator[Report]:
         yield report
 
 
+@contextmanager
+def progress_lines(first_s: float = 5.0, every_s: float = 10.0) -> Iterator[Report]:
+    """Give a function as `progress_bars`, for a log: a line on standard error now and then.
+
+    Parameters
+    ----------
+    first_s, every_s : float
+        When the first line comes, and the next ones after it, s.
+    """
+    begun, reached = monotonic(), dict[str, tuple[int, int]]()
+    ended = Event()
+
+    def report(name: str, done: int, total: int) -> None:
+        reached[name] = done, total
+
+    def tell() -> None:
+        wait = first_s
+        while not ended.wait(wait):
+            wait = every_s
+            for name, (done, total) in list(reached.items()):
+                if done < total:
+                    part = f" {done} of {total}," if total > 1 else ""
+                    say(f"{name}:{part} {monotonic() - begun:.0f} s")
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield report
+    finally:
+        ended.set()
+        teller.join()
+
+
+def _timed(show: Report) -> Report:
+    """Say of each thing how long it took."""
+    begun: dict[str, float] = {}
+
+    def report(name: str, done: int, total: int) -> None:
+        show(name, done, total)
+        since = begun.setdefault(name, monotonic())
+        if done >= total:
+            say(f"{name}: {monotonic() - since:.1f} s")
+
+    return report
+
+
 def _show_cursor() -> None:
     """Give a terminal its cursor back, which live output hides."""
     if sys.stderr.isatty():
@@ -70,13 +171,18 @@ def _show_cursor() -> None:
 
 def say(text: str) -> None:
     """Print one line about what was done, on standard error."""
-    print(text, file=sys.stderr, flush=True)
+    if _verbosity is not Verbosity.QUIET:
+        _print(text)
 
 
 def warn(lines: Iterable[str]) -> None:
     """Print a line for each warning, on standard error."""
     for line in lines:
-        say(f"warning: {line}")
+        _print(f"warning: {line}")
+
+
+def _print(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def wrote(*paths: Path | None) -> None:

@@ -7,6 +7,7 @@ no command for those of another one.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -15,43 +16,43 @@ from thermojoint.cli import compensating, exporting, learning, placing, scene, s
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
+from thermojoint.cli.command import help_text, with_verbosity
 from thermojoint.pictures import fonts
 
-#: In the order of the help page.
-COMMANDS = (
-    simulation.simulate,
-    models.calibrate,
-    learning.learn,
-    models.tables,
-    models.assemble,
-    exporting.export,
-    models.estimate,
-    models.validate,
-    placing.place,
-    compensating.compensate,
-    compensating.control,
-    serving.serve,
-    scene.scene,
-    thermal_test.iso230_3,
-    models.reproduce,
-    structures.view,
-    simulation.verify,
-    structures.mesh,
-    structures.inspect,
-    simulation.batch,
-)
+#: Panels of the help page, and their commands in its order.
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Simulate": (structures.mesh, structures.inspect, simulation.simulate, simulation.batch),
+    "Calibrate and learn": (models.calibrate, learning.learn, placing.place, models.assemble),
+    "Estimate": (models.estimate, models.validate),
+    "Beside the control": (
+        exporting.export,
+        compensating.compensate,
+        compensating.control,
+        serving.serve,
+        scene.scene,
+    ),
+    "Look and check": (
+        structures.view,
+        models.tables,
+        thermal_test.iso230_3,
+        simulation.verify,
+        models.reproduce,
+    ),
+}
 
 app = typer.Typer(
     help="Nonlinear thermoelastic machine tools: simulate the joints, calibrate the generalised "
     "models, estimate the displacement in real time from temperatures.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
 
-for command in COMMANDS:
-    app.command()(command)
+for panel, commands in COMMANDS.items():
+    for command in commands:
+        listed = app.command(help=help_text(command.__doc__), rich_help_panel=panel)
+        listed(with_verbosity(command))
 
 
 def _show_version(asked: bool) -> None:

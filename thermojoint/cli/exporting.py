@@ -96,10 +96,13 @@ def export(
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     checked_name(name)
-    with _opened(model, samples, dt, 60.0 * length) as (estimator, rows):
-        origin = samples.name if samples else ""
+    origin = samples.name if samples else ""
+    with (
+        console.working("exporting"),
+        _opened(model, samples, dt, 60.0 * length) as (estimator, rows),
+    ):
         program = export_program(estimator, precision.value, name, rows, origin, dt)
-    files = _written(program, to, out)
+        files = _written(program, to, out)
     _show(program)
     console.wrote(*files)
 

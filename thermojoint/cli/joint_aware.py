@@ -111,10 +111,8 @@ def _fitted(
     from thermojoint.artefacts.files import write_text
     from thermojoint.cli import results
 
-    with console.progress_bars() as progress:
-        progress("calibrating", 0, 1)
+    with console.working("calibrating"):
         calibrated = calibrate_joint_aware(machine, read)
-        progress("calibrating", 1, 1)
         told = whole_report(calibrated) if report_file else report(calibrated.fit)
     write_observer(calibrated.model, out)
     if report_file:

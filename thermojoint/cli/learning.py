@@ -87,9 +87,9 @@ def learn(
     arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
     pieces = (piece for path in logs for piece in log_pieces(path, renamed))
     files = [path.name for path in logs]
-    model = learned(
-        pieces, displacement, max_sensors, cast("Kind", kind.value), ignore or (), files, renamed
-    )
+    wanted = cast("Kind", kind.value)
+    with console.working("learning"):
+        model = learned(pieces, displacement, max_sensors, wanted, ignore or (), files, renamed)
     write_learned(model, out)
     _show(model)
     console.wrote(out)
@@ -222,9 +222,10 @@ def validate(model: Path, logs: Sequence[Path], out: Path | None) -> None:
     if len({path.stem for path in logs}) < len(logs):
         raise InputError("validate: two logs have the same name; rename one")
     rows = []
-    for path in logs:
-        renamed = estimator.model.renamed_in(estimator.model.columns)
-        rows += judge(path.stem, estimator, read_log([path], renamed))
+    renamed = estimator.model.renamed_in(estimator.model.columns)
+    with console.working("validating"):
+        for path in logs:
+            rows += judge(path.stem, estimator, read_log([path], renamed))
     if out:
         write_text(out, json.dumps({"rows": rows}, indent=2, allow_nan=False) + "\n")
     _show_rows(rows)

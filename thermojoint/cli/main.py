@@ -32,7 +32,7 @@ def main() -> None:
     try:
         from thermojoint.cli.app import app
 
-        app()
+        app(prog_name="thermojoint")
     except Exception as error:
         if lines := _mendable(error):
             print("".join(map(_line, lines)), end="", file=sys.stderr, flush=True)

@@ -57,8 +57,10 @@ def mesh(
     arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
     if not 0.0 < size < math.inf:
         raise InputError(f"--size-mm {size:g}: give a positive length")
-    mesh_cad(part, out, 1e-3 * size, order, read_names(names) if names else None)
-    found = look_over(read_structure(out))
+    points = read_names(names) if names else None
+    with console.working("meshing"):
+        mesh_cad(part, out, 1e-3 * size, order, points)
+        found = look_over(read_structure(out))
     inspection_report.show(console.out(), str(out), found)
     console.wrote(out)
 
@@ -106,12 +108,14 @@ def inspect(
             raise InputError(f"--case {skeleton}: {source} is a case already; give its mesh file")
         case = read_case(source)
         console.warn(plausibility.of_case(case, str(source)))
-        structure = build_structure(case)
-        check_names(case, structure)
-        found = _with_loose_bodies(look_over(structure), case, structure)
+        with console.working("inspecting"):
+            structure = build_structure(case)
+            check_names(case, structure)
+            found = _with_loose_bodies(look_over(structure), case, structure)
     else:
-        structure = read_structure(source, UNITS[unit.value])
-        found = look_over(structure)
+        with console.working("inspecting"):
+            structure = read_structure(source, UNITS[unit.value])
+            found = look_over(structure)
     inspection_report.show(console.out(), str(source), found)
     if as_json:
         write_text(as_json, inspection_report.as_json(found))

@@ -112,10 +112,8 @@ def calibrate(
         raise InputError("--input: a heat input is given twice; give each once")
     for path, response in ((reference, base), *((path, response) for _, path, response in named)):
         console.warn(plausibility.of_response(response, str(path)))
-    with console.progress_bars() as report:
-        report("calibrating", 0, 1)
+    with console.working("calibrating"):
         calibrated = chain.calibrate_responses(base, others, apart)
-        report("calibrating", 1, 1)
     origin = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, origin)
     regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
@@ -319,7 +317,8 @@ def assemble(
     arguments.check_outputs({"--out": (out, file_kinds.ASSEMBLY)}, [model])
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
-    write_assembly(assemble_model(read_model(model), dt, 60.0 * length), out)
+    with console.working("assembling"):
+        write_assembly(assemble_model(read_model(model), dt, 60.0 * length), out)
     console.wrote(out)
 
 
@@ -382,7 +381,8 @@ def validate(
             f"{name}, {noise_pp:g} K noise": noise.with_noise(response, table, noise_pp, seed)
             for name, response in given.items()
         }
-    found = judge.validate_model(table, base, given, baselines=beside)
+    with console.working("validating"):
+        found = judge.validate_model(table, base, given, baselines=beside)
     if out:
         write_text(out, json.dumps(found.figures(), indent=2) + "\n")
     printing.show_validation(console.out(), found.rows)

@@ -50,7 +50,8 @@ def place(
     arguments.check_outputs({"--out": (out, file_kinds.SENSORS)}, [case, *files_of(machine)])
     kept = list(dict.fromkeys(keep or []))
     console.warn(plausibility.of_case(machine, str(case)))
-    setup = set_up(machine)
+    with console.working("setting up"):
+        setup = set_up(machine)
     lattice = candidate_probes(machine, setup.structure)
     names = list(dict.fromkeys([*kept, *(lattice or setup.probes)]))
     unknown = [name for name in names if name not in setup.probes]
@@ -58,7 +59,8 @@ def place(
         raise InputError(
             f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; see there"
         )
-    reduced = fewer_modes(reduce_machine(machine, setup, names))
+    with console.working("reducing"):
+        reduced = fewer_modes(reduce_machine(machine, setup, names))
     with console.progress_bars() as report:
         found = place_sensors(reduced, count, kept, report=report)
     write_text(out, written(found, machine, setup.probes))

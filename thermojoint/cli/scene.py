@@ -36,8 +36,9 @@ def scene(
     given = read_case(case)
     march = given.march.model_copy(update={"thermal": "reduced"})
     given = given.model_copy(update={"march": march})
-    setup = set_up(given)
-    held = (*given.supports.fixed, *given.supports.springs)
-    up = np.array(up_direction(setup.structure, held))
-    write_surface(surface_of(given, setup, found, up), out)
+    with console.working("setting up"):
+        setup = set_up(given)
+        held = (*given.supports.fixed, *given.supports.springs)
+        up = np.array(up_direction(setup.structure, held))
+        write_surface(surface_of(given, setup, found, up), out)
     console.wrote(out)

@@ -106,7 +106,7 @@ def test_a_learning_command_ends_at_every_signal(ending, tmp_path):
 WORK = """
 import os, pathlib, signal, subprocess, sys, types
 from thermojoint.cli import main as cli
-sys.modules["thermojoint.cli.app"] = types.SimpleNamespace(app=lambda: work())
+sys.modules["thermojoint.cli.app"] = types.SimpleNamespace(app=lambda **_: work())
 ctrl_c = lambda: signal.raise_signal(signal.SIGINT)
 """
 

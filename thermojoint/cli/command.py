@@ -1,0 +1,78 @@
+"""What every command has: help that can be copied from a terminal of 80 columns, -q and -v."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import warnings
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated
+
+import typer
+
+from thermojoint import console
+
+#: Of a command in a help page: what is left of 80 columns beside margins and backslash.
+_WIDTH = 76
+_EXAMPLE = re.compile(r"Example: \[bold\](.*)\[/bold\]", re.DOTALL)
+
+
+def help_text(doc: str | None) -> str:
+    """Return a docstring as help: paragraphs of one line each, commands continued by backslashes.
+
+    Parameters
+    ----------
+    doc : str, optional
+        Its examples stand in paragraphs ``Example: [bold]thermojoint ...[/bold]``.
+    """
+    return "\n\n".join(map(_paragraph, inspect.cleandoc(doc or "").split("\n\n")))
+
+
+def _paragraph(text: str) -> str:
+    if found := _EXAMPLE.fullmatch(text):
+        lines = command_lines(" ".join(found[1].split()), _WIDTH)
+        return "\n".join(["Example:", *(f"[bold]{line}[/bold]" for line in lines)])
+    return " ".join(text.split())
+
+
+def command_lines(command: str, width: int) -> list[str]:
+    """Break a command before its options, each line but the last ending in a backslash."""
+    lines = [""]
+    for part in re.split(r" (?=-)", command):
+        if lines[-1] and len(f"{lines[-1]} {part}") > width:
+            lines[-1] += " \\\\"  # markup takes a single one for an escape
+            lines.append(f"  {part}")
+        else:
+            lines[-1] = (
+                f"{lines[-1]} {part}".lstrip(" ") if len(lines) == 1 else f"{lines[-1]} {part}"
+            )
+    return lines
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", "-v", help="Also print how long each part took, and all warnings."),
+]
+
+
+def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that has -q and -v besides its own options."""
+    own = inspect.signature(command, eval_str=True)
+
+    @wraps(command)
+    def run(*, quiet: bool, verbose: bool, **given: object) -> None:
+        if verbose:
+            warnings.resetwarnings()
+        console.set_verbosity(console.verbosity(quiet, verbose))
+        command(**given)
+
+    both = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+        for name, kind in (("quiet", Quiet), ("verbose", Verbose))
+    ]
+    signature = own.replace(parameters=[*own.parameters.values(), *both])
+    run.__annotations__ = {one.name: one.annotation for one in signature.parameters.values()}
+    vars(run)["__signature__"] = signature
+    return run
