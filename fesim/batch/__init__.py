@@ -1,1 +1,1 @@
-"""Many cases at once: the study file, the workers, and the folder that holds what they found."""
+"""Parameter studies: study file, worker pool and results folder."""

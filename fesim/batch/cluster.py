@@ -1,7 +1,7 @@
 """Workers of an existing Dask cluster.
 
-Only cases and responses travel: the cluster need not see the batch's folder, but it must find the
-files that a case names (meshes, histories) under the same absolute paths.
+Only cases and responses are transferred: the cluster needs no access to the batch's folder, but it
+must find the files that a case refers to (meshes, histories) under the same absolute paths.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ except ImportError as _error:
         "--scheduler: Dask is not installed; install thermojoint with its extra 'dask'"
     ) from _error
 
-#: A scheduler that does not answer within this time, s, is not there.
+#: A scheduler that does not respond within this time, s, counts as absent.
 CONNECT_TIMEOUT = 10.0
-#: A response that does not arrive within this time, s, is asked for again, or its worker is gone.
+#: After this time, s, a missing response is requested again, or its worker counts as lost.
 FETCH_TIMEOUT = 60.0
 
 OWN_VERSION = version("thermojoint")
 
 
 class DaskCrew:
-    """The workers of a cluster as they come and go; see `fesim.batch.crew.Crew`.
+    """The workers of a cluster, which may join and leave; see `fesim.batch.crew.Crew`.
 
-    A worker of another version ends the batch if it is there at the first look; one that comes
-    later is told of once and gets no cases.
+    A worker with another version at the start ends the batch; one that joins later is reported once
+    and gets no cases.
     """
 
     def __init__(self, client: Client, tell: Callable[[str], None]) -> None:
@@ -83,7 +83,7 @@ class DaskCrew:
         self._working[worker] = task, future
 
     def gather(self, timeout: float) -> list[Report]:
-        """Wait for outcomes, `timeout` seconds at most, and look which workers are gone."""
+        """Wait for outcomes, `timeout` seconds at most, and check which workers are lost."""
         self._news.wait(timeout)
         self._news.clear()
         here = set(self.members())
@@ -104,7 +104,7 @@ class DaskCrew:
         return reports
 
     def close(self) -> None:
-        """Take back what is still running."""
+        """Cancel running cases."""
         for _, future in self._working.values():
             future.cancel()
         self._working.clear()
@@ -138,12 +138,12 @@ def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> 
     address : str
         Of the scheduler.
     tell : callable
-        Called with one line for each worker that comes later and has another version.
+        Called with one line for each worker with another version that joins later.
 
     Raises
     ------
     InputError
-        Nobody answers there, or the cluster has another version of this program.
+        The scheduler does not respond, or the cluster has another version of this program.
     """
     # What it has to say about a lost connection is said in one line, not in three tracebacks.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
@@ -160,7 +160,7 @@ def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> 
 
 
 def _fetch(future: Future) -> Outcome | None:
-    """Return a finished case's outcome, or None if its worker went before it was sent."""
+    """Return the outcome of a finished case, or None if its worker was lost before sending it."""
     try:
         outcome: Outcome = future.result(timeout=FETCH_TIMEOUT)
     except (TimeoutError, CancelledError, KilledWorker, OSError):

@@ -1,4 +1,4 @@
-"""Who does the work: the one interface of local processes and of a Dask cluster."""
+"""Common interface of worker pools: local processes and Dask clusters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fesim.batch.worker import Outcome, Task
 
 @dataclass(frozen=True)
 class Report:
-    """What a worker has to say about its case.
+    """Report of a worker on its case.
 
     Attributes
     ----------
@@ -19,7 +19,7 @@ class Report:
     task : Task
         Its case.
     outcome : Outcome or None
-        None if the worker is gone, and the case with it.
+        None if the worker and its case were lost.
     detail : str
         How the worker ended, or why its program failed.
     """
@@ -31,10 +31,10 @@ class Report:
 
 
 class Crew(Protocol):
-    """Workers, each with one case at a time; the name of a lost one does not come back."""
+    """Workers, each with one case at a time; names of lost workers are not reused."""
 
     def idle(self) -> list[str]:
-        """Workers without a case, as of now; new ones may have come and old ones gone."""
+        """Currently idle workers; others may have joined or left."""
 
     def hand(self, worker: str, task: Task) -> None:
         """Give an idle worker a case."""

@@ -1,9 +1,9 @@
 """All responses of a study in one labelled dataset: a Zarr store that xarray opens.
 
-It is laid out before the first case runs, with every case of the study in it, and each response
-fills its own chunks. A chunk is a file that Zarr (from 3.1.3 on) writes whole, so a reader never
-sees half of one, and a killed writer spoils nothing. Where a case has no value (it is still to
-come, failed, is shorter, or has fewer probes or contact elements) there is NaN, or an empty text.
+It is created before the first case runs, with all cases of the study, and each response fills its
+own chunks. Zarr (from 3.1.3 on) writes a chunk as a file atomically, so a reader never sees part of
+one, and a killed writer damages nothing. Missing values (a case is pending, failed, is shorter, or
+has fewer probes or contact elements) are NaN or empty text.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from thermojoint.artefacts.response import VARIABLES
 if TYPE_CHECKING:
     import xarray as xr
 
-#: How a case stands, as a number and in words.
+#: Status of a case, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
 
 #: Time steps in a chunk at most: where steps of different lengths stand on one axis, most of it is
 #: empty, and an empty chunk takes no room.
 CHUNK = 4096
 
-#: Variables that come with others of a dimension that they do not have.
+#: Variables recorded together with others that have an additional dimension.
 _WITH = {"force_balance": ("support",), "shear": ("joint",)}
 
 Labels = NDArray[Any]
@@ -61,7 +61,7 @@ class Dataset:
 
 
 def open_dataset(path: Path, study: Study) -> Dataset:
-    """Open the dataset of a study; lay it out if there is none, or one of another study."""
+    """Open the dataset of a study; create it if there is none, or one of another study."""
     labels = dimension_labels(study)
     layout = _layout_digest(study, labels)
     row = {one.id: number for number, one in enumerate(study.cases)}
@@ -101,7 +101,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
 def _variables(
     study: Study, labels: dict[str, Labels]
 ) -> dict[str, tuple[tuple[str, ...], str, str]]:
-    """Return what is kept of the responses of a study: what no case asks for has no labels."""
+    """Return the stored variables of a study's responses; unrequested ones have no labels."""
     asked = {"displacement"} if study.keep == "displacement" else set(VARIABLES)
     if not any(secant_sections(case.case) for case in study.cases):
         asked.discard("secant_residual")
@@ -113,7 +113,7 @@ def _variables(
 
 
 def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
-    """Write one response into its row; writing it again changes nothing."""
+    """Write one response into its row; idempotent."""
     at = dataset.row[case]
     for name, (dims, _, _) in VARIABLES.items():
         if name not in response or name not in dataset.arrays:
@@ -127,12 +127,12 @@ def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
 
 
 def store_status(dataset: Dataset, case: str, status: str) -> None:
-    """Write how a case stands: after its response, so that ``done`` means that it is there."""
+    """Write the status of a case, after its response, so that ``done`` implies its presence."""
     dataset.arrays["status"][dataset.row[case]] = STATUS[status]
 
 
 def stored_status(dataset: Dataset) -> dict[str, str]:
-    """Return how every case stands in the dataset."""
+    """Return the status of every case in the dataset."""
     names = {number: name for name, number in STATUS.items()}
     column = np.asarray(dataset.arrays["status"][...]).tolist()
     return {case: names[column[at]] for case, at in dataset.row.items()}

@@ -1,16 +1,16 @@
-"""The folder of a batch: who writes into it, what is finished, and the summary tables.
+"""Results folder of a batch: lock, records of finished cases, summary tables.
 
 ::
 
     FOLDER/
-      responses/ID.nc      one response a case, written whole; none of studies of displacements
-      records/ID.json      what became of it; written last, so a record means: all of it is there
-      dataset.zarr         all responses in one labelled dataset (fesim.batch.dataset)
-      summary.csv          a row for each case of the study, and the same as summary.parquet
-      journal.jsonl        when which worker got, finished or lost a case
-      lock                 locked by the process that writes here
+      responses/ID.nc      one response per case, written atomically; none in studies of
+      displacements records/ID.json      its outcome; written last, so a record means that
+      everything is there dataset.zarr         all responses in one labelled dataset
+      (fesim.batch.dataset) summary.csv          a row for each case of the study, and the same as
+      summary.parquet journal.jsonl        when which worker got, finished or lost a case lock
+      locked by the process that writes here
 
-Only the main process writes. A process that is killed loses its lock with it.
+Only the main process writes. The lock of a killed process is released.
 """
 
 from __future__ import annotations
@@ -56,12 +56,13 @@ _REPLACED = ("dataset.zarr", "summary.csv", "summary.parquet")
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other batches out of a folder, which is made if it is missing.
+    """Lock a folder against other batches; it is created if missing.
 
     Raises
     ------
     InputError
-        Another process is at work there, it is no folder, or it has tables that no batch wrote.
+        Another process has locked it, it is not a folder, or it contains tables that no batch
+        wrote.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder")
@@ -94,12 +95,12 @@ def _remove_unfinished(folder: Path) -> None:
 
 
 def response_path(folder: Path, case: str) -> Path:
-    """Return where the response of a case stands."""
+    """Return the path of the response of a case."""
     return folder / "responses" / f"{case}.nc"
 
 
 def write_record(folder: Path, outcome: Outcome) -> Record:
-    """Write what became of a case and return it; its response must be written already."""
+    """Write and return the record of a case, whose response must be written already."""
     record = {
         "id": outcome.id,
         "status": outcome.status,
@@ -115,7 +116,7 @@ def write_record(folder: Path, outcome: Outcome) -> Record:
 def read_records(folder: Path, study: Study) -> dict[str, Record]:
     """Return the records of the study's cases that need not run again, by the case's id.
 
-    Cases that broke off for a reason that may pass are left out, and damaged records.
+    Cases that stopped for a temporary reason are left out, and so are damaged records.
     """
     found = {}
     for case in study.cases:
@@ -152,7 +153,7 @@ def note(folder: Path, event: str, case: str, worker: str, detail: str = "") -> 
 
 
 def summary(study: Study, records: Mapping[str, Record]) -> pd.DataFrame:
-    """Return a row for each case of the study: varied values, what became of it, its figures."""
+    """Return a row for each case of the study: varied values, outcome, figures."""
     rows = []
     for case in study.cases:
         record = records.get(case.id, {"status": "pending", "reason": ""})

@@ -1,8 +1,8 @@
-"""Workers on this machine: one process each, at the end of a pipe of its own.
+"""Local workers: one process each, with its own pipe.
 
 Not `concurrent.futures.ProcessPoolExecutor`: there, one killed process breaks the whole pool, and a
-case cannot be given to the worker that has its condensation. Here a process that dies takes only
-its own case along, and another takes its place.
+case cannot be assigned to the worker that has its condensation. Here a process that dies loses only
+its own case, and another one replaces it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fesim.batch.crew import Report
 from fesim.batch.worker import Outcome, Task, run
 from thermojoint.artefacts.processes import CONTEXT, end_with_parent
 
-#: A worker that is told to end gets this long, s.
+#: Time for a worker to end on request, s.
 _PATIENCE = 5.0
 
 
@@ -33,7 +33,7 @@ class _Worker:
 
 
 class LocalCrew:
-    """As many processes as asked for, those that die replaced; see `fesim.batch.crew.Crew`."""
+    """A fixed number of processes; dead ones are replaced; see `fesim.batch.crew.Crew`."""
 
     def __init__(self, count: int) -> None:
         self._threads = max(1, (os.cpu_count() or 1) // count)
@@ -59,7 +59,7 @@ class LocalCrew:
             chosen.process.kill()
 
     def gather(self, timeout: float) -> list[Report]:
-        """Wait for outcomes and for deaths, `timeout` seconds at most."""
+        """Wait for outcomes and lost workers, `timeout` seconds at most."""
         ends = [end for one in self._workers.values() for end in (one.pipe, one.process.sentinel)]
         ready = set(wait(ends, timeout))
         reports = []
@@ -111,7 +111,7 @@ def local_crew(count: int) -> Iterator[LocalCrew]:
 
 
 def _receive(pipe: Connection) -> Outcome | None:
-    """Return what a worker sent, or None if it died, even in the middle of a word."""
+    """Return a worker's message, or None if it died, even during transmission."""
     try:
         if pipe.poll():
             outcome: Outcome = pipe.recv()
@@ -129,7 +129,7 @@ def _ending(worker: _Worker) -> str:
 
 
 def _serve(pipe: Connection, threads: int) -> None:
-    """Work off cases until the other end of the pipe is closed: what a worker process does."""
+    """Main loop of a worker process: run cases until the other end of the pipe is closed."""
     end_with_parent()
     limit = None
     if "OMP_NUM_THREADS" not in os.environ:

@@ -1,4 +1,4 @@
-"""Dotted paths into a case: which ones there are, and a case's data with other values there."""
+"""Dotted paths into a case: their list, and replacement of the values at paths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from meshes.milling_machine import MillingMachineDimensions
 def known_paths(case: Case) -> set[str]:
     """Return every path of a case, those of defaults and of whole sections included.
 
-    Entries of lists go by their number from 0, e.g. ``candidates.0.spacing_mm``.
+    Entries of lists are numbered from 0, e.g. ``candidates.0.spacing_mm``.
     """
     paths = set(_paths(case.model_dump(mode="json"), ""))
     if isinstance(case.structure, MillingMachineSection):

@@ -1,4 +1,4 @@
-"""Which case a worker gets next: one that shares its condensation, as long as that pays."""
+"""Assignment of cases to workers, preferably with a condensation that the worker has."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from fesim.batch.worker import KEPT, Outcome, Task
 class Queue:
     """Cases still to be handed out, by condensation key.
 
-    A worker stays with its condensation. When that one's cases are out it takes the condensation
-    with the most cases that nobody works on; if all have somebody, it joins the one with the most
-    left, unless those at it would be through sooner than the newcomer is set up.
+    A worker stays with its condensation. When its cases are exhausted, it takes the unassigned
+    condensation with the most cases; if all are assigned, it joins the one with the most cases
+    left, unless its present workers would finish before the newcomer is set up.
     """
 
     def __init__(self, tasks: Iterable[Task]) -> None:
@@ -45,16 +45,16 @@ class Queue:
         return None
 
     def give_back(self, task: Task) -> None:
-        """Put a case back, first in its row: its worker is lost."""
+        """Put the case of a lost worker back to the front of its queue."""
         self._waiting.setdefault(task.key, deque()).appendleft(task)
 
     def keep(self, workers: Iterable[str]) -> None:
-        """Forget every other worker and what it had in memory."""
+        """Forget all other workers and their set-ups."""
         here = set(workers)
         self._at = {worker: keys for worker, keys in self._at.items() if worker in here}
 
     def learn(self, task: Task, outcome: Outcome) -> None:
-        """Remember how long a case and its condensation took."""
+        """Record the durations of a case and its condensation."""
         self._seconds[task.key] = outcome.seconds
         if outcome.setup_seconds:
             before = self._setup_seconds.get(task.key, 0.0)

@@ -1,4 +1,4 @@
-"""The batch itself: hands cases to workers, writes what comes back, goes on after any end."""
+"""Main loop of a batch: assigns cases to workers, writes results, resumes after interruptions."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from thermojoint.artefacts.response import read_response
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A case that loses this many workers is given up: it, not chance, kills them.
+#: A case that has lost this many workers is abandoned: it is the probable cause.
 MOST_LOSSES = 3
 #: The tables are written again after this many seconds, not after every case, and so seldom that
 #: writing them takes no more than a twentieth of the time: with 100 000 rows it takes seconds.
 TABLE_INTERVAL, TABLE_SHARE = 10.0, 20.0
-#: How long a wait for reports lasts before a stop is noticed, s.
+#: Longest wait for reports before a stop is noticed, s.
 TICK = 0.2
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How a batch stands.
+    """Progress of a batch.
 
     Attributes
     ----------
     found : int
         Cases that an earlier run had finished.
     counts : dict of str to int
-        Cases by status: ``done``, ``failed``, ``broken``; those found are among them.
+        Cases by status: ``done``, ``failed``, ``broken``, including those found.
     working : dict of str to str
-        Worker to the case it works on.
+        Worker to its current case.
     workers : int
-        Workers there are.
+        Number of workers.
     """
 
     found: int
@@ -56,16 +56,16 @@ class Progress:
 
 @dataclass(frozen=True)
 class Finished:
-    """A batch that ended.
+    """Result of a batch.
 
     Attributes
     ----------
     summary : pandas.DataFrame
         As written to ``summary.csv`` and ``summary.parquet``.
     found, ran : int
-        Cases that were finished before, and those that ran now.
+        Numbers of cases finished before and run now.
     stopped : bool
-        It was stopped before its end.
+        The batch was stopped early.
     """
 
     summary: pd.DataFrame
@@ -83,22 +83,22 @@ def run_batch(
     tell: Callable[[StudyCase, str], None] = lambda case, text: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
-    """Run every case of a study that is not finished yet.
+    """Run all unfinished cases of a study.
 
     Parameters
     ----------
     study : Study
-        What to run.
+        Study to run.
     folder : Path
-        Where results go and are found again (`fesim.batch.folder`).
+        Folder of the results (`fesim.batch.folder`).
     recruit : callable
-        Gives the workers, e.g. ``lambda: local_crew(2)``; not called if nothing is left to run.
+        Returns the workers, e.g. ``lambda: local_crew(2)``; not called if there is nothing to run.
     watch : callable
-        Called now and then with how the batch stands.
+        Called regularly with the progress.
     tell : callable
         Called with a case and one line for each failure, lost worker and damaged response.
     stopped : callable
-        True from the moment when no further case shall start; those at work are still finished.
+        True as soon as no further case is to start; running ones are finished.
 
     Raises
     ------
@@ -122,14 +122,14 @@ def run_batch(
 
 
 class _Keeper:
-    """The one who writes: dataset, records and tables of a study in its folder.
+    """Writer of dataset, records and tables of a study.
 
     Attributes
     ----------
     records : dict
-        What became of each case that need not run again, by its id.
+        Records of the cases that need not run again, by id.
     damaged : list of StudyCase
-        Those whose responses in the folder cannot be read; they count as not run.
+        Cases whose responses in the folder are unreadable; they count as not run.
     """
 
     def __init__(self, study: Study, folder: Path) -> None:
@@ -141,7 +141,7 @@ class _Keeper:
         self._recover()
 
     def _recover(self) -> None:
-        """Bring records and dataset to what the responses say, after a kill or another study."""
+        """Make records and dataset consistent with the responses, after a kill or another study."""
         stored = collected.stored_status(self._dataset)
         for case in self.study.cases:
             path = on_disk.response_path(self.folder, case.id)
@@ -159,7 +159,7 @@ class _Keeper:
         return str(self.records[one.id]["status"]) if one.id in self.records else "pending"
 
     def _take_in(self, one: StudyCase, path: Path) -> None:
-        """Put a response of the folder into the dataset, and make its record if there is none."""
+        """Store a response of the folder in the dataset, and create its record if there is none."""
         try:
             response = read_response(path)
         except InputError:
@@ -173,7 +173,7 @@ class _Keeper:
             self.keep(Outcome(one.id, "done", figures=figures, response=response))
 
     def keep(self, outcome: Outcome) -> None:
-        """Write an outcome; its record comes last and makes it count."""
+        """Write an outcome; the record comes last and marks it as finished."""
         if outcome.encoded:
             on_disk.write_response_bytes(self.folder, outcome)
         if outcome.response is not None:
@@ -184,7 +184,7 @@ class _Keeper:
             self.write_tables()
 
     def write_tables(self) -> pd.DataFrame:
-        """Write the summary as it stands."""
+        """Write the current summary."""
         begun = monotonic()
         table = on_disk.summary(self.study, self.records)
         on_disk.write_summary(self.folder, table)

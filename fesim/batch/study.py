@@ -1,4 +1,4 @@
-"""The study: one TOML file that says which cases a batch runs, validated before any work.
+"""Schema of a study: one TOML file that defines the cases of a batch, validated before any work.
 
 Grids, lists and a Latin hypercube vary values of one case; the batch is their product.
 """
@@ -28,10 +28,10 @@ from thermojoint.artefacts.settings.section import File, Finite, Section
 
 Values = dict[str, Any]
 
-#: What is kept of a case: its whole response, or its displacement and the figures of the summary.
+#: Stored result of a case: its whole response, or its displacement and the summary's figures.
 Keep = Literal["response", "displacement"]
 
-#: More cases than this in one study are a slip of a grid.
+#: More cases than this in one study are treated as a mistake.
 MOST_CASES = 100_000
 
 #: Sections whose histories are read to check them.
@@ -46,7 +46,7 @@ class GridSection(Section):
 
 
 class ListSection(Section):
-    """``[[list]]``: values that go together, a row for each."""
+    """``[[list]]``: rows of values that belong together."""
 
     paths: Annotated[list[str], Field(min_length=1)]
     rows: Annotated[list[list[Any]], Field(min_length=1)]
@@ -132,7 +132,7 @@ class StudyCase:
 
 @dataclass(frozen=True)
 class Shape:
-    """What sizes a response, but for its times.
+    """Dimensions of a response other than time.
 
     Attributes
     ----------
@@ -155,13 +155,13 @@ class Study:
     title : str
         Of the study, or of its case.
     paths : tuple of str
-        What is varied.
+        Paths of the varied values.
     cases : tuple of StudyCase
-        No two alike.
+        All different.
     shapes : dict of str to Shape
         Of the responses, by condensation key.
     keep : str
-        What is kept of a case: ``"response"`` or ``"displacement"``.
+        Stored result: ``"response"`` or ``"displacement"``.
     """
 
     title: str
@@ -172,7 +172,7 @@ class Study:
 
 
 def read_study(path: Path) -> Study:
-    """Read a study and validate every case of it, short of finite elements.
+    """Read a study and validate all of its cases, without finite elements.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def shown(values: Values) -> str:
 
 
 def brief(values: Values) -> str:
-    """Return varied values for a narrow place: the last word of each path, four digits."""
+    """Return varied values in short form: the last word of each path, four digits."""
     told = []
     for path, value in values.items():
         number = f"{value:.4g}" if isinstance(value, float) else plain(value)
@@ -287,7 +287,7 @@ def brief(values: Values) -> str:
 
 
 def plain(value: Any) -> str | float | int | bool:  # noqa: ANN401 - any TOML value
-    """Return a varied value as it stands in a table: tables and lists as JSON."""
+    """Return a varied value for a table: sections and lists as JSON."""
     if isinstance(value, str | float | int | bool):
         return value
     return json.dumps(value, default=str)

@@ -1,4 +1,4 @@
-"""What one response comes to: the figures of a row of a batch's summary."""
+"""Summary figures of a response: one row of a batch's table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OPEN_BELOW = 1e-3
 #: friction an element at rest creeps by less than the gap equations are solved to.
 SLIDES_ABOVE = 1e-12
 
-#: Column to what it says; the columns of every summary, in this order.
+#: Column to its description; the columns of every summary, in this order.
 FIGURES = {
     **{
         f"displacement_{axis}_{kind}_um": text
@@ -44,14 +44,14 @@ FIGURES = {
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
 }
-#: The whole numbers among them.
+#: Integer columns.
 COUNTS = ("steps", "iterations", "cuts")
 
 
 def is_open(
     pressure: NDArray[np.float64], preload: NDArray[np.float64] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which contact elements are open when: under `OPEN_BELOW` of their preload.
+    """Return which contact elements are open at each time: below `OPEN_BELOW` of their preload.
 
     Parameters
     ----------

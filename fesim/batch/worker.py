@@ -1,4 +1,4 @@
-"""One case in a worker process: what goes in, what comes out, and the set-ups kept in memory."""
+"""Execution of one case in a worker process: task, outcome, and set-ups kept in memory."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from thermojoint.artefacts.response import write_response
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Set-ups that a worker keeps. Two: the one in use, and one to come back to.
+#: Number of set-ups that a worker keeps: the current and the previous one.
 KEPT = 2
 
-#: What a case may break off of, and not the next time.
+#: Temporary errors, after which a case may be repeated.
 PASSING = (UnreadableError, MemoryError, OSError)
-#: What else it may fail of follows from the case: repeating it changes nothing.
+#: Errors caused by the case itself: repeating it changes nothing.
 LASTING = (InputError, ConvergenceError, ArithmeticError, np.linalg.LinAlgError)
 
 #: A process works on one case at a time, however many threads a Dask worker has: the direct
@@ -40,16 +40,16 @@ _ONE_AT_A_TIME = Lock()
 
 @dataclass(frozen=True)
 class Task:
-    """A case on its way to a worker.
+    """A case to be sent to a worker.
 
     Attributes
     ----------
     id, key : str
-        Its identity and its condensation's (`fesim.case.identity`).
+        Its id and the key of its condensation (`fesim.case.identity`).
     case : str
         The case as JSON.
     keep : str
-        What comes back of it, as in `fesim.batch.study.Study`.
+        Result to return, as in `fesim.batch.study.Study`.
     """
 
     id: str
@@ -60,7 +60,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case.
+    """Outcome of a case.
 
     Attributes
     ----------
@@ -76,9 +76,9 @@ class Outcome:
     figures : dict
         See `fesim.batch.summary`.
     response : xarray.Dataset or None
-        What the case did, as much of it as is kept.
+        Response of the case, as far as it is stored.
     encoded : bytes
-        The response as a NetCDF file; nothing if only its displacement is kept.
+        The response as a NetCDF file; empty if only its displacement is stored.
     """
 
     id: str
@@ -93,14 +93,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Shared:
-    """A case that stands for all that share its condensation: compared by the key alone."""
+    """A case representing all that share its condensation; compared by the key alone."""
 
     key: str
     case: Case = field(compare=False)
 
 
 def run(task: Task) -> Outcome:
-    """Run one case; what may go wrong with a case comes back as its outcome."""
+    """Run one case; errors of the case are returned as its outcome."""
     begun, condensing = perf_counter(), 0.0
     try:
         with _ONE_AT_A_TIME, np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -135,7 +135,7 @@ def run(task: Task) -> Outcome:
 
 @contextmanager
 def _files_as_read(task: Task, case: Case) -> Iterator[None]:
-    """Refuse a case whose files are not the ones its id was made of, before or after its run.
+    """Refuse a case whose files have changed since its id was computed, before or after its run.
 
     A file that is edited meanwhile, or an older copy on another machine, would else give a result
     under the id of other input.
@@ -157,7 +157,7 @@ def _compare(found: str, expected: str) -> None:
 
 
 def _condensation(shared: _Shared) -> tuple[Setup, float]:
-    """Return a condensation and how long it took, s: 0 if it was at hand."""
+    """Return a condensation and its computing time, s; 0 if it was in memory."""
     known, begun = _condensed.cache_info().misses, perf_counter()
     setup = _condensed(shared)
     made = _condensed.cache_info().misses > known

@@ -1,1 +1,1 @@
-"""The case: its schema, its histories, and what tells two of them apart."""
+"""The case file: schema, histories, and identity of cases."""

@@ -1,4 +1,4 @@
-"""The sections of a case that say what its bolts are."""
+"""Sections of a case for bolts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thermojoint.artefacts.settings.section import File, Point, Positive, Sectio
 class BoltEndSection(Section):
     """``[bolts.NAME.head]`` and ``thread``: a surface, or a disc around a point of a body.
 
-    The disc is across the bolt; what of it lies in no cell, as a hole does not, is left out.
+    The disc is perpendicular to the bolt; the part of it in no cell, such as a hole, is left out.
     """
 
     surface: str | None = None
@@ -29,7 +29,7 @@ class BoltEndSection(Section):
 
 
 class BoltSection(Section):
-    """``[bolts.NAME]``: a bolt of the meshed part, tightened to ``force_kN`` before anything acts.
+    """``[bolts.NAME]``: a bolt of the meshed part, tightened to ``force_kN`` before any load.
 
     It is a spring of its ``diameter_mm``, its length and its material's modulus, or one of
     ``stiffness_N_um``; it expands as its material. ``file`` is a CSV with ``time_s,factor``: what

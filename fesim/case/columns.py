@@ -1,4 +1,4 @@
-"""Numbers from the named columns of a CSV file that a case names."""
+"""Reader of named numeric columns of the CSV files of a case."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def read_columns(
     wanted : sequence of str
         Columns that must be there.
     kind : str
-        What the file is, for the error message, e.g. "history".
+        Kind of file for the error message, e.g. "history".
     optional : sequence of str
-        Columns that are read if they are there.
+        Columns that are read if present.
 
     Returns
     -------

@@ -59,14 +59,14 @@ _COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-#: A longer formula is a slip, and parsing one takes its time.
+#: A longer formula is treated as a mistake.
 LONGEST = 1000
-#: More parts within parts than this in a formula are a slip as well.
+#: Deeper nesting than this in a formula is treated as a mistake.
 DEEPEST = 200
 
 
 def formula(text: str) -> OfPosition:
-    """Return the function of position that a formula says.
+    """Return the function of position defined by a formula.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ def formula(text: str) -> OfPosition:
     Returns
     -------
     callable
-        Where the formula has no value, neither has the function: NaN or infinity.
+        Where the formula is undefined the function is NaN or infinite.
 
     Raises
     ------
     ValueError
-        The formula is no such one; one line says what is wrong.
+        The formula is invalid; one line says why.
     """
     if len(text) > LONGEST:
         raise ValueError(
@@ -104,7 +104,7 @@ def formula(text: str) -> OfPosition:
 
 
 def _check(node: ast.expr, deeper: int) -> None:
-    """Raise ValueError for a part that is in none of the lists."""
+    """Raise a ValueError for a part that is not in the lists."""
     if deeper == 0:
         raise ValueError("the formula is nested too deeply; write it simpler, or give a file")
     for part in _parts(node):
@@ -112,7 +112,7 @@ def _check(node: ast.expr, deeper: int) -> None:
 
 
 def _parts(node: ast.expr) -> list[ast.expr]:
-    """Return what a part of a formula is made of, if it is allowed."""
+    """Return the operands of a part of a formula, if it is allowed."""
     match node:
         # Integers of this size and more have no floating-point number.
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool) and (

@@ -1,4 +1,4 @@
-"""Histories: heat inputs relative to the reference step, and temperatures, in time."""
+"""Histories of heat inputs, relative to the reference step, and of temperatures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def triangle_history(peak: float, duration: float) -> History:
 
 
 def sampled_history(times: Array, values: Array, where: str = "history") -> History:
-    """Straight lines between samples; the end values hold outside.
+    """Linear interpolation between samples, constant outside.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What tells two cases apart: their whole content, or what the condensation depends on."""
+"""Digests of a case: of its whole content, and of what its condensation depends on."""
 
 from __future__ import annotations
 
@@ -96,14 +96,14 @@ def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
 
 
 def case_id(case: Case, digest: Digest = file_digest) -> str:
-    """Return 16 hexadecimal digits that stand for a case's whole content and the program's version.
+    """Return a digest, 16 hexadecimal digits, of a case's content and the program's version.
 
     Parameters
     ----------
     case : Case
-        Its files count by what is in them, not by their names.
+        Files enter by their content, not by their names.
     digest : callable
-        Path to the digest of the file's content; give a remembering one for many cases.
+        Path to the digest of the file's content; use a caching one for many cases.
     """
     return hashed(case.model_dump(), digest)[:16]
 
@@ -123,7 +123,7 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
 
 
 def thermal_key(case: Case, digest: Digest = file_digest) -> str:
-    """Return the digest of what the thermal modes of a march follow from, for `fesim.cache`.
+    """Return the digest of everything that the thermal modes depend on, for `fesim.cache`.
 
     Parameters
     ----------
@@ -134,9 +134,9 @@ def thermal_key(case: Case, digest: Digest = file_digest) -> str:
 
 
 def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
-    """Return the digest of what the elastic condensation follows from, for `fesim.cache`.
+    """Return the digest of everything that the elastic condensation depends on, for `fesim.cache`.
 
-    Heat that enters, passes and leaves is no part of it, nor is where temperatures are read.
+    Heat sources, conduction, convection and temperature probes are not part of it.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
 
 
 def load_patterns(case: Case) -> list[dict[str, Any]]:
-    """Return what the mechanical loads of a case are but for their histories, in their order.
+    """Return the mechanical loads of a case without their histories, in order.
 
-    Of a weight the densities are part.
+    For a weight this includes the densities.
     """
     densities = {name: section.density_kg_m3 for name, section in case.materials.items()}
     return [
@@ -169,20 +169,20 @@ def load_patterns(case: Case) -> list[dict[str, Any]]:
 
 
 def asked(case: Case) -> dict[str, Any]:
-    """Return what forces and stresses a case asks for, and where."""
+    """Return the requested force and stress outputs of a case, with positions."""
     places = {name: case.probes[name] for name in case.output.stress_probes if name in case.probes}
     return {"output": case.output.model_dump(exclude={"snapshots_s"}), "places": places}
 
 
 def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
-    """Return where the bolts of a case are, in their order: what they are needs no factor."""
+    """Return the positions of a case's bolts in order; their other data need no factorisation."""
     return [
         (name, bolt.model_dump(include={"head", "thread"})) for name, bolt in case.bolts.items()
     ]
 
 
 def _condensed(case: Case) -> dict[str, Any]:
-    """What enters `set_up` except loads and joint laws."""
+    """Data that enter `set_up` except loads and joint laws."""
     data = case.model_dump(exclude=_LOADS)
     data["march"] = _without(data["march"], _MARCH)
     # Lists of pairs where the order is that of the condensed rows and columns.
@@ -200,7 +200,7 @@ def _condensed(case: Case) -> dict[str, Any]:
 
 
 def _structure(case: Case) -> dict[str, Any]:
-    """What enters `set_up` except loads, joint laws, outputs and the march's step."""
+    """Data that enter `set_up` except loads, joint laws, outputs and the time step."""
     data = _condensed(case)
     del data["loads"], data["output"]
     data["march"] = {"solver": case.march.solver or default_solver()}

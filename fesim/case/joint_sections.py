@@ -1,4 +1,4 @@
-"""Sections of a case that say what its joints are: sides, laws, conductances, gaps, rigid walls."""
+"""Sections of a case for joints: sides, laws, conductances, gaps, rigid walls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class BackBurdekinSection(Section):
 
 
 class ConductanceSection(Section):
-    """``[joints.NAME.conductance]``: which constants of Eq. 11, or what stands in its place.
+    """``[joints.NAME.conductance]``: constants of Eq. 11, or another conductance.
 
     ``file`` is a CSV with ``pressure_MPa,conductance_W_m2K``, and ``rise_K`` if h depends on it.
     """
@@ -55,7 +55,7 @@ class ConductanceSection(Section):
 
 
 class GapSection(Section):
-    """``[joints.NAME.gap]``: what passes heat beside the contact, open or closed."""
+    """``[joints.NAME.gap]``: heat transfer in parallel with the contact, open or closed."""
 
     gas_conductivity_W_mK: NotNegative = 0.0
     temperature_jump_um: NotNegative = 0.0
@@ -80,8 +80,8 @@ class GapSection(Section):
 class JointSection(Section):
     """``[joints.NAME]``: contact elements, surfaces and friction of one joint.
 
-    What is one machine's has no default: preload, surfaces, friction. A joint without preload
-    starts open by ``initial_opening_um``, or by what separates its sides in the mesh.
+    Properties of one machine have no default: preload, surfaces, friction. A joint without preload
+    starts open by ``initial_opening_um``, or by the distance of its sides in the mesh.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
     for v = 0.25 and 0.80 for v = 0.33.
     """
@@ -145,7 +145,7 @@ class JointSection(Section):
 
 
 class WallSection(Section):
-    """``[walls.NAME]``: a rigid body that lies against a surface; a joint takes it as a side.
+    """``[walls.NAME]``: a rigid body against a surface; one side of a joint.
 
     It has the temperature that ``[held_temperatures.NAME]`` gives; without one, no heat passes.
     """

@@ -17,8 +17,8 @@ COLUMNS = ("x_mm", "y_mm", "z_mm")
 def read_position_table(path: Path, column: str) -> OfPosition:
     """Read a table whose rows are the points of a grid, in any order.
 
-    Between its points a table is linear along each axis; beyond its ends the end values hold. What
-    it has no column of, or only one value of, it does not depend on.
+    A table is interpolated linearly along each axis and constant beyond its ends. It does not
+    depend on a coordinate without a column or with a single value.
 
     Parameters
     ----------

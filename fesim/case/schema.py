@@ -1,6 +1,6 @@
-"""The case: one TOML file that says everything about a simulation, validated before any work.
+"""Schema of the case: one TOML file that defines a simulation, validated before any work.
 
-Units stand in the key names; everything is turned into SI by `fesim.setup.machine`.
+Key names contain the units; `fesim.setup.machine` converts everything to SI.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ class MeshSection(Section):
 
 
 class SpringSection(Section):
-    """``[supports.springs.SURFACE]``: levelling mounts, spread evenly over a surface."""
+    """``[supports.springs.SURFACE]``: levelling mounts, distributed evenly over a surface."""
 
     stiffness_N_um: Annotated[tuple[NotNegative, NotNegative, NotNegative], Field(strict=False)]
 
 
 class SupportsSection(Section):
-    """``[supports]``: surfaces held in all directions, symmetry planes, and springs."""
+    """``[supports]``: fixed surfaces, symmetry planes, and springs."""
 
     fixed: list[str] = []
     symmetry: dict[str, Literal["x", "y", "z"]] = {}
@@ -158,7 +158,7 @@ class CandidatesSection(Section):
 class OutputSection(Section):
     """``[output]``.
 
-    ``forces`` asks for what supports and joints bear; ``stress_probes`` are names of ``[probes]``.
+    ``forces`` requests reactions and joint forces; ``stress_probes`` are names of ``[probes]``.
     """
 
     snapshots_s: list[NotNegative] = []
@@ -273,7 +273,7 @@ def growth_sections(case: Case) -> list[str]:
 
 
 def not_reducible(case: Case) -> str | None:
-    """Return why the reduced model that a case asks for cannot march it; None if it can."""
+    """Return why a case cannot use the reduced model that it requests; None if it can."""
     found = [*secant_sections(case), *growth_sections(case)]
     if not found or case.march.thermal == "full":
         return None
@@ -311,9 +311,9 @@ def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
     Parameters
     ----------
     data : dict
-        What a case file says, e.g. from `tomllib.loads`.
+        Content of a case file, e.g. from `tomllib.loads`.
     where : str
-        What error messages call it.
+        Name of the case in error messages.
     folder : Path
         Relative file names are relative to it.
 

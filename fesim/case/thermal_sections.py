@@ -1,4 +1,4 @@
-"""Sections of a case that say what warms and cools it, how it conducts, and how warm it starts."""
+"""Thermal sections of a case: sources, cooling, materials, initial temperature."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class FactorSection(Section):
 
 
 class MaterialSection(Section):
-    """``[materials.NAME]``: at the initial ambient; factors say how they change with temperature.
+    """``[materials.NAME]``: properties at the initial ambient; factors with temperature.
 
-    The expansion is that of a small step of temperature; strain is its integral.
+    The expansion is the tangent coefficient; strain is its integral.
     """
 
     conductivity_W_mK: Positive
@@ -111,8 +111,8 @@ class SourceSection(Section):
     """``[sources.NAME]``: heat that enters through a surface, or in the volume of a body.
 
     ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
-    whole machine, or of all of them together. Without a ``heat_input`` of its own a source follows
-    the case's. A ``profile`` spreads the same heat unevenly.
+    whole machine, or of all of them together. A source without its own ``heat_input`` uses the
+    case's. A ``profile`` distributes the same heat unevenly.
     """
 
     surface: str | None = None
@@ -175,7 +175,7 @@ class InitialTemperatureSection(Section):
 
 
 class CavitySection(Section):
-    """``[cavities.NAME]``: enclosed air of one temperature, with a film on the walls around it."""
+    """``[cavities.NAME]``: enclosed air of one temperature, with convection at its walls."""
 
     surfaces: Annotated[list[str], Field(min_length=1)]
     film_W_m2K: Positive

@@ -1,1 +1,1 @@
-"""The bodies: finite-element operators of heat and elasticity, condensed on the joints."""
+"""Finite-element operators of heat conduction and elasticity, condensed on the joints."""

@@ -1,11 +1,10 @@
-"""Bolts: springs between two places of a structure, taken into its condensation (docs/bolts.md).
+"""Bolts as springs between two places of a structure, part of its condensation (docs/bolts.md).
 
-A bolt's ends move apart by e = Q u, the mean displacement of its head less that of its thread along
-its axis. It pulls them together with f = F + k_b (e - e_0 - alpha L T_b), nodal forces -Q^T f. With
-what joints, heat and loads alone would make of its length, e_free = e + C_bb f, that is
-f = D (F / k_b - e_0 + e_free - alpha L T_b), D = (1/k_b + C_bb)^-1: everything linear stays so, and
-gaps and probes are what they were plus those of unit bolt forces times f. Nothing is factorised
-but D.
+A bolt's ends move apart by e = Q u, the mean displacement of its head minus that of its thread
+along its axis. It pulls them together with f = F + k_b (e - e_0 - alpha L T_b), nodal forces -Q^T
+f. With the elongation by joints, heat and loads alone, e_free = e + C_bb f, this is f = D (F / k_b
+- e_0 + e_free - alpha L T_b), D = (1/k_b + C_bb)^-1. The system remains linear, and gaps and probes
+change by those of unit bolt forces times f. Only D is factorised.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Patch:
-    """Where an end of a bolt acts: points that share its force.
+    """Contact area of a bolt's end: points that share its force.
 
     Attributes
     ----------
@@ -44,7 +43,7 @@ class Patch:
 
     @property
     def centre(self) -> Array:
-        """Where the force acts, m, shape (3,)."""
+        """Point of action of the force, m, shape (3,)."""
         return self.points @ self.weights
 
     def mean(self, basis: CellBasis) -> csr_array:
@@ -81,7 +80,7 @@ class Bolt:
 
 @dataclass(frozen=True)
 class BoltSprings:
-    """What b bolts are as springs.
+    """Spring constants of b bolts.
 
     Attributes
     ----------
@@ -96,7 +95,7 @@ class BoltSprings:
 
 
 def stretch_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
-    """Return Q (b, n): by how much the ends of each bolt move apart; unknown 3 i + c: direction c.
+    """Return Q (b, n), the elongation of each bolt per displacement; unknown 3 i + c: direction c.
 
     Parameters
     ----------
@@ -138,19 +137,19 @@ def fastened(
     springs: BoltSprings,
     start: Array,
 ) -> tuple[ElasticCondensation, LoadInfluence, MechanicalOutputs]:
-    """Take b bolts into a condensation.
+    """Add b bolts to a condensation.
 
     Parameters
     ----------
     elastic : ElasticCondensation
-        Without them; its last b probes are the bolts' `stretch_rows`.
+        Without bolts; its last b probes are the bolts' `stretch_rows`.
     loads : LoadInfluence
         Its last b columns are unit forces of the bolts.
     springs : BoltSprings
-        What they are.
+        Spring constants.
     start : ndarray, shape (k + b,)
-        Where the probes of `elastic` are when the bolts are tight, m: displacements and stretches
-        count from there.
+        Values of the probes of `elastic` after tightening, m: the reference of displacements and
+        stretches.
 
     Returns
     -------

@@ -1,10 +1,10 @@
-"""Condensation on the joint: everything linear is solved once, before the march (docs/march.md).
+"""Static condensation on the joints: linear parts are solved once in advance (docs/march.md).
 
 Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W carry the joint's heat flows.
 Elastic: C = G Kr^-1 G^T carries the tractions to the gaps, S_T = G Kr^-1 F the temperatures, and
-the same rows serve every displacement probe. Kr has reference springs at the joint, which hold a
-body that only the joint carries; `fesim.joint.gap` takes them out of the law again. It is never
-made: `fesim.solid.substructures` factorises body by body.
+the same rows serve every displacement probe. Kr has reference springs at the joint, which constrain
+a body supported only by the joint; `fesim.joint.gap` subtracts them from the law. It is never
+assembled: `fesim.solid.substructures` factorises body by body.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ FULL = "full"
 
 @dataclass(frozen=True)
 class HeatBalance:
-    """What enters, is stored and leaves, summed over all nodes: in = stored + convected.
+    """Heat balance summed over all nodes: in = stored + convected.
 
-    Heat enters by the inputs and at the h held unknowns. There it is what their rows of the
-    equation lack: after T - before T_before - drive u + flow j.
+    Heat enters by the inputs and at the h held unknowns. There it is the residual of their rows:
+    after T - before T_before - drive u + flow j.
 
     Attributes
     ----------
@@ -82,11 +82,11 @@ class ThermalCondensation:
     joint_influence : ndarray, shape (m, m)
         S = B W, K/W.
     balance : HeatBalance
-        What closes the books of a step.
+        Heat balance of a step.
     step : float
         dt, s.
     model : str
-        What the unknowns are: ``"full"``, or the digest of a reduced model's basis.
+        Kind of the unknowns: ``"full"``, or the digest of a reduced model's basis.
     """
 
     factor: Factor
@@ -131,7 +131,7 @@ class ElasticCondensation:
 
 @dataclass(frozen=True)
 class LoadInfluence:
-    """What l mechanical loads do to gaps and probes, at factor one and with no force in the joints.
+    """Influence of l mechanical loads on gaps and probes, at factor one without joint forces.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class DisplacementField:
     structure : FactorisedStructure
         Its pieces, without springs across the joints.
     ties : scipy.sparse.csr_array, shape (q, n)
-        E: G, and the unknowns that anchors hold.
+        E: G, and the unknowns with anchors.
     condensed : TieCondensation
         On these ties.
     gap : scipy.sparse.csr_array, shape (3 m, n)
@@ -199,7 +199,7 @@ class DisplacementField:
         return apart - self._apart(self.ties.T @ (springs * moved.T).T, what)
 
     def _apart(self, forces: Array, what: str) -> Array:
-        """Displacements by forces without the springs of the ties, piece by piece."""
+        """Displacements without the springs of the ties, piece by piece."""
         found = np.zeros(forces.shape)
         for substructure in self.structure.substructures:
             found[substructure.unknowns] = checked_solve(
@@ -232,10 +232,10 @@ def condense_heat(
 
 
 def eliminate_held(heat: HeatOperators, step: float) -> tuple[csr_array, Array]:
-    """Return A0 (n, n) and the right-hand sides (n, k) with the held unknowns taken out.
+    """Return A0 (n, n) and the right-hand sides (n, k) with the held unknowns eliminated.
 
-    Their rows say that they have their given temperature; what they send to their neighbours is on
-    the right-hand side. So the matrix stays symmetric.
+    Their rows prescribe their temperature; their influence on neighbours is on the right-hand side,
+    so the matrix remains symmetric.
     """
     system = csr_array(heat.capacity / step + heat.conduction + heat.convection)
     free = _free_unknowns(heat)
@@ -246,7 +246,7 @@ def eliminate_held(heat: HeatOperators, step: float) -> tuple[csr_array, Array]:
 
 
 def heat_sums(heat: HeatOperators, joints: JointOperators, step: float) -> HeatBalance:
-    """Return what closes the books of a step of length `step` (s)."""
+    """Return the heat balance of a step of length `step` (s)."""
     rate = csr_array(heat.capacity / step)
     system = csr_array(rate + heat.conduction + heat.convection)
     return HeatBalance(
@@ -303,7 +303,7 @@ def condense_elasticity(
 def elastic_condensation(
     condensed: TieCondensation, joints: JointOperators, reference: Array
 ) -> ElasticCondensation:
-    """Return what the march needs of a condensation on ties; as for `condense_elasticity`."""
+    """Return the condensation for time stepping from that on ties; see `condense_elasticity`."""
     count = joints.gap.shape[0]
     return ElasticCondensation(
         compliance=np.ascontiguousarray(condensed.compliance[:count, :count]),
@@ -324,7 +324,7 @@ def displacement_field(
 
 
 def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -> LoadInfluence:
-    """Condense mechanical loads on the joints by the same factors.
+    """Condense mechanical loads on the joints with the same factorisations.
 
     Parameters
     ----------

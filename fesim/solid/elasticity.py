@@ -1,4 +1,4 @@
-"""Elastic operators: stiffness, thermal load and supports, one piece of the structure at a time.
+"""Elastic operators (stiffness, thermal load, supports), assembled piece by piece.
 
 Bodies that a joint separates share no node, so the stiffness is block diagonal: its blocks are the
 connected pieces of the mesh.
@@ -34,13 +34,13 @@ class ElasticPiece:
     unknowns : ndarray of int, shape (p,)
         Its unknowns in the numbering of the whole, in ascending order.
     points : ndarray, shape (p / 3, 3)
-        Places of its nodes, m; unknown 3 i + c is direction c at node i.
+        Positions of its nodes, m; unknown 3 i + c is direction c at node i.
     stiffness : scipy.sparse.csr_array, shape (p, p)
         Upper triangle of K, N/m, supports not yet removed.
     thermal_load : scipy.sparse.csr_array, shape (p, n_heat)
         F, N/K.
     free : ndarray of bool, shape (p,)
-        Which unknowns no support holds.
+        Unknowns without support.
     """
 
     unknowns: NDArray[np.int64]
@@ -59,11 +59,11 @@ class ElasticOperators:
     stiffness : scipy.sparse.csr_array, shape (n, n)
         K, N/m.
     thermal_load : scipy.sparse.csr_array, shape (n, n_heat)
-        F, N/K: forces of a temperature field that is held from expanding.
+        F, N/K: nodal forces of a fully constrained temperature field.
     free : ndarray of int
         Unknowns that no support holds.
     points : ndarray, shape (n / 3, 3)
-        Places of the nodes, m.
+        Positions of the nodes, m.
     """
 
     stiffness: csr_array
@@ -123,7 +123,7 @@ def elastic_pieces(
     symmetry: dict[str, str],
     springs: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> Iterator[ElasticPiece]:
-    """Assemble one piece after the other: no more than one of them is held here.
+    """Assemble one piece after the other; only one of them is in memory here.
 
     Parameters
     ----------
@@ -134,12 +134,12 @@ def elastic_pieces(
     materials : dict
         Body name to its material.
     fixed : list of str
-        Surfaces held in all directions.
+        Surfaces fixed in all directions.
     symmetry : dict
-        Surface name to the direction ("x", "y" or "z") it is held in.
+        Surface name to the constrained direction ("x", "y" or "z").
     springs : mapping, optional
-        Surface name to the stiffness in x, y and z of the springs it stands on, N/m in all, spread
-        evenly over the surface.
+        Surface name to the total stiffness in x, y and z of the springs under it, N/m, evenly
+        distributed.
     """
     free = np.ones(spaces.displacement_size, dtype=bool)
     free[held_unknowns(structure, spaces, fixed, symmetry)] = False
@@ -242,7 +242,7 @@ def _beds(
 def held_unknowns(
     structure: Structure, spaces: Spaces, fixed: list[str], symmetry: dict[str, str]
 ) -> NDArray[np.int64]:
-    """Unknowns that supports hold; as for `elastic_pieces`."""
+    """Constrained unknowns; as for `elastic_pieces`."""
     held = [np.empty(0, dtype=np.int64)]
     for name in fixed:
         dofs = spaces.displacement.get_dofs(structure.surface(name, "supports")).all()

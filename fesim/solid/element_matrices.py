@@ -1,8 +1,8 @@
-"""Element matrices of isotropic thermoelasticity, all at once, and how they add up.
+"""Element matrices of isotropic thermoelasticity, computed in batches, and their assembly.
 
 Every cell has the same functions on the same points of its own coordinates: with their gradients
-side by side in one array, the element matrices are one batched product. They are added up by places
-that are sorted once, so that no entry is ever stored twice.
+side by side in one array, the element matrices are one batched product. They are summed by
+positions that are sorted once, so that no entry is stored twice.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from skfem.element import Element
 
 from thermojoint.artefacts.arrays import Array
 
-#: Cells whose element matrices are made together: more would only take memory.
+#: Cells per batch of element matrices; more would only need memory.
 AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where entries of element matrices add up in a matrix of compressed rows.
+    """Positions of element-matrix entries in a CSR matrix.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Places:
 def places_of(
     rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
 ) -> Places:
-    """Sort the places of entries once.
+    """Sort the positions of entries.
 
     Parameters
     ----------

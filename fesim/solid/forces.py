@@ -1,4 +1,4 @@
-"""Nodal forces of mechanical loads: tractions on surfaces, and the weight of bodies."""
+"""Nodal forces of mechanical loads: surface tractions and weights."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SurfaceForce:
-    """A force spread evenly over a surface.
+    """A force distributed evenly over a surface.
 
     Attributes
     ----------
@@ -52,12 +52,12 @@ class SurfacePressure:
 
 @dataclass(frozen=True)
 class BodyForce:
-    """The weight of bodies, or what their acceleration asks for.
+    """The weight of bodies, or their inertial force.
 
     Attributes
     ----------
     bodies : tuple of str
-        On which it acts.
+        Bodies on which it acts.
     acceleration : tuple of float
         m/s2: (0, 0, -9.81) is gravity where z is up.
     """

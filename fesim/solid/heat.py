@@ -1,6 +1,6 @@
-"""Heat operators: capacity, conduction, convection and what drives them.
+"""Heat operators: capacity, conduction, convection and inputs.
 
-Temperatures are above the initial ambient. The drives stand side by side as columns of one matrix:
+Temperatures are above the initial ambient. The inputs are columns of one matrix:
 the sources in the order given, the ambient, and the held surfaces in the order given.
 """
 
@@ -38,8 +38,8 @@ class HeatSource:
     surface, body : str or None
         One of them.
     weight : callable or None
-        Position (3, n), m, to what the heat's density is in proportion to (n,), not negative; the
-        whole stays `power`. None heats evenly.
+        Position (3, n), m, to the relative heat density (n,), not negative; the total remains
+        `power`. None heats evenly.
     """
 
     power: float
@@ -142,11 +142,11 @@ def heat_operators(
     films : dict
         Surface name to its heat transfer coefficient, W/(m2 K).
     sources : sequence of HeatSource
-        What heats the structure.
+        Heat sources.
     held : sequence of str
-        Surfaces of given temperature; where two of them meet, the first one counts.
+        Surfaces with prescribed temperature; where two of them meet, the first one applies.
     joints : sequence of PairedJoint
-        What they cover has no film.
+        Joints, whose covered surfaces do not convect.
     profiles : mapping, optional
         Held surface to a factor of position on its temperature; the others are held evenly.
 
@@ -191,8 +191,8 @@ def film_matrix(
 ) -> csr_array:
     """(u, v) on the part of a surface that no joint covers, shape (n, n), m2.
 
-    Facets that are covered wholly are left out. From the integral over the others that over their
-    covered part is taken, by the quadrature points of the joint.
+    Completely covered facets are left out. On the others the integral over the covered part, from
+    the quadrature points of the joint, is subtracted.
     """
     facets = structure.surface(surface, "heat operators")
     cover = cover_of(structure, surface, joints)
@@ -213,7 +213,7 @@ def film_matrix(
 
 
 def _heat_load(structure: Structure, basis: CellBasis, source: HeatSource) -> Array:
-    """What every unknown gets of a source, to a factor, shape (n,)."""
+    """Relative share of each unknown in a source, shape (n,)."""
     on = _heated(structure, basis, source)
     if source.weight is None:
         return np.asarray(flux_form.assemble(on))
@@ -233,7 +233,7 @@ def _held_factors(
     nodes: NDArray[np.int64],
     surface: NDArray[np.int64],
 ) -> Array:
-    """What each held unknown (h,), on the surface of a number (h,), has of its temperature."""
+    """Factor of each held unknown (h,), on the surface of given number (h,), on its temperature."""
     factors = np.ones(nodes.size)
     for number, name in enumerate(held):
         if name in profiles:

@@ -1,4 +1,4 @@
-"""The order of the inputs that drive a structure: sources, then the ambient, then held surfaces."""
+"""Order of the inputs of a structure: sources, then the ambient, then held surfaces."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InputLayout:
-    """Where each input stands among all of them.
+    """Positions of the inputs.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """Integral operators of the joints: mean temperature jump B and mean relative displacement G.
 
-Both are means over contact elements, so the two sides need not have matching meshes.
+Both are averages over contact elements, so the meshes of the two sides need not match.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class JointOperators:
     Attributes
     ----------
     jump : scipy.sparse.csr_array, shape (m, n_heat)
-        B: mean temperature of side a less that of side b.
+        B: mean temperature of side a minus that of side b.
     gap : scipy.sparse.csr_array, shape (3 m, n)
-        G: mean displacement of side b less that of side a: m openings, then m relative
+        G: mean displacement of side b minus that of side a: m openings, then m relative
         displacements along the first tangent, then along the second.
     area : ndarray, shape (m,)
         Area of each contact element, m2.

@@ -1,4 +1,4 @@
-"""The one seam to the direct solvers: factorise once, solve many times.
+"""Interface to the direct solvers: factorise once, solve many times.
 
 PARDISO where its wheel is installed, SciPy's SuperLU otherwise; the environment variable
 `VARIABLE` names another default. Both take symmetric positive definite matrices here; the residual
@@ -22,7 +22,7 @@ from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 SOLVERS = ("pardiso", "superlu")
 
-#: Names the solver of all cases that name none.
+#: Environment variable with the default solver.
 VARIABLE = "THERMOJOINT_SOLVER"
 
 #: PARDISO's phases: fill-in reduction, numerical factorisation, substitution.
@@ -33,7 +33,7 @@ ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
 #: the residual is checked here.
 PARAMETERS = {1: 1, 2: 2}
 
-#: A factorisation that leaves more than this, relative to the right-hand side, is no solution.
+#: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
 #: A solution of doubles leaves so much of |A| |x|, however good it is: a body that is a million
 #: times stiffer than what it moves with has large forces that cancel. But never more than this.
@@ -47,11 +47,11 @@ class Factor:
     Attributes
     ----------
     matrix : scipy.sparse.csr_array
-        Upper triangle of what was factorised.
+        Upper triangle of the factorised matrix.
     solve : callable
         Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
     solver : str
-        Which library did it.
+        Name of the solver.
     """
 
     matrix: csr_array
@@ -111,7 +111,7 @@ def shifted_factors(
 ) -> Callable[[Array], Factor]:
     """Return a function that factorises A + diag(d) for one diagonal d after the other.
 
-    Their common pattern is analysed once. A factor serves until the next one is asked for.
+    Their common pattern is analysed once. A factor is valid until the next one is computed.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> fl
 
 
 def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:
-    """Whether a relative residual is what the nearest doubles to a solution leave."""
+    """Whether a relative residual is explained by the rounding of the solution."""
     sizes = symmetric_product(abs(factor.matrix), np.abs(solution))
     least = ROUNDING * float(sizes.max()) / float(np.abs(right_side).max())
     return residual <= min(least, ROUNDING_LIMIT)

@@ -37,7 +37,7 @@ class Material:
     expansion: float
 
     def __post_init__(self) -> None:
-        """Refuse values that no solid has."""
+        """Refuse unphysical values."""
         for name in ("conductivity", "density", "heat_capacity", "youngs_modulus"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):

@@ -1,4 +1,4 @@
-"""Forces of supports and stresses at points, condensed as linear functions of a step.
+"""Reactions and stresses at points, condensed as linear functions of the state of a step.
 
 An output is o = c_u u + c_T T + c_z r + c_f phi with displacement u, temperature T, the joints'
 remainder r = z + k g and load factors phi. With the adjoint y = Kr^-1 c_u of each output, solved
@@ -41,7 +41,7 @@ class OutputRows:
 
 @dataclass(frozen=True)
 class MechanicalOutputs:
-    """Outputs as functions of a step.
+    """Outputs as linear functions of a step.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def condense_outputs(
     field : DisplacementField
         The factorised structure.
     rows : OutputRows
-        What is asked for.
+        Outputs.
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
     """
@@ -105,9 +105,10 @@ def reaction_rows(
     held: Sequence[tuple[str, Sequence[int]]],
     springs: Sequence[tuple[str, tuple[float, float, float]]],
 ) -> OutputRows:
-    """Rows of the forces of supports on the structure, N: x, y and z of each.
+    """Rows of the reactions of supports on the structure, N: x, y and z of each.
 
-    What a held unknown lacks for equilibrium, K u - F T - f phi - G^T A z, is the support's.
+    The reaction is the residual of equilibrium, K u - F T - f phi - G^T A z, at a constrained
+    unknown.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def reaction_rows(
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
     held : sequence of (str, sequence of int)
-        Surfaces and the directions they are held in; what two of them hold is the first one's.
+        Surfaces and their constrained directions; unknowns on two of them belong to the first.
     springs : sequence of (str, tuple of float)
         Surfaces and the stiffness of the springs under them along x, y and z, N/m.
     """
@@ -138,7 +139,7 @@ def reaction_rows(
     sums = csr_array(chosen)
     lacking = sums @ field.gap.T @ diags_array(field.area)
     known = field.structure
-    # z is the remainder less the reference springs' share.
+    # z is the remainder minus the share of the reference springs.
     fixed = OutputRows(
         csr_array(sums @ known.held_stiffness + lacking @ diags_array(reference) @ field.gap),
         csr_array(-(sums @ known.thermal_load)),
@@ -164,7 +165,7 @@ def _spring_rows(
 
 
 def _on_displacements(rows: csr_array, like: OutputRows) -> OutputRows:
-    """Rows that displacements alone decide, as wide as others."""
+    """Rows that depend on displacements alone, as wide as others."""
     count = rows.shape[0]
     return OutputRows(
         rows,

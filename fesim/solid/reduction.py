@@ -1,16 +1,16 @@
-"""Reduced thermal model: Galerkin on a rational-Krylov basis, diagonalised (docs/reduction.md).
+"""Reduced thermal model: Galerkin projection on a rational Krylov basis (docs/reduction.md).
 
-M dT/dt + A T = P u - B^T j is projected on T = V a with V^T M V = I and V^T A V diagonal. The
-basis holds the exact responses (A + s M)^-1 [P, B^T] at shifts s spread evenly in ln s between the
-slowest and the fastest time of interest: the march, whatever its step, is a combination of such
+M dT/dt + A T = P u - B^T j is projected on T = V a with V^T M V = I and V^T A V diagonal. The basis
+contains the exact responses (A + s M)^-1 [P, B^T] at shifts s spaced evenly in ln s between the
+slowest and the fastest time of interest: the solution, for any time step, is a combination of such
 responses. Each block adds only the directions that the basis lacks by more than a tolerance
-(singular value decomposition), which keeps the rank small where neighbouring contact elements act
-alike. The error is measured: full against reduced transfer at shifts between those of the basis,
-and full against reduced march; where it is too large there are more shifts. The constant
+(singular value decomposition), which keeps the rank small where neighbouring contact elements have
+similar responses. The error is measured: full against reduced transfer at shifts between those of
+the basis, and full against reduced march; where it is too large there are more shifts. The constant
 temperature is in the basis, so that the reduced model keeps the heat balance to rounding.
 
-A field that the march starts from is in the basis as it is, with what becomes of it by itself,
-s (A + s M)^-1 M T0, and is checked alike: by its transfer, and left to itself.
+The basis also contains the initial field and its free decay, s (A + s M)^-1 M T0, which are checked
+in the same way: by the transfer function and by free decay.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fesim.solid.linear_solver import (
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Numbers of shifts that are tried one after the other.
+#: Numbers of shifts tried in turn.
 SHIFTS = (20, 28, 40)
 #: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at first.
 CUT = 3e-4
@@ -42,7 +42,7 @@ SOLVED = 1e-9
 #: The transfer is checked at about this many shifts, the march over this many steps, each this many
 #: times the shortest time: errors of real shifts alone would be too small by far.
 CHECKED, STEPS, STEP = 4, 200, 2.0
-#: Outputs of this many steps are formed together.
+#: Number of steps whose outputs are computed together.
 TOGETHER = 50
 #: Of more drives than twice this, so many random combinations at a time stand for all, until they
 #: bring fewer new directions than half of their number.
@@ -60,7 +60,7 @@ class ReducedHeat:
     rates : ndarray, shape (r,)
         V^T A V, 1/s.
     error : float
-        Largest error of an output found between the shifts, relative to its tolerance.
+        Largest error of an output measured between the shifts, relative to its tolerance.
     shifts : ndarray, shape (k,)
         1/s.
     """
@@ -90,15 +90,15 @@ def reduce_heat(
     conduction : scipy.sparse.csr_array, shape (n, n)
         A = K + H, W/K, symmetric and positive semidefinite.
     drives : ndarray, shape (n, p)
-        Right-hand sides, each of the size it has in a march, W.
+        Right-hand sides, each of typical size, W.
     outputs : ndarray, shape (q, n)
-        Rows of the results, each divided by the error allowed in it.
+        Rows of the outputs, each divided by its tolerance.
     shortest, longest : float
         Times of interest, s: the shortest step, and the time to a steady state.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
     start : ndarray, shape (n, f), optional
-        Fields that a march starts from, K.
+        Initial fields, K.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def reduce_heat(
 
 
 def _together(drives: Array) -> Array:
-    """The drives in a few columns: all with one sign, and with signs at random."""
+    """Combinations of all inputs in a few columns: with equal and with random signs."""
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (drives.shape[1], 2))
     return drives @ np.column_stack([np.ones(drives.shape[1]), signs])
 
@@ -164,9 +164,9 @@ def _response(factor: Factor, drives: Array) -> Array:
 
 
 def _samples(count: int) -> Iterator[Array]:
-    """Combinations of drives, shape (count, columns): each by itself if they are few, else random.
+    """Combinations of inputs, shape (count, columns): each alone if they are few, else random.
 
-    What drives make together by a unit of size each is of that size in a combination.
+    A combination is scaled so that inputs of unit size give a response of unit size.
     """
     if count <= 2 * SAMPLE:
         yield np.eye(count)
@@ -177,7 +177,7 @@ def _samples(count: int) -> Iterator[Array]:
 
 
 def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fields: Array) -> Array:
-    """Outputs (steps, q, p + f) of the full model: drives that set in, and fields left alone.
+    """Outputs (steps, q, p + f) of the full model: steps of the inputs, free decay of the fields.
 
     `factor` is that of a step, `rate` (n,) its M/dt.
     """

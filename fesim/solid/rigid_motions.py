@@ -1,12 +1,12 @@
-"""Rigid motions that nothing holds, found from geometry alone before anything is factorised.
+"""Unconstrained rigid motions, found from geometry alone before anything is factorised.
 
-A structure falls into pieces that share no node. Piece i moves rigidly by u(x) = t + w x (x - O):
+A structure consists of pieces that share no node. Piece i moves rigidly by u(x) = t + w x (x - O):
 six numbers (t, w L) with one origin O and length L for all. Supports, springs and contact elements
-forbid some of these motions; what none of them forbids is the null space of their rows. A joint
-always holds along its normal and, where it has friction that sticks, along its tangents.
+constrain some of these motions; the free motions are the null space of their rows. A joint always
+constrains motion along its normal and, where friction sticks, along its tangents.
 
 With such a motion the stiffness of a structure is singular. The reference springs of
-`fesim.solid.condensation` hide that, and rounding would decide how far the motion goes.
+`fesim.solid.condensation` hide this, and rounding would determine the size of the motion.
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ class Frame:
 
 @dataclass(frozen=True)
 class Holds:
-    """What can hold the pieces of a structure.
+    """Possible constraints of the pieces of a structure.
 
     Attributes
     ----------
     frame : Frame
         Of the motions of all p pieces.
     pieces : tuple of str
-        What a message calls each piece.
+        Names of the pieces in messages.
     supports : ndarray, shape (k, 6 p)
         Orthonormal rows for each surface of fixed points, symmetry or springs, and for each bolt.
     share : ndarray, shape (m, p)
-        Part of side b of each contact element that is on each piece, less that of side a.
+        Share of each piece in side b of each contact element, minus its share in side a.
     centre : ndarray, shape (m, 3)
         Of each contact element, m.
     directions : ndarray, shape (3, m, 3)
         Its normal and its two tangents.
     slack : ndarray, shape (m,)
-        By how much the facets of its joint may seem to hold what the curved face does not.
+        Apparent constraint by the facets of its joint that the curved face does not provide.
     """
 
     frame: Frame
@@ -78,14 +78,14 @@ class Holds:
     slack: Array
 
     def unheld(self, element: NDArray[np.int64], direction: Array) -> Array:
-        """Motions left if contact elements hold along given directions, shape (6 p, motions).
+        """Free motions if contact elements constrain given directions, shape (6 p, motions).
 
         Parameters
         ----------
         element : ndarray of int, shape (k,)
-            Which contact element holds; any of them any number of times.
+            Constraining contact elements; repetitions are allowed.
         direction : ndarray, shape (k, 3)
-            Along which unit vector.
+            Unit vectors of the constraints.
         """
         sides, group = np.unique(np.round(self.share, 9), axis=0, return_inverse=True)
         group = group.ravel()[element]
@@ -131,7 +131,7 @@ class Holds:
 
 @dataclass(frozen=True)
 class _Between:
-    """What contact elements between the same pieces hold: rows on the motion of `sides`."""
+    """Constraints by contact elements between the same pieces: rows on the motion of `sides`."""
 
     sides: Array
     rows: Array
@@ -146,7 +146,7 @@ def holds_of(
     springs: Mapping[str, tuple[float, float, float]],
     bolts: Sequence[Bolt] = (),
 ) -> Holds:
-    """Return what can hold the pieces of a structure.
+    """Return the possible constraints of the pieces of a structure.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def holds_of(
     fixed, symmetry, springs
         As for `fesim.solid.elasticity.elastic_operators`; a spring without stiffness holds nothing.
     bolts : sequence of Bolt
-        Each keeps its ends from moving apart.
+        Each prevents its ends from moving apart.
     """
     mesh = structure.mesh
     piece = _piece_of_cells(mesh)
@@ -207,12 +207,12 @@ def holds_of(
 def check_held(
     holds: Holds, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
 ) -> None:
-    """Refuse a structure with a rigid motion that nothing holds at rest.
+    """Refuse a structure with an unconstrained rigid motion at rest.
 
     Parameters
     ----------
     holds : Holds
-        What can hold it.
+        Possible constraints.
     sticks : ndarray of bool, shape (m,)
         Which contact elements have friction.
     closed : ndarray of bool, shape (m,), optional
@@ -250,7 +250,7 @@ def check_held(
 
 
 def described(holds: Holds, motions: Array) -> str:
-    """Say which body can move how, e.g. "body 'bolt' from moving along x and y".
+    """Describe free motions of bodies, e.g. "body 'bolt' from moving along x and y".
 
     Parameters
     ----------
@@ -279,10 +279,10 @@ def described(holds: Holds, motions: Array) -> str:
 
 
 def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array:
-    """Orthonormal rows (r, 6) that displacements of points along directions (k, 3) forbid.
+    """Orthonormal rows (r, 6) of the constraints at points along directions (k, 3).
 
-    What counts as zero is judged on the size of the points' own spread: a small seat holds a large
-    body against tilting.
+    The tolerance for zero is relative to the extent of the points: a small seat keeps a large body
+    from tilting.
     """
     if not len(points):
         return np.empty((0, 6))
@@ -313,7 +313,7 @@ def _tie(frame: Frame, bolt: Bolt, piece: NDArray[np.int64], count: int) -> Arra
 def _facet_slack(mesh: Mesh, joint: PairedJoint) -> float:
     """phi^2 / 8 for facets that turn by phi at most from one to the next, edges left out.
 
-    By so much do the height of a facet's arc and the turn within it differ from a smooth face.
+    This is the relative deviation of a facet from the smooth face, in height and in direction.
     """
     facets = np.unique(joint.facets_a)
     normal = outward_areas(mesh, facets)

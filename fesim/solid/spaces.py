@@ -38,9 +38,9 @@ from thermojoint.artefacts.errors import InputError, shown_point
 LOCATE_SLACK = 1e-4
 #: A curved cell may reach beyond the box of its corners by this part of its size.
 _BULGE = 0.2
-#: Cells that are tried first for a point, those with the nearest centres.
+#: Cells tried first for a point, those with the nearest centres.
 _NEAREST = 32
-#: Points that are looked up together: more would only take memory.
+#: Points located together; more would only need memory.
 _AT_ONCE = 1_000
 _NEWTON_STEPS = 20
 
@@ -68,7 +68,7 @@ class Spaces:
     def elastic(self) -> CellBasis:
         """One component of displacement on the quadrature points of its own stiffness.
 
-        Made when somebody asks: of a fine mesh it takes gigabytes.
+        Created on demand: it takes gigabytes for a fine mesh.
         """
         displacement = self.displacement
         return CellBasis(
@@ -193,7 +193,7 @@ def shape_values(
 def cells_at(
     mesh: Mesh, points: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return which of some cells each point lies in, -1 where none holds it.
+    """Return which of some cells contains each point, -1 where none does.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def cells_at(
     points : ndarray, shape (n, 3)
         Points, m.
     cells : ndarray of int, shape (k,)
-        The cells to look at.
+        The cells to search.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def cells_at(
 def _holding(
     mesh: Mesh, points: NDArray[np.float64], candidates: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Which of the candidates (n, c) holds each point (n, 3), or -1, shape (n,)."""
+    """Which of the candidates (n, c) contains each point (n, 3), or -1, shape (n,)."""
     each = np.repeat(points, candidates.shape[1], axis=0).T
     local = local_coordinates(mesh, each, candidates.ravel())
     outside = np.maximum(-local, local - 1.0).max(axis=0)

@@ -28,7 +28,7 @@ def stress_at(
     points: Array,
     cells: NDArray[np.int64],
 ) -> Array:
-    """Stress at points; arguments as for `stress_rows`, and what its rows are multiplied by.
+    """Stress at points; arguments as for `stress_rows`, with displacement and temperature.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def corner_stresses(
     displacement: Array,
     temperature: Array,
 ) -> Array:
-    """Stress at the corners of every cell, from the points where it is best within the cell.
+    """Stress at the corners of every cell, extrapolated from its most accurate points.
 
     Strains of second-order displacements are of one order more in the Gauss points of an element of
     first order (Barlow 1976). From there they go on to its corners by its shape functions.

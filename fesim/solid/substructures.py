@@ -1,11 +1,11 @@
-"""Pieces of a structure, factorised one after the other and then tied by springs (docs/march.md).
+"""Pieces of a structure, factorised one by one and then coupled by springs (docs/march.md).
 
 Without the springs across its joints the stiffness is block diagonal by connected pieces. A piece
-that its supports hold less than its joints do is anchored: springs hold three of its nodes. With
-Kd, the stiffness with anchors and without joints, ties E = [G; N] (gaps, and what anchors hold) and
-their springs D = diag(A k, -kappa), the stiffness with springs across the joints is Kr = Kd + E^T D
-E. All that the march needs of Kr^-1 follows from E Kd^-1 [E^T, F] by one dense system of the size
-of the joints (Woodbury).
+constrained less by its supports than by its joints is anchored: springs constrain three of its
+nodes. With Kd, the stiffness with anchors and without joints, ties E = [G; N] (gaps, and what
+anchors hold) and their springs D = diag(A k, -kappa), the stiffness with springs across the joints
+is Kr = Kd + E^T D E. Everything that time stepping needs of Kr^-1 follows from E Kd^-1 [E^T, F] by
+one dense system of the size of the joints (Woodbury).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fesim.solid.linear_solver import (
 )
 from thermojoint.artefacts.arrays import Array
 
-#: Numbers in the right-hand sides that are solved together: 0.2 GB.
+#: Numbers in the right-hand sides of one solve: 0.2 GB.
 AT_ONCE = 25_000_000
 #: A piece is anchored if its supports hold a rigid motion by less than this share of what anchors
 #: do and they together.
@@ -51,7 +51,7 @@ class Substructure:
     thermal_load : scipy.sparse.csr_array, shape (f, n_heat)
         F.
     anchored : ndarray of int, shape (a,)
-        Unknowns, in the numbering of the whole, that a spring holds.
+        Unknowns with an anchor spring, in the numbering of the whole.
     anchor : float
         Stiffness of each of these springs, N/m.
     """
@@ -93,12 +93,12 @@ class TieCondensation:
 def substructure(
     piece: ElasticPiece, gap: csr_array, springs: Array, solver: str | None = None
 ) -> Substructure:
-    """Factorise one piece, with anchors if its supports hold it less than its joints do.
+    """Factorise one piece, with anchors if its supports constrain it less than its joints.
 
     Parameters
     ----------
     piece : ElasticPiece
-        With an unknown that is free, or more.
+        With at least one free unknown.
     gap : scipy.sparse.csr_array, shape (3 m, n)
         G, on the unknowns of the whole.
     springs : ndarray, shape (3 m,)
@@ -109,7 +109,7 @@ def substructure(
     Raises
     ------
     InputError
-        Neither supports nor joints hold the piece.
+        Neither supports nor joints constrain the piece.
     """
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
@@ -137,7 +137,7 @@ def substructure(
 
 
 def _far_apart(points: Array) -> NDArray[np.int64]:
-    """Three nodes that span a triangle as large as is easily found."""
+    """Three nodes that span a large triangle (a cheap search)."""
     first = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
     second = int(np.argmax(((points - points[first]) ** 2).sum(axis=1)))
     along = points[second] - points[first]
@@ -152,7 +152,7 @@ def _needs_anchors(
     anchored: NDArray[np.int64],
     anchor: float,
 ) -> bool:
-    """Whether supports hold a rigid motion of the piece by less than anchors would."""
+    """Whether supports constrain some rigid motion of the piece less than anchors would."""
     centre = piece.points.mean(axis=0)
     arms = (piece.points - centre) / np.abs(piece.points - centre).max()
     shifts = np.tile(np.eye(3), (len(arms), 1))
@@ -170,7 +170,7 @@ def _needs_anchors(
 def substructures(
     pieces: Iterable[ElasticPiece], gap: csr_array, springs: Array, solver: str | None = None
 ) -> Iterator[Substructure]:
-    """Factorise one piece after the other; as for `substructure`. What is all held is left out."""
+    """Factorise the pieces one by one, as `substructure` does; fully fixed ones are left out."""
     # No loop: its variable would keep a piece while the next one is made.
     free = filter(lambda piece: piece.free.any(), pieces)
     return map(partial(substructure, gap=gap, springs=springs, solver=solver), free)
@@ -249,7 +249,7 @@ def condense_ties(
     Parameters
     ----------
     pieces : iterable of Substructure
-        Taken one after the other, and not kept.
+        Consumed one by one, and not stored.
     gap : scipy.sparse.csr_array, shape (3 m, n)
         G.
     springs : ndarray, shape (3 m,)

@@ -1,4 +1,4 @@
-"""Properties that depend on temperature: a factor on their constant, and its integral."""
+"""Temperature-dependent properties: a factor on their constant value, and its integral."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class TemperatureFactor:
-    """A piecewise linear factor f(T); beyond its points the end values hold.
+    """A piecewise linear factor f(T), constant beyond its points.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class TemperatureFactor:
 
     @property
     def middle(self) -> float:
-        """Mean of the largest and the smallest value: no value is off it by as much as itself."""
+        """Mean of the largest and the smallest value; no value deviates by as much from it."""
         return 0.5 * float(self.values.min() + self.values.max())
 
     @cached_property
@@ -72,7 +72,7 @@ class ThermalGrowth:
 def thermal_growth(
     unknowns: dict[str, NDArray[np.int64]], factors: dict[str, TemperatureFactor]
 ) -> ThermalGrowth | None:
-    """Return how bodies grow, or None if all do so in proportion to their temperature.
+    """Return the expansion of bodies, or None if all of it is proportional to temperature.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def thermal_growth(
     Raises
     ------
     InputError
-        Bodies of different factors share nodes: such a node would grow in two ways.
+        Bodies with different factors share nodes.
     """
     for name, factor in factors.items():
         for other, nodes in unknowns.items():

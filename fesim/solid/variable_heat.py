@@ -1,14 +1,14 @@
-"""Conduction, film and radiation that depend on temperature: what the constant operators lack.
+"""Temperature-dependent conduction, convection and radiation: correction of constant operators.
 
-The heat equation is marched with constant operators K and H. What passes more than they say is
+Time stepping uses constant operators K and H. The additional heat flow is
 
     N(T) = sum_b K_b (theta_b(T) - m_b T) + sum_s A_s (q_s(T, T_a) - h_s (T - T_a)),
 
 both sums over nodal values: theta is Kirchhoff's transform of a body's conductivity, whose constant
 part in K is m_b k_b; q_s the heat flux of a film or of radiation, whose constant part in H is h_s.
-Air that is enclosed stores no heat: its temperature is the mean of its walls, and its film in H is
-one to the ambient.
-`fesim.march.secant_step` finds the T of each step that satisfies M dT/dt + (K + H) T + N(T) = P u.
+Enclosed air has no heat capacity: its temperature is the mean of its walls, and its convection in H
+is one to the ambient. `fesim.march.secant_step` finds the T of each step that satisfies M dT/dt +
+(K + H) T + N(T) = P u.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class VariableHeat:
     Attributes
     ----------
     terms : tuple of (scipy.sparse.csr_array, Potential)
-        Matrices (n, n), and what of nodal temperatures they are multiplied by.
+        Matrices (n, n), and the functions of nodal temperatures that they multiply.
     ambient : int
-        Which input of the march is the ambient.
+        Index of the ambient among the inputs.
     held : ndarray of int, shape (h,)
-        Unknowns whose temperature is given.
+        Unknowns with prescribed temperature.
     """
 
     terms: tuple[tuple[csr_array, Potential], ...]
@@ -47,7 +47,7 @@ class VariableHeat:
     held: NDArray[np.int64]
 
     def lost(self, temperature: Array, inputs: Array) -> Array:
-        """Return N(T) (n,), W: what leaves the nodes beside what the constant operators say."""
+        """Return N(T) (n,), W: heat leaving the nodes in addition to the constant operators."""
         around = float(inputs[self.ambient])
         found = np.zeros(len(temperature))
         for matrix, potential in self.terms:
@@ -61,7 +61,7 @@ def conduction_potential(factor: TemperatureFactor) -> Potential:
 
 
 def film_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
-    """Return h (f(d) - m) d, W/m2, of a film with a factor of d, the surface above the ambient."""
+    """Return h (f(d) - m) d, W/m2, with a factor of d, the surface above the ambient."""
 
     def potential(temperature: Array, ambient: float) -> Array:
         above = temperature - ambient
@@ -72,7 +72,7 @@ def film_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
 
 
 def air_potential(film: float, walls: Array) -> Potential:
-    """Return h (T_a - T_c), W/m2: air at T_c, the mean of its walls, in the place of the ambient.
+    """Return h (T_a - T_c), W/m2: air at T_c, the mean of its walls, instead of the ambient.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def air_potential(film: float, walls: Array) -> Potential:
 
 
 def radiation_film(emissivity: float, ambient_degc: float) -> float:
-    """Return 4 eps sigma T_a^3, W/(m2 K): radiation made linear at the initial ambient."""
+    """Return 4 eps sigma T_a^3, W/(m2 K): radiation linearised at the initial ambient."""
     return float(4.0 * emissivity * Stefan_Boltzmann * (zero_Celsius + ambient_degc) ** 3)
 
 
 def radiation_potential(emissivity: float, ambient_degc: float) -> Potential:
-    """Return eps sigma (T^4 - T_a^4), absolute, less what `radiation_film` says of it, W/m2."""
+    """Return eps sigma (T^4 - T_a^4), absolute, minus its part in `radiation_film`, W/m2."""
     absolute = zero_Celsius + ambient_degc
     film = radiation_film(emissivity, ambient_degc)
 

@@ -1,1 +1,1 @@
-"""The paper, reproduced: its inputs, the chain with its files, tables, figures and report."""
+"""Reproduction of the paper: inputs, calibration chain with files, tables, figures and report."""

@@ -1,4 +1,4 @@
-"""The pictures of a run: the paper's Figures 6-11, errors against time, fields."""
+"""Figures of a reproduction: the paper's Figures 6-11, errors against time, fields."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def paper_figures(
     responses : mapping
         The responses of the study, by name.
     estimates : mapping
-        What FCHS made of "step-3.0", "triangle" and "triangle-noise".
+        Estimates of FCHS for "step-3.0", "triangle" and "triangle-noise".
     """
     reference = responses[REFERENCE]
     steep, triangle = responses[EXTRAPOLATION], responses[TRIANGLE]

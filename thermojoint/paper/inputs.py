@@ -1,4 +1,4 @@
-"""The paper's heat inputs, the cases that can follow them, and their responses."""
+"""The paper's heat inputs, checks of a case for them, and the simulated responses."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ PRESSURE = "step-2.0"
 EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
 #: Longer than anything the paper judges by (`thermojoint.paper.long_runs`).
 DAY, COOL_DOWN, WARM_START = "day", "cool-down", "warm-start"
-#: All that estimators are judged by, in this order.
+#: All validation cases, in this order.
 CASES = (*VALIDATION, NOISY, DAY, COOL_DOWN, WARM_START)
 
 
 def check_drivable(case: Case) -> None:
     """Refuse a case whose response to a heat input would not be that of the heat input alone.
 
-    The deviation from proportionality, T(Q) - Q T(1), of whatever else warms the structure is
-    (1 - Q) times its effect: it would be taken for the joint's.
+    The deviation from proportionality, T(Q) - Q T(1), of whatever else warms the structure is (1 -
+    Q) times its effect and would be attributed to the joint.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def simulate_inputs(
     Raises
     ------
     InputError
-        Something else than the heat inputs would act on the structure, too.
+        Something other than the heat inputs would act on the structure.
     """
     check_drivable(case)
     ready = setup if setup is not None else set_up(case)

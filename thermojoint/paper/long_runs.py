@@ -1,7 +1,7 @@
-"""What the paper does not judge by: a working day, a cool-down, a start in the middle of a day.
+"""Validation cases beyond the paper: a working day, a cool-down, a warm start.
 
 A day has levels of heat that last for minutes and an ambient that drifts; both are drawn from a
-seed. They are runs of the plant alone: nothing is calibrated with them.
+seed. They are used for validation only, never for calibration.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 #: Levels of a day, relative to the reference, and how long one lasts, s.
 LEVELS, LASTS = (0.0, 2.0), (300.0, 2400.0)
-#: The ambient starts at this, degC, and moves away from it by this at most, K.
+#: Initial ambient, degC, and its largest change, K.
 COLD, DRIFT = 20.0, 3.0
-#: Between two values of the ambient, s.
+#: Interval between two values of the ambient, s.
 AMBIENT_EVERY = 600.0
 #: A level changes within this, s.
 EDGE = 1e-3
@@ -41,7 +41,7 @@ COOLED_FROM = 2.0
 
 @dataclass(frozen=True)
 class LongRuns:
-    """How long they are, min.
+    """Durations of the cases, min.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class LongRuns:
     warm : float
         From its start to the start on the warm machine.
     settled : float
-        From there until the estimates are judged.
+        From there until errors count.
     cool_down, heated : float
         Length of the cool-down, and of the heating at its beginning.
     seed : int
@@ -142,7 +142,7 @@ def simulate_long(
 ) -> dict[str, xr.Dataset]:
     """Return the responses ``day`` and ``cool-down`` of a machine that is set up already.
 
-    The histories that drive them are left in `folder`.
+    Their histories are written to `folder`.
     """
     cases = {
         DAY: driven(case, random_day(runs.day, runs.seed), runs.day, DAY, folder),
@@ -159,7 +159,7 @@ def simulate_long(
 
 
 def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
-    """Return a response with no probes but the sensors, named by their roles.
+    """Return a response with only the sensors as probes, named by their roles.
 
     Hours of every candidate would take a hundred times the room.
     """
@@ -178,5 +178,5 @@ def without_nonlinear(validated: Validated) -> Validated:
 
 
 def warm_part(day: xr.Dataset, runs: LongRuns) -> xr.Dataset:
-    """Return the day from the start on the warm machine on."""
+    """Return the part of the day after the warm start."""
     return day.isel(time=day["time"].to_numpy() >= 60.0 * runs.warm)

@@ -1,7 +1,7 @@
-"""The estimators that march the machine's physics, from the case of the machine that is judged.
+"""Observers based on the machine's physics, calibrated for the machine of a case.
 
-Their model is the machine of the case on another, coarser mesh, so that no estimator has the mesh
-of the plant; it is calibrated from the plant's responses as every other one.
+Their model has a coarser mesh than the plant; it is calibrated from the plant's responses like
+every other estimator.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 #: Elements of the model, in elements of the plant.
 COARSER = 1.25
-#: How an observer of each kind is calibrated.
+#: Calibration function of each kind of observer.
 KINDS = {"kalman-linear": calibrate_linear_joint, "joint-aware": calibrate_machine}
 
 
 def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
-    """Return the machine of a case as its observers know it.
+    """Return the machine of a case on the mesh of its observers.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
         The machine. The milling machine is meshed anew, with elements `COARSER` times as large; a
         mesh from a file has to serve as it is.
     sensors : mapping of str to Probe
-        What will be read.
+        Sensors of the observer.
     """
     structure = case.structure
     if isinstance(structure, MillingMachineSection):
@@ -86,8 +86,8 @@ def observers_beside(
 ) -> Iterator[Callable[[], list[JointAware]]]:
     """Calibrate the observers of a machine, each in a process of its own, while the caller goes on.
 
-    Yields what waits for them and returns them. There is none of a machine with held temperatures,
-    which are no state of an observer, or with properties that depend on temperature.
+    Yields a function that waits for them and returns them. There is none for a machine with held
+    temperatures, which are no state of an observer, or with properties that depend on temperature.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def _calibrated(
     responses: Mapping[str, xr.Dataset],
     folder: Path,
 ) -> Path:
-    """Calibrate one observer, write it and what the data say of it, and return its file."""
+    """Calibrate one observer, write it and its report, and return its file."""
     machine = reduce_machine(known, set_up(known), sensors)
     with one_thread():
         calibrated = KINDS[kind](machine, responses)
@@ -139,7 +139,7 @@ def _calibrated(
 
 
 def fitted_text(observer: JointAware) -> str:
-    """Return what the calibration made of the machine's parameters, a line for each."""
+    """Return the calibrated parameters of the machine, one per line."""
     lines = [
         f"{name:<18} {factor:.3f} of the case's value, uncertain by {100.0 * spread:.0f} %"
         for name, (factor, spread) in observer.model.factors.items()

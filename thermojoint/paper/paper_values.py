@@ -1,4 +1,4 @@
-"""What Attia & Fraser print of their structure, to stand beside ours.
+"""Values printed by Attia & Fraser for their structure, for comparison.
 
 Tables 1-3 and sections 5.2-5.3 of "Real-time adaptive modeling approach to compensate the thermal
 deformation of nonlinear machine tool structures". No units are printed with the parameters; the

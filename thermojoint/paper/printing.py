@@ -1,4 +1,4 @@
-"""The tables of the reproduced paper, and of its validation, on the terminal."""
+"""Terminal output of the reproduced tables and of the validation."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def show_validation(console: Console, rows: Sequence[Row]) -> None:
 
 
 def show_estimators(console: Console, table: ErrorTable) -> None:
-    """Print the largest errors of all estimators beside each other, a line for a case and axis."""
+    """Print the largest errors of all estimators, one line per case and axis."""
     shown = Table()
     for name in ("case", "axis"):
         shown.add_column(name, no_wrap=True)
@@ -99,7 +99,7 @@ def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
 
 
 def show_blocks(console: Console, rows: Sequence[Row]) -> None:
-    """Print which block of Figure 5 an error comes from."""
+    """Print the contributions of the blocks of Figure 5 to the error."""
     if not rows:
         return
     table = Table()
@@ -142,7 +142,7 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
 
 
 def show_share(console: Console, share: PressureShare) -> None:
-    """Print how far the contact pressure of each contact element has come by a given time."""
+    """Print the share of the final pressure change of each contact element at a given time."""
     from thermojoint.paper.summary import STILL
 
     table = Table()

@@ -44,14 +44,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class ReportData:
-    """All that the page shows.
+    """Content of the page.
 
     Attributes
     ----------
     title : str
         The case's title.
     facts : sequence of (str, str)
-        What was run: versions, mesh sizes, solver.
+        Versions, mesh sizes, solver.
     tables : sequence of PrintedTable
         Tables 1-3.
     validation, blocks : sequence of mapping
@@ -87,7 +87,7 @@ class ReportData:
 
 
 def report_html(data: ReportData) -> str:
-    """Return the page; everything in it is escaped, nothing is loaded from elsewhere."""
+    """Return the page; all content is escaped, and nothing is loaded from elsewhere."""
     environment = templates_of("thermojoint.paper")
     environment.filters["number"] = number
     environment.filters["rounded"] = rounded

@@ -1,4 +1,4 @@
-"""The whole chain with its files: responses, model, tables, validation, figures, report."""
+"""The complete chain with its files: responses, models, tables, validation, figures, report."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ JUDGES = 2
 
 
 def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
-    """Run the chain on `case`, fill the folder `out` and print what came out.
+    """Run the chain on `case`, fill the folder `out` and print the results.
 
-    The folder is all old until everything is there, and then all new
+    The folder is replaced as a whole when everything is complete
     (`thermojoint.artefacts.folders`).
 
     Parameters
@@ -68,7 +68,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, ``validation.json``,
         ``figures/*.png`` and ``report.html``.
     long : LongRuns, optional
-        How long the day and the cool-down are.
+        Durations of the day and the cool-down.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _judged(
     baselines: Baselines,
     observers: Sequence[JointAware],
 ) -> Validated:
-    """Judge every estimator in every case; those that know no warm start begin it as if cold."""
+    """Validate every estimator in every case; those without a warm start begin as if cold."""
     at_rest = [(observer, observer.initial_state()) for observer in observers]
     warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
@@ -201,7 +201,7 @@ def show(terminal: Console, data: ReportData) -> None:
 
 
 def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
-    """Return what was run: versions, mesh, solver, step."""
+    """Return versions, mesh sizes, solver and time step."""
     versions = json.loads(str(response.attrs.get("versions", "{}")))
     mesh = case.structure
     size = f", elements of {mesh.element_size_mm:g} mm" if hasattr(mesh, "element_size_mm") else ""

@@ -1,4 +1,4 @@
-"""Figures that sum up a simulated response: is it right, and how fast does the joint settle."""
+"""Summary of a simulated response: solver residuals and settling of the joint's pressure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STILL = 0.1
 
 @dataclass(frozen=True)
 class Convergence:
-    """What the solver says of a whole response.
+    """Solver statistics of a response.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Convergence:
     modes : int
         Of the reduced thermal model; 0 if the march had the full one.
     reduction_error : float
-        Largest error found in an output of the reduced model, relative to what is allowed.
+        Largest error of an output of the reduced model, relative to the tolerance.
     """
 
     gap_residual: float
@@ -80,7 +80,7 @@ class ElementShare:
 
 @dataclass(frozen=True)
 class PressureShare:
-    """How much of its final change each contact pressure has made by a given time.
+    """Share of the final change that each contact pressure has reached at a given time.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class SchemeErrors:
     steps : float or None
         Of FCHS with Eq. 18 calibrated to steps, as the paper does.
     estimated : float
-        Of FCHS with Eq. 18 calibrated to estimated strengths; what the estimator does.
+        Of FCHS with Eq. 18 calibrated to estimated strengths, the estimator's default.
     """
 
     case: str
@@ -124,7 +124,7 @@ class SchemeErrors:
 
 
 def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
-    """Return what happened to temperatures, bolts and joints, in words.
+    """Return a description of temperatures, bolts and joints at the end.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tables 1-3: as data (results/tables.json), and as rows beside the paper's printed values."""
+"""Tables 1-3 as data (results/tables.json) and as rows beside the paper's printed values."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ NOTE = (
 class Row:
     """One parameter: its name, its unit, our value and the paper's (None where it has none).
 
-    `at_bound` says that the fit ended at the bound of what the parameter may be.
+    `at_bound` means that the fit ended at a bound of the parameter.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What the estimators have reached: their errors beside each other, and in words."""
+"""Comparison of the estimators' errors, as a table and in words."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from thermojoint.paper import paper_values
 if TYPE_CHECKING:
     from estimator.rows import Row
 
-#: Estimators that are held against the paper's accuracy, as a person calls them.
+#: Estimators compared with the paper's accuracy, with their display names.
 CLAIMED = {"fchs": "FCHS", "joint-aware": "joint-aware"}
 
 #: Case and axis.
@@ -29,7 +29,7 @@ class CaseErrors:
     errors : tuple of float
         In the order of the table's estimators.
     paper : float or None
-        What the paper reports of its own machine.
+        Value that the paper reports for its machine.
     """
 
     case: str
@@ -40,7 +40,7 @@ class CaseErrors:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Largest errors of all estimators beside each other.
+    """Largest errors of all estimators.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def largest_error(row: Row) -> float:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Return in words what FCHS and the joint-aware estimator have reached.
+    """Return a description of the accuracy of FCHS and the joint-aware estimator.
 
     That is the paper's accuracy, and that of the linear model from the same temperatures.
 
@@ -112,7 +112,7 @@ def verdict(rows: Sequence[Row]) -> str:
 
 
 def _reached(rows: Sequence[Row], name: str) -> str:
-    """Return in words what one estimator has reached; empty if it was not judged."""
+    """Return a description of one estimator's accuracy; empty if it was not validated."""
     found = [row for row in rows if row["estimator"] == name]
     if not found:
         return ""
