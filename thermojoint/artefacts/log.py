@@ -12,6 +12,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.log_record import Record, merged
 from thermojoint.artefacts.quantities import Column
 
 
@@ -30,12 +31,15 @@ class Log:
     starts : tuple of int
         First sample of each run. Files follow each other in one run while the clock goes on;
         where it begins anew, so does a run, and nothing is known of the time between.
+    records : tuple of Record
+        What was read of each file and what was ignored; empty of a log that was not read.
     """
 
     times: Array
     columns: tuple[Column, ...]
     values: Array
     starts: tuple[int, ...] = (0,)
+    records: tuple[Record, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,4 +132,5 @@ def joined(pieces: Iterable[Log]) -> Log:
         kept[0].columns,
         np.concatenate([one.values for one in kept]),
         tuple(starts),
+        merged(record for one in kept for record in one.records),
     )

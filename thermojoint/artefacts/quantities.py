@@ -1,4 +1,4 @@
-"""What a column of a log holds, told by the unit that ends its name: ``spindle_rpm``, ``T1 [°C]``.
+"""What a column of a table holds, told by the unit in its name: ``spindle_rpm``, ``T1 [°C]``.
 
 SI inside: kelvin, metre, radian per second, watt. A temperature in °C becomes an absolute one.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -45,21 +47,41 @@ UNITS = {
     "Nm": Unit("torque", 1.0),
     "percent": Unit("load", 1e-2),
 }
+#: As loggers write them, after `_plain`.
 _ALIASES = {
     "°C": "degC",
-    "℃": "degC",
+    "Â°C": "degC",
+    "deg C": "degC",
+    "Grad C": "degC",
     "C": "degC",
     "°F": "degF",
-    "µm": "um",
+    "Â°F": "degF",
+    "deg F": "degF",
+    "Kelvin": "K",
     "μm": "um",
+    "Âμm": "um",
     "1/min": "rpm",
+    "/min": "rpm",
     "U/min": "rpm",
+    "min-1": "rpm",
+    "min^-1": "rpm",
+    "RPM": "rpm",
     "rad/s": "rad_s",
+    "N m": "Nm",
     "%": "percent",
+    "sec": "s",
+    "Sek": "s",
+    "Min": "min",
+    "Std": "h",
 }
 _LONGEST_FIRST = sorted([*UNITS, *_ALIASES], key=len, reverse=True)
 _ENDING = re.compile(
-    rf"^(?P<base>.*?)(?:_|\s+|\s*[\[(])(?P<unit>{'|'.join(map(re.escape, _LONGEST_FIRST))})[\])]?$"
+    r"^(?P<base>.*?)(?:_|\s+in\s+|,?\s+|\s*/\s*|\s*[\[(]\s*)"
+    rf"(?P<unit>{'|'.join(map(re.escape, _LONGEST_FIRST))})\s*[\])]?$"
+)
+#: What these words name is in this unit where they carry none, as on the machine's own screen.
+_USUAL = re.compile(
+    r"^(?:(?P<rpm>drehzahl|spindeldrehzahl)|(?P<degC>temperatur|temperature))\W*\d*$"
 )
 
 
@@ -97,10 +119,70 @@ class Column:
         return np.asarray(values / scale - offset)
 
 
+def _plain(text: str) -> str:
+    """Return a text with one character for each sign that has several: µ, ℃, ⁻¹, narrow blanks."""
+    return unicodedata.normalize("NFKC", text).replace("\N{MINUS SIGN}", "-")
+
+
+def unit_named(text: str) -> str | None:
+    """Return the key of `UNITS` for a unit as a logger writes it, brackets or none; or None."""
+    bare = _plain(text).strip().strip("[]()").strip()
+    return bare if bare in UNITS else _ALIASES.get(bare)
+
+
 def column_named(name: str) -> Column | None:
     """Return what the name of a column says, or None if it ends in no unit known here."""
-    found = _ENDING.match(name)
+    found = _ENDING.match(_plain(name))
     if found is None:
         return None
     unit = found["unit"]
     return Column(name, found["base"].strip(), _ALIASES.get(unit, unit))
+
+
+def column_assumed(name: str) -> Column | None:
+    """Return what a column without a unit usually holds: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
+    found = _USUAL.match(_plain(name).strip().lower())
+    if found is None or found.lastgroup is None:
+        return None
+    return Column(name, name.strip(), found.lastgroup)
+
+
+class Place(NamedTuple):
+    """Where a column that is asked for stands, and the units between which its values change."""
+
+    at: int
+    found: Column | None
+    wanted: Column | None
+
+    def values(self, cells: Array) -> Array:
+        """Return the values in the unit that was asked for; the same bits where that is theirs."""
+        if self.found is None or self.wanted is None or self.found.unit == self.wanted.unit:
+            return cells
+        return self.wanted.from_si(self.found.to_si(cells))
+
+
+def place_of(wanted: str, names: Sequence[str]) -> Place | None:
+    """Return where a table has a column: by its name, or by its name with another unit.
+
+    Parameters
+    ----------
+    wanted : str
+        With its unit, e.g. ``x_mm``.
+    names : sequence of str
+        Of the table.
+    """
+    if wanted in names:
+        return Place(names.index(wanted), None, None)
+    asked = column_named(wanted)
+    if asked is None:
+        return None
+    for k, name in enumerate(names):
+        column = column_named(name)
+        if (
+            column
+            and (column.base, column.quantity) == (asked.base, asked.quantity)
+            # A rise in K is no temperature in °C.
+            and (column.unit == "K") == (asked.unit == "K")
+        ):
+            return Place(k, column, asked)
+    return None

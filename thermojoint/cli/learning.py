@@ -85,7 +85,7 @@ def learn(
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
     arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
-    pieces = (piece for path in logs for piece in log_pieces(path, renamed))
+    pieces = log_pieces(logs, renamed)
     files = [path.name for path in logs]
     wanted = cast("Kind", kind.value)
     with console.working("learning"):
@@ -157,7 +157,7 @@ def opened(
     from estimator.learned.samples import samples_of
     from estimator.learned.starting import started
     from estimator.touches import read_touches, with_touches
-    from thermojoint.artefacts.log_file import ROWS, pieces_in
+    from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 
     if source is None:
         raise InputError(f"{where}: a response; a learned model takes a log (CSV)")

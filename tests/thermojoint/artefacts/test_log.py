@@ -64,7 +64,7 @@ def test_a_clock_may_tell_the_date(tmp_path):
 
 def test_days_follow_each_other_and_a_clock_that_begins_anew_begins_a_run(tmp_path):
     days = [
-        written(tmp_path, f"time_s,x_um\n{first},1\n{first + 9},2\n", f"{k}.csv")
+        written(tmp_path, f"time_s,x_um\n{first},{k}\n{first + 9},2\n", f"{k}.csv")
         for k, first in enumerate((0, 100, 0))
     ]
     log = logs.read_log(days)
@@ -75,7 +75,7 @@ def test_days_follow_each_other_and_a_clock_that_begins_anew_begins_a_run(tmp_pa
 def test_a_file_read_in_pieces_is_the_file(tmp_path):
     rows = "".join(f"{k},{k % 7}\n" for k in range(100))
     path = written(tmp_path, "time_s,x_um\n" + rows)
-    pieces = list(logs.log_pieces(path, rows=9))
+    pieces = list(logs.log_pieces([path], rows=9))
     assert max(len(piece.times) for piece in pieces) == 9
     whole, one = joined(pieces), logs.read_log([path])
     np.testing.assert_array_equal(whole.values, one.values)
@@ -85,7 +85,7 @@ def test_a_file_read_in_pieces_is_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time_s,x_um\n0,1\n0,2\n", "line 3: the clock does not go forward"),
+        ("time_s,x_um\n0,1\n0,2\n", "lines 2 and 3: two rows of one time contradict"),
         ("time_s,x_um\n5,1\n\n4,2\n", "line 4: the clock does not go forward"),
         ("time_s,x_um,T_degC\n0,1,2\n1,2\n", "line 3: 2 cells, expected 3"),
         ("time_s,x_um\n0,1\n1,ein\n", "line 3: x_um is 'ein', no number"),

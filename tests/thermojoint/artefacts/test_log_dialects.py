@@ -1,0 +1,303 @@
+"""A log in any dialect is the same log, to the last bit; what cannot be read is refused by line."""
+
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import joined
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.log_record import described
+from thermojoint.artefacts.tables.pieces import pieces_in
+from thermojoint.artefacts.tables.source import lines_of
+
+BEGIN = datetime(2026, 3, 2, 6, 0, 0, 500_000, tzinfo=UTC)
+DAYS = BEGIN.date().toordinal() - datetime(1899, 12, 30).toordinal()
+
+
+def read(text, rows=1 << 15):
+    return joined(pieces_in(text.splitlines(keepends=True), "log", rows=rows))
+
+
+def said(log):
+    return "\n".join(described(log.records))
+
+
+def plain(samples):
+    """The log in plain CSV: s since 1970."""
+    rows = (f"{at.timestamp()!r},{t},{x},{n}\n" for at, t, x, n in samples)
+    return "time_s,T1_degC,x_um,n_rpm\n" + "".join(rows)
+
+
+def comma(number):
+    return number.replace(".", ",")
+
+
+def grouped(number, group, decimal):
+    whole, _, part = number.partition(".")
+    return f"{int(whole):,}".replace(",", group) + (decimal + part if part else "")
+
+
+def german(samples, encoding):
+    header = "Logger 7;12345\n\nDatum;Uhrzeit;Bemerkung;T1 [°C];x [µm];n [min-1]\n"
+    rows = (
+        f"{at:%d.%m.%Y};{at:%H:%M:%S},5;;{comma(t)};{grouped(x, '.', ',')};{n}\n"
+        for at, t, x, n in samples
+    )
+    return (header + "".join(rows)).encode(encoding)
+
+
+def with_units_below(samples, encoding):
+    header = "sep=;\r\nZeit;T1;x;n\r\n[s];[°C];[μm];[1/min]\r\n"
+    rows = (
+        f"{comma(repr(at.timestamp()))};{comma(t)};{comma(x)};{n}\r\n" for at, t, x, n in samples
+    )
+    return (header + "".join(rows)).encode(encoding)
+
+
+def american(samples, encoding):
+    rows = (
+        f"{at.month}/{at.day}/{at.year} {at:%I:%M:%S}.5 {at:%p}\t{t}\t"
+        f'"{grouped(x, ",", ".")}"\t{n}\n'
+        for at, t, x, n in samples
+    )
+    return ("timestamp\tT1/°C\tx/µm\tn / min-1\n" + "".join(rows)).encode(encoding)
+
+
+def blanks(samples, encoding):
+    rows = (f" {1e3 * at.timestamp():.0f}   {t} {x}  {n}\n" for at, t, x, n in samples)
+    return ("# of a logger\n# timestamp T1_degC x_um n_rpm\n" + "".join(rows)).encode(encoding)
+
+
+def zoned(samples, encoding):
+    berlin = ZoneInfo("Europe/Berlin")
+    rows = (
+        f"{at.astimezone(berlin):%Y-%m-%d %H:%M:%S}.5 Europe/Berlin;{t};{x};{n};\n"
+        for at, t, x, n in samples
+    )
+    return ("Zeitstempel;T1 in °C;x (µm);n_rpm;\n" + "".join(rows)).encode(encoding)
+
+
+def spreadsheet(samples, encoding):
+    rows = (
+        f"{DAYS + (at - BEGIN.replace(hour=0, second=0, microsecond=0)) / timedelta(days=1)!r},"
+        f"{t},{x},{n}\n"
+        for at, t, x, n in samples
+    )
+    return ("Datum,T1 [degC],x [um],n [U/min]\n" + "".join(rows)).encode(encoding)
+
+
+DIALECTS = [german, with_units_below, american, blanks, zoned, spreadsheet]
+
+
+@st.composite
+def logs(draw):
+    count = draw(st.integers(3, 12))
+    steps = draw(st.lists(st.integers(1, 4000), min_size=count, max_size=count))
+    numbers = st.integers(-99_999, 9_999_999)
+    at, samples = BEGIN, []
+    for step in steps:
+        at += timedelta(seconds=step)
+        t = f"{draw(numbers) % 80_000 / 1e3:.3f}"
+        x = f"{draw(numbers) % 9_000_000 / 1e4:.4f}"
+        samples.append((at, t, x, str(draw(numbers) % 8000)))
+    return samples
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@settings(max_examples=25, deadline=None)
+@given(samples=logs(), encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "utf-16-le"]))
+def test_a_log_is_the_same_to_the_last_bit_in_every_dialect(
+    tmp_path_factory, dialect, samples, encoding
+):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    path.write_bytes(dialect(samples, encoding))
+    found, expected = read_log([path]), read(plain(samples))
+    np.testing.assert_array_equal(found.times, expected.times)
+    np.testing.assert_array_equal(found.values, expected.values)
+    assert [one.unit for one in found.columns] == [one.unit for one in expected.columns]
+    # As the rows come in, one at a time, it is the same again.
+    with lines_of(path, "log") as lines:
+        np.testing.assert_array_equal(joined(pieces_in(lines, "log", rows=1)).values, found.values)
+
+
+def few():
+    return [(BEGIN + timedelta(seconds=10 * k), f"{20 + k}.5", f"{k}.25", "1500") for k in range(9)]
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1"])
+def test_windows_text_is_read_and_so_is_a_degree_sign_in_a_late_row(tmp_path, encoding):
+    path = tmp_path / "log.csv"
+    path.write_bytes(german(few(), encoding))
+    assert read_log([path]).names == ("T1 [°C]", "x [µm]", "n [min-1]")
+
+
+def test_sheets_and_parquet_are_the_same_log(tmp_path):
+    openpyxl, pd = pytest.importorskip("openpyxl"), pytest.importorskip("pandas")
+    samples, expected = few(), read(plain(few()))
+    book = openpyxl.Workbook()
+    book.active.append(["Logger", 7])
+    book.active.append(["Zeit", "T1 [°C]", "x [µm]", "n [1/min]"])
+    for at, t, x, n in samples:
+        book.active.append([at.replace(tzinfo=None), float(t), float(x), int(n)])
+    book.save(tmp_path / "log.xlsx")
+    table = pd.DataFrame(samples, columns=["time", "T1_degC", "x_um", "n_rpm"])
+    numbers = ["T1_degC", "x_um", "n_rpm"]
+    table[numbers] = table[numbers].astype(float)
+    table.to_parquet(tmp_path / "log.parquet")
+    for name in ("log.xlsx", "log.parquet"):
+        found = read_log([tmp_path / name])
+        np.testing.assert_array_equal(found.times, expected.times)
+        np.testing.assert_array_equal(found.values, expected.values)
+
+
+def clock(cells, name="time"):
+    rows = "".join(f"{cell};{k}\n" for k, cell in enumerate(cells))
+    return read(f"{name};x_um\n{rows}")
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "steps"),
+    [
+        ("time_s", ["0", "1.5"], [1.5]),
+        ("time_min", ["0", "2,5"], [150.0]),
+        ("Zeit [h]", ["1", "2"], [3600.0]),
+        ("t/ms", ["0", "250"], [0.25]),
+        ("timestamp", ["1772431200", "1772431201"], [1.0]),
+        ("timestamp", ["1772431200000", "1772431200500"], [0.5]),
+        ("time", ["2026-03-02T06:00:00Z", "2026-03-02T07:00:00+01:00", "2026-03-02T06:00:01Z"], []),
+        ("time", ["2026-03-02 06:00:00,25", "2026-03-02 06:00:01,5"], [1.25]),
+        ("Datum/Uhrzeit", ["02.03.26 06:00", "02.03.26 06:01"], [60.0]),
+        ("Date/Time", ["3/2/2026 11:59:30 AM", "3/2/2026 12:00:00 PM"], [30.0]),
+        ("date", ["13/02/2026 06:00:00", "14/02/2026 06:00:00"], [86400.0]),
+        ("Uhrzeit", ["23:59:50", "00:00:00", "00:00:10"], [10.0, 10.0]),
+        ("time", ["2026-03-29 01:59:50 CET", "2026-03-29 03:00:00 CEST"], [10.0]),
+        ("time", ["2026-10-25 02:59:50 MESZ", "2026-10-25 02:00:00 MEZ"], [10.0]),
+        # A local time without a zone is set at both changes of summer time.
+        ("time", ["29.03.2026 01:59:40", "29.03.2026 01:59:50", "29.03.2026 03:00:00"], [10.0] * 2),
+        ("time", ["25.10.2026 02:59:50", "25.10.2026 02:00:00", "25.10.2026 02:00:10"], [10.0] * 2),
+        (
+            "time [Europe/Berlin]",
+            ["2026-10-25 02:59:50", "2026-10-25 02:00:00", "2026-10-25 03:00:00"],
+            [10.0, 3600.0],
+        ),
+    ],
+)
+def test_clocks_tell_how_much_time_passed(name, cells, steps):
+    if not steps:
+        with pytest.raises(InputError, match="lines 2 and 3: two rows of one time"):
+            clock(cells, name)
+    else:
+        np.testing.assert_array_equal(np.diff(clock(cells, name).times), steps)
+
+
+def test_what_a_clock_did_is_said():
+    assert "line 3: midnight passed" in said(clock(["23:59:50", "00:00:00"], "Uhrzeit"))
+    autumn = clock(["25.10.2026 02:59:50", "25.10.2026 02:00:00"])
+    assert "line 3: summer time ended" in said(autumn)
+    assert "month before day" in said(clock(["3/2/2026 06:00:00", "3/2/2026 06:00:10"]))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "---",
+        "OL",
+        "OPEN",
+        "#N/A",
+        "9999",
+        "-9999",
+        "9.9e37",
+        "",
+        "NaN",
+        "-9999,0",
+        "3276,7",
+        "Fehler",
+    ],
+)
+def test_what_is_no_reading_is_missing_and_counted(cell):
+    log = read(f"time_s;T1_degC;n_rpm\n0;20,5;10\n1;{cell};10\n2;21,5;10\n")
+    np.testing.assert_array_equal(np.isnan(log.at("T1")), [False, True, False])
+    assert "T1_degC: readings missing: 1 x" in said(log)
+
+
+def test_a_spindle_may_turn_at_9999():
+    log = read("time_s,n_rpm,x_um\n0,9999,9999\n1,-9999,1\n")
+    np.testing.assert_array_equal(np.isnan(log.values), [[False, True], [True, False]])
+
+
+def test_a_row_twice_is_dropped_and_two_that_contradict_are_refused():
+    log = read("time_s,x_um\n0,1\n1,2\n1,2\n2,3\n")
+    assert log.times.tolist() == [0.0, 1.0, 2.0]
+    assert "rows that stand there twice, dropped: 1" in said(log)
+    with pytest.raises(InputError, match=r"lines 3 and 4: .*x_um: '2' and '3'"):
+        read("time_s,x_um\n0,1\n1,2\n1,3\n")
+
+
+def test_a_pause_and_a_logger_that_starts_again_are_said():
+    night = [*range(0, 36_000, 60), *range(86_400, 122_400, 60)]
+    log = read("time_s,x_um\n" + "".join(f"{1772431200 + t},{t % 7}\n" for t in night))
+    assert log.starts == (0,)
+    assert "2 runs, 1 pause, over a change of the day: 1: 14.02 h from 2026-03-02 15:59" in said(
+        log
+    )
+    again = "time_s,x_um\n0,1\n1,2\n2,3\ntime_s,x_um\n0,1\n1,2\n2,5\n"
+    log = read(again)
+    assert log.starts == (0, 3)
+    assert "line 6: the clock begins anew" in said(log)
+
+
+def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
+    paths = []
+    for name, first in (("tuesday", 1772517600), ("monday", 1772431200), ("again", 1772431200)):
+        paths.append(tmp_path / f"{name}.csv")
+        paths[-1].write_text(f"time_s,x_um\n{first},{first % 7}\n{first + 60},2\n")
+    log = read_log(paths)
+    assert log.times.tolist() == [1772431200, 1772431260, 1772517600, 1772517660]
+    text = said(log)
+    assert "again.csv, which is left out" in text
+    assert "given as file 2, read as file 1, in the order of time" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s;x_um\n0;1_0\n", "line 2: x_um is '1_0', no number; write it like 20.5 or 20,5"),
+        ("time_s;x_um\n0;20,5\n1;20.5\n", "line 3: x_um is '20.5', no number"),
+        ("time;x_um\n0;1\n1;2\n", "line 2: time is '0', no time known here; write seconds"),
+        ("time;x_um\nMonday;1\n1;2\n", "time is 'Monday', no time known here"),
+        ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),
+        ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
+        ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),
+        ("0;1\n1;2\n", "there is no header"),
+    ],
+)
+def test_a_refusal_shows_the_value_and_what_can_be_read(text, message):
+    with pytest.raises(InputError) as caught:
+        read(text)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_was_read_and_ignored_is_said():
+    text = said(
+        read("Kopf;1\n\nZeit [s];Drehzahl;T1 [°F];Notiz;Temperatur 2\n0;60;68;a;20\n1;60;68;b;20\n")
+    )
+    assert "2 rows, 0 s to 1 s, every 1 s; semicolon between cells; clock Zeit [s]" in text
+    assert "columns: Drehzahl (speed, rpm), T1 [°F] (temperature, degF), Temperatur 2" in text
+    assert "ignored, no unit in the name: Notiz" in text
+    assert "Drehzahl: no unit in the name, taken as rpm" in text
+    assert "lines before the header, not read: 2" in text
+
+
+def test_a_long_table_is_read_in_pieces_as_a_whole():
+    text = "time_s,x_um\n" + "".join(f"{k},{k % 7}\n" for k in range(1000))
+    pieces = list(pieces_in(text.splitlines(keepends=True), "log", rows=90))
+    assert Counter(len(one.times) for one in pieces) == {90: 11, 10: 1}
+    np.testing.assert_array_equal(joined(pieces).values, read(text).values)
+    assert joined(pieces).records[0].rows == 1000

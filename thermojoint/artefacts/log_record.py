@@ -1,0 +1,192 @@
+"""What was read of a log, and what was ignored and why: kept with the log and said in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.quantities import Column
+
+#: A pause is longer than so many intervals, and than this, s.
+PAUSE, SHORTEST_PAUSE = 5.0, 60.0
+#: So many pauses are said one by one.
+_SHOWN = 3
+_NAMES_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was read of one file.
+
+    Attributes
+    ----------
+    where : str
+        Name of the file.
+    form : str
+        Encoding, separator and clock in words.
+    columns : tuple of Column
+        What was read.
+    ignored : tuple of str
+        Columns whose names end in no unit, and further clocks.
+    dated : bool
+        Times are s since 1970.
+    rows : int
+        Rows that were kept.
+    first, last : float
+        Time of the first and of the last row, s.
+    interval : float
+        Median of the steps in the first rows, s; NaN of one row.
+    pauses : tuple of (float, float)
+        Begin and end of each time without rows that is much longer than the interval, s.
+    missing : mapping
+        Column and what stood there in place of a reading, to how often.
+    twice : int
+        Rows that stood there twice; one was dropped.
+    notes : tuple of str
+        What else was ignored or assumed.
+    """
+
+    where: str
+    form: str = ""
+    columns: tuple[Column, ...] = ()
+    ignored: tuple[str, ...] = ()
+    dated: bool = False
+    rows: int = 0
+    first: float = float("nan")
+    last: float = float("nan")
+    interval: float = float("nan")
+    pauses: tuple[tuple[float, float], ...] = ()
+    missing: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    twice: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def with_times(record: Record, times: Array, last: float) -> Record:
+    """Return a record with the times of its rows.
+
+    Parameters
+    ----------
+    record : Record
+        Of some consecutive rows of a run.
+    times : ndarray, shape (k,)
+        Of the rows, s, one or more.
+    last : float
+        Of the row before them, s; -inf if there is none.
+    """
+    before = np.concatenate(([last], times[:-1]))
+    steps = (times - before)[np.isfinite(before)]
+    interval = record.interval
+    if not interval > 0.0 and len(steps):
+        interval = float(np.median(steps))
+    long = times - before > max(PAUSE * interval, SHORTEST_PAUSE)
+    pauses = [
+        (float(begin), float(end))
+        for begin, end in zip(before[long], times[long], strict=True)
+        if np.isfinite(begin)
+    ]
+    return replace(
+        record,
+        rows=len(times),
+        first=float(times[0]),
+        last=float(times[-1]),
+        interval=interval,
+        pauses=tuple(pauses),
+    )
+
+
+def merged(records: Iterable[Record]) -> tuple[Record, ...]:
+    """Return one record for each file, of those of its parts in the order of reading."""
+    found: dict[str, Record] = {}
+    for one in records:
+        known = found.get(one.where)
+        found[one.where] = one if known is None else _both(known, one)
+    return tuple(found.values())
+
+
+def _both(one: Record, more: Record) -> Record:
+    return replace(
+        one,
+        rows=one.rows + more.rows,
+        first=one.first if one.rows else more.first,
+        last=more.last if more.rows else one.last,
+        interval=one.interval if one.interval > 0.0 else more.interval,
+        pauses=one.pauses + more.pauses,
+        missing=Counter(one.missing) + Counter(more.missing),
+        twice=one.twice + more.twice,
+        notes=tuple(dict.fromkeys((*one.notes, *more.notes))),
+    )
+
+
+def described(records: Sequence[Record]) -> list[str]:
+    """Return what was read and what was ignored, line by line, as every command says it."""
+    return [line for one in records for line in _lines(one)]
+
+
+def _lines(record: Record) -> list[str]:
+    columns = ", ".join(
+        f"{one.name} ({one.quantity}{'' if one.name.endswith(one.unit) else f', {one.unit}'})"
+        for one in record.columns[:_NAMES_SHOWN]
+    )
+    more = len(record.columns) - _NAMES_SHOWN
+    lines = [
+        f"{record.where}: {record.rows} rows, {_span(record)}; {record.form}",
+        f"  columns: {columns}{f' and {more} more' if more > 0 else ''}",
+    ]
+    if record.ignored:
+        lines.append(
+            f"  ignored, no unit in the name: {', '.join(record.ignored)[:200]} "
+            "(--column 'NAME=NAME_degC' names one)"
+        )
+    if record.pauses:
+        lines.append(f"  {_pauses(record)}")
+    missing: dict[str, list[str]] = {}
+    for (name, token), count in record.missing.items():
+        missing.setdefault(name, []).append(f"{count} x {token}")
+    for name, tokens in list(missing.items())[:_NAMES_SHOWN]:
+        lines.append(f"  {name}: readings missing: {', '.join(tokens[:6])}")
+    if record.twice:
+        lines.append(f"  rows that stand there twice, dropped: {record.twice}")
+    return lines + [f"  {note}" for note in record.notes]
+
+
+def _span(record: Record) -> str:
+    if not record.rows:
+        return "none"
+    interval = f", every {_length(record.interval)}" if record.interval > 0.0 else ""
+    begin, end = (moment_text(record, time) for time in (record.first, record.last))
+    return f"{begin} to {end}{interval}"
+
+
+def moment_text(record: Record, time: float) -> str:
+    """Return a time of a log as a person reads it: a date, or a length from the clock's zero."""
+    if not record.dated:
+        return _length(time)
+    at = datetime.fromtimestamp(time, UTC)
+    return at.strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _pauses(record: Record) -> str:
+    longest = sorted(record.pauses, key=lambda pause: pause[0] - pause[1])[:_SHOWN]
+    told = ", ".join(
+        f"{_length(end - begin)} from {moment_text(record, begin)}" for begin, end in longest
+    )
+    days = ""
+    if record.dated:
+        changed = sum(int(begin // 86_400) != int(end // 86_400) for begin, end in record.pauses)
+        days = f", over a change of the day: {changed}" if changed else ""
+    count = len(record.pauses)
+    kind = "pause" if count == 1 else "pauses"
+    longest_of = "" if count <= _SHOWN else "; the longest"
+    return f"{count + 1} runs, {count} {kind}{days}{longest_of}: {told}"
+
+
+def _length(seconds: float) -> str:
+    for unit, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if abs(seconds) >= 2.0 * size:
+            return f"{seconds / size:.4g} {unit}"
+    return f"{seconds:.4g} s"

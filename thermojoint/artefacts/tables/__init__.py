@@ -1,0 +1,1 @@
+"""Tables as loggers, spreadsheets and people write them: one reader for every command."""

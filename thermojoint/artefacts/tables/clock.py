@@ -1,0 +1,392 @@
+"""Clocks of tables: seconds to years, dates of three orders, zones, midnights and summer time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
+from typing import NamedTuple
+from zoneinfo import ZoneInfo
+
+from thermojoint.artefacts.quantities import UNITS, column_named
+from thermojoint.artefacts.tables.cells import number_in
+
+#: The forms that can be read, as a refusal names them.
+FORMS = (
+    "seconds, ms, minutes or hours by the column's unit, seconds or ms since 1970, Excel days, "
+    "2026-03-02T06:00:00Z, 02.03.2026 06:00:00, 3/2/2026 6:00 AM, or 06:00:00"
+)
+_WORDS = frozenset(
+    (
+        *("time", "t", "timestamp", "time stamp", "datetime", "date time", "date/time", "date"),
+        *("zeit", "zeitstempel", "zeitpunkt", "uhrzeit", "datum", "datum uhrzeit", "datum/uhrzeit"),
+        *("datum/zeit", "local time", "elapsed", "elapsed time", "laufzeit"),
+    )
+)
+_BRACKETS = re.compile(r"\s*[\[(](?P<inside>[^\])]*)[\])]\s*$")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+#: Day 0 of a spreadsheet, in days before 1970.
+_EXCEL = 25_569
+_DAY, _HOUR = 86_400.0, 3_600.0
+#: What a number without a unit may be: s, ms, µs since 1970, days since 1900.
+_SECONDS, _MILLISECONDS, _MICROSECONDS = (3e8, 5e9), (3e11, 5e12), (3e14, 5e15)
+_DAYS = (20_000.0, 80_000.0)
+#: Abbreviations that mean one offset, h.
+_OFFSETS = {
+    "Z": 0.0,
+    "UTC": 0.0,
+    "GMT": 0.0,
+    "WET": 0.0,
+    "WEST": 1.0,
+    "BST": 1.0,
+    "CET": 1.0,
+    "MEZ": 1.0,
+    "CEST": 2.0,
+    "MESZ": 2.0,
+    "EET": 2.0,
+    "EEST": 3.0,
+    "EST": -5.0,
+    "EDT": -4.0,
+    "CST": -6.0,
+    "CDT": -5.0,
+    "MST": -7.0,
+    "MDT": -6.0,
+    "PST": -8.0,
+    "PDT": -7.0,
+    "JST": 9.0,
+}
+_STAMP = re.compile(
+    r"^(?:(?P<a>\d{1,4})(?P<sign>[-./])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{2,4})\.?)?[T,;\s]*"
+    r"(?:(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,:](?P<part>\d{1,9}))?)?"
+    r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?)?"
+    r"(?:\s*Uhr)?\s*(?P<zone>(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|[A-Za-z][A-Za-z_+/-]*)?$"
+)
+
+
+def clock_word(name: str) -> bool:
+    """Whether a column is a clock by its name, with its unit or its zone or without."""
+    column = column_named(name.strip())
+    if column is not None:
+        return column.quantity == "time" and column.base.lower() in _WORDS
+    return _BRACKETS.sub("", name).strip().lower() in _WORDS
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a table tells the time.
+
+    Attributes
+    ----------
+    columns : tuple of int
+        Which tell it; two for a date and a time of day.
+    form : str
+        ``number``, ``excel``, ``stamp`` or ``time of day``.
+    dated : bool
+        Times are s since 1970.
+    factor, divisor : float
+        A number is multiplied by the one and divided by the other to be s.
+    order : str
+        Of a date with dots or slashes: ``dmy`` or ``mdy``; empty where the year comes first.
+    zone : tzinfo or None
+        Of moments that carry none; None where there is none either: they are kept as they are.
+    """
+
+    columns: tuple[int, ...]
+    form: str
+    dated: bool = False
+    factor: float = 1.0
+    divisor: float = 1.0
+    order: str = ""
+    zone: tzinfo | None = None
+
+    @property
+    def shown(self) -> str:
+        """In words."""
+        order = {"dmy": ", day before month", "mdy": ", month before day"}.get(self.order, "")
+        return {
+            "stamp": f"date and time{order}{f', {self.zone}' if self.zone else ''}",
+            "excel": "days of a spreadsheet",
+            "time of day": "time of day",
+        }.get(self.form, "since 1970" if self.dated else "from a start of its own")
+
+
+class Moment(NamedTuple):
+    """A time, s; the later one, too, where the end of summer time makes it happen twice."""
+
+    first: float
+    second: float
+    local: bool = False
+
+
+class Hands(NamedTuple):
+    """Where a clock stands between two rows.
+
+    Attributes
+    ----------
+    last : float
+        Time of the row before, s.
+    shift : float
+        What midnights and changes of summer time have added, s.
+    step : float
+        Of the row before, s.
+    """
+
+    last: float = -float("inf")
+    shift: float = 0.0
+    step: float = float("inf")
+
+
+def clock_of(
+    names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str, chosen: Sequence[int] = ()
+) -> tuple[Clock | None, str]:
+    """Return the clock of a table and what is wrong with the columns that are called so.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the columns.
+    rows : sequence of sequences of str
+        The first rows; one is enough.
+    decimal : str
+        Decimal sign.
+    chosen : sequence of int
+        Columns that the user calls the clock; others are not looked at.
+
+    Notes
+    -----
+    What tells the date comes before what counts from a start, and that before a time of day.
+    """
+    named = list(chosen) or [k for k, name in enumerate(names) if clock_word(name)]
+    found: dict[str, list[tuple[int, Clock]]] = {}
+    bad = ""
+    for k in named:
+        cells = [row[k] for row in rows if k < len(row) and row[k].strip()]
+        clock = _clock_in(k, names[k], cells, decimal)
+        if clock is None:
+            cell = cells[0].strip() if cells else ""
+            bad = bad or f"{names[k]} is {cell!r}, no time known here; write {FORMS}"
+        else:
+            found.setdefault(clock.form, []).append((k, clock))
+    for form in ("stamp", "excel"):
+        if form in found:
+            return found[form][0][1], ""
+    if "date" in found and "time of day" in found:
+        (first, date), (second, day) = found["date"][0], found["time of day"][0]
+        return replace(date, columns=(first, second), form="stamp", zone=date.zone or day.zone), ""
+    for form in ("number", "time of day"):
+        if form in found:
+            dated = [clock for _, clock in found[form] if clock.dated]
+            return (dated or [clock for _, clock in found[form]])[0], ""
+    if "date" in found:
+        bad = f"{names[found['date'][0][0]]} is a date without a time of day; write {FORMS}"
+    return None, bad
+
+
+def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Clock | None:
+    """Return the clock that one column is; ``date`` as form for one without a time of day."""
+    column = column_named(name)
+    if column is not None and column.quantity == "time":
+        scale = UNITS[column.unit].scale
+        first = number_in(cells[0], decimal) if cells else 0.0
+        if first is not None:
+            dated = _SECONDS[0] < scale * first < _SECONDS[1]
+            number = Clock((index,), "number", dated)
+            # 1e-3 is no binary fraction: ms are divided.
+            return replace(number, divisor=1e3) if scale < 1.0 else replace(number, factor=scale)
+    if not cells:
+        return None
+    values = [value for cell in cells if (value := number_in(cell, decimal)) is not None]
+    if number_in(cells[0], decimal) is not None:
+        return _plain_number(index, values)
+    # What does not fit the first is refused where it stands.
+    parts = [one for cell in cells if (one := _STAMP.match(cell.strip()))]
+    if not _STAMP.match(cells[0].strip()) or not (parts[0]["a"] or parts[0]["hour"]):
+        return None
+    inside = _BRACKETS.search(name)
+    zone = zone_named(inside["inside"]) if inside else None
+    with_time = any(one["hour"] for one in parts)
+    form = ("stamp" if with_time else "date") if parts[0]["a"] else "time of day"
+    order = _order([one for one in parts if one["a"]])
+    return Clock((index,), form, form != "time of day", order=order, zone=zone)
+
+
+def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
+    """Return the clock of numbers without a unit, by their size."""
+    least, most = min(values), max(values)
+    for (low, high), divisor in (
+        (_SECONDS, 1.0),
+        (_MILLISECONDS, 1e3),
+        (_MICROSECONDS, 1e6),
+    ):
+        if low < least and most < high:
+            return Clock((index,), "number", dated=True, divisor=divisor)
+    if _DAYS[0] < least and most < _DAYS[1] and most - least < len(values):
+        return Clock((index,), "excel", dated=True)
+    return None
+
+
+def _order(parts: Sequence[re.Match[str]]) -> str:
+    """Return the order of dates: dots and dashes have the day first, slashes as the numbers say."""
+    if not parts or len(parts[0]["a"]) == 4:
+        return ""
+    slashed = [one for one in parts if one["sign"] == "/"]
+    if not slashed or any(one["half"] for one in slashed):
+        return "mdy" if slashed else "dmy"
+    first = {int(one["a"]) for one in slashed}
+    second = {int(one["b"]) for one in slashed}
+    if max(first) > 12:
+        return "dmy"
+    # Of two readings the one in which less time passes: days change before months do.
+    return "dmy" if max(second) <= 12 and len(first) > len(second) else "mdy"
+
+
+def zone_named(text: str) -> tzinfo | None:
+    """Return a zone by its name (``Europe/Berlin``), abbreviation (``MEZ``) or offset; or None."""
+    text = text.strip()
+    if text.upper() in _OFFSETS:
+        return timezone(timedelta(hours=_OFFSETS[text.upper()]), text.upper())
+    offset = re.fullmatch(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?(\d{2}))?", text)
+    if offset:
+        size = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
+        return timezone(-size if offset[1] == "-" else size)
+    if "/" not in text:
+        return None
+    try:
+        return ZoneInfo(text)
+    except (KeyError, ValueError, OSError):
+        return None
+
+
+def moment(clock: Clock, cells: Sequence[str], decimal: str) -> Moment | None:
+    """Return the time of one row as its cells tell it, or None if they tell none.
+
+    Parameters
+    ----------
+    clock : Clock
+        How to read them.
+    cells : sequence of str
+        Of the clock's columns.
+    decimal : str
+        Decimal sign.
+    """
+    if clock.form in ("number", "excel"):
+        value = number_in(cells[0], decimal)
+        if value is None:
+            return None
+        if clock.form == "excel":
+            # A double holds days to a microsecond, spreadsheets show ms.
+            value = round((value - _EXCEL) * _DAY * 1e3) / 1e3
+        else:
+            value = value * clock.factor / clock.divisor
+        return Moment(value, value)
+    text = " ".join(cells).strip()
+    if clock.form == "time of day":
+        return _time_of_day(text)
+    if text[4:5] == "-" and (text[-1:].isdigit() or text[-1:] == "Z"):
+        try:
+            return _seconds(datetime.fromisoformat(text), clock.zone)
+        except ValueError:
+            pass
+    found = _STAMP.match(text)
+    if found is None or not found["a"]:
+        return None
+    zone = clock.zone
+    if found["zone"]:
+        zone = zone_named(found["zone"])
+        if zone is None:
+            return None
+    time = _time_of_day(found)
+    day = _date(found, clock.order)
+    if time is None or day is None:
+        return None
+    return _seconds(day + timedelta(microseconds=round(1e6 * time.first)), zone)
+
+
+def _seconds(at: datetime, zone: tzinfo | None) -> Moment:
+    local = at.tzinfo is None and zone is None
+    if at.tzinfo is None:
+        at = at.replace(tzinfo=zone or UTC)
+    first = (at - _EPOCH).total_seconds()
+    if isinstance(at.tzinfo, ZoneInfo):
+        return Moment(first, (at.replace(fold=1) - _EPOCH).total_seconds())
+    return Moment(first, first, local)
+
+
+def _time_of_day(text: str | re.Match[str]) -> Moment | None:
+    """Return the s since midnight."""
+    found = _STAMP.match(text) if isinstance(text, str) else text
+    if found is None or (isinstance(text, str) and (found["a"] or not found["hour"])):
+        return None
+    if not found["hour"]:
+        return Moment(0.0, 0.0)
+    hour, minute, second = (int(found[part] or 0) for part in ("hour", "minute", "second"))
+    if found["half"]:
+        hour = hour % 12 + (12 if found["half"].lower() == "p" else 0)
+    if hour > 23 or minute > 59 or second > 59:
+        return None
+    part = round(int(found["part"]) * 10.0 ** (6 - len(found["part"]))) if found["part"] else 0
+    value = (1_000_000 * (_HOUR * hour + 60.0 * minute + second) + part) / 1e6
+    return Moment(value, value)
+
+
+def _date(found: re.Match[str], order: str) -> datetime | None:
+    a, b, c = found["a"], found["b"], found["c"]
+    if len(a) == 4:
+        year, month, day = a, b, c
+    elif found["sign"] == "/" and order == "mdy":
+        month, day, year = a, b, c
+    else:
+        day, month, year = a, b, c
+    try:
+        return datetime(int(year) + (2000 if len(year) == 2 else 0), int(month), int(day))
+    except ValueError:
+        return None
+
+
+def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
+    """Return where a clock stands at the next row, and what it did there, if anything.
+
+    A clock that goes back without a reason known here is left there: the caller refuses it, or
+    begins a run.
+
+    Parameters
+    ----------
+    clock : Clock
+        Of the table.
+    hands : Hands
+        At the row before.
+    at : Moment
+        As the row tells it.
+    """
+    time, shift, said = at.first + hands.shift, hands.shift, ""
+    if time < hands.last:
+        if at.second + shift > hands.last and at.second > at.first:
+            time = at.second + shift
+        elif clock.form == "time of day" and hands.last - time > 0.5 * _DAY:
+            time, shift, said = time + _DAY, shift + _DAY, "midnight passed"
+        elif at.local and 0.0 < time + _HOUR - hands.last <= _near(hands) and _changes(at, "end"):
+            time, shift, said = time + _HOUR, shift + _HOUR, "summer time ended"
+    elif (
+        at.local
+        and 0.0 < time - _HOUR - hands.last <= min(hands.step * 1.5, 0.5 * _HOUR)
+        and _changes(at, "begin")
+    ):
+        time, shift, said = time - _HOUR, shift - _HOUR, "summer time began"
+    step = time - hands.last if hands.last > -float("inf") else hands.step
+    return Hands(time, shift, step if step > 0.0 else hands.step), said
+
+
+def _near(hands: Hands) -> float:
+    """Return how late the next row may be when the clock was set back, s."""
+    return max(0.5 * _HOUR, 1.5 * min(hands.step, _HOUR))
+
+
+def _changes(at: Moment, which: str) -> bool:
+    """Whether summer time begins or ends in the hour of a local time, in Europe or America."""
+    day = _EPOCH + timedelta(seconds=at.first)
+    if day.isoweekday() != 7 or not 0.9 < day.hour + day.minute / 60.0 < 4.6:
+        return False
+    if which == "end":
+        return (day.month == 10 and day.day >= 25) or (day.month == 11 and day.day <= 7)
+    return day.month == 3 and (day.day >= 25 or 8 <= day.day <= 14)

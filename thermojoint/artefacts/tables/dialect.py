@@ -1,0 +1,241 @@
+"""Where a table's header is, what divides its cells, and what its columns are called."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.quantities import column_named, unit_named
+from thermojoint.artefacts.tables.cells import decimal_shown, is_missing, number_in
+from thermojoint.artefacts.tables.clock import clock_word
+
+#: What may divide cells: the first that fits best. Two blanks or more, then one or more.
+SEPARATORS = (";", "\t", ",", "|", "  ", " ")
+_BLANKS = {"  ": re.compile(r"\s{2,}|\t"), " ": re.compile(r"\s+")}
+_SHOWN = {";": "semicolon", "\t": "tab", ",": "comma", "|": "bar", "  ": "blanks", " ": "blanks"}
+_SEP_LINE = re.compile(r'^"?sep=(.)"?\s*$', re.IGNORECASE)
+#: A date or a time of day at the beginning of a cell.
+_MOMENT = re.compile(r"^\d{1,4}[-./:]\d{1,2}[-./:T ]?")
+#: A comment, and not a spreadsheet's error value.
+_COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the lines of a table are to be read.
+
+    Attributes
+    ----------
+    separator : str
+        One of `SEPARATORS`.
+    decimal : str
+        ``.``, ``,``, or empty as long as no cell has shown it.
+    names : tuple of str
+        Of the columns, a unit from the line below in brackets.
+    given, units : tuple of str
+        As the header has them, and the row of units below it, which may be empty.
+    first : int
+        How many lines stand before the first row.
+    skipped : int
+        How many of them are neither header nor units.
+    """
+
+    separator: str
+    decimal: str
+    names: tuple[str, ...]
+    given: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+    skipped: int
+
+    @property
+    def shown(self) -> str:
+        """In words."""
+        comma = ", decimal comma" if self.decimal == "," else ""
+        return f"{_SHOWN[self.separator]} between cells{comma}"
+
+
+def cells_of(lines: Iterable[str], separator: str, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and cells of every row; a cell in quotes may take several lines.
+
+    Raises
+    ------
+    InputError
+        The lines cannot be divided.
+    """
+    blanks = _BLANKS.get(separator)
+    if blanks:
+        for number, line in enumerate(lines, 1):
+            yield number, blanks.split(line.strip()) if line.strip() else []
+        return
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise InputError(
+            f"{where}, line {reader.line_num}: not readable as CSV ({error}); mend the file"
+        ) from error
+
+
+def is_row(cells: Sequence[str]) -> bool:
+    """Whether cells are a row of values: not empty and no comment."""
+    return bool(cells) and any(map(str.strip, cells)) and not _COMMENT.match(cells[0])
+
+
+def trimmed(cells: list[str], count: int) -> list[str]:
+    """Return cells without empty ones beyond a count: a separator may end the line."""
+    while len(cells) > count and not cells[-1].strip():
+        cells = cells[:-1]
+    return cells
+
+
+def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
+    """Return how the lines of a table are to be read, by its first lines.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The beginning.
+    where : str
+        Name of the file, for error messages.
+    whole : bool
+        More lines would not help: the table ends here, or enough have been seen.
+
+    Returns
+    -------
+    Dialect or None
+        None where more lines are needed.
+
+    Raises
+    ------
+    InputError
+        There is no header.
+    """
+    told = next((_SEP_LINE.match(line) for line in lines[:1]), None)
+    candidates = (told[1],) if told else SEPARATORS
+    found = [one for sep in candidates if (one := _tried(lines, sep)) and len(one.header) > 1]
+    rows = [one for one in found if one.rows]
+    if not rows and not whole:
+        return None
+    if not found:
+        raise InputError(
+            f"{where}: no clock among the columns, there is no header; give a first line that "
+            "names the columns, e.g. time_s,T1_degC,x_um"
+        )
+    best = max(
+        rows or found, key=lambda one: (one.fits, one.separator not in _BLANKS, len(one.header))
+    )
+    count = len(best.header)
+    given = tuple(name.strip() for name in best.header)
+    units = best.units or [""] * count
+    names = tuple(
+        f"{name} [{unit.strip().strip('[]()').strip()}]"
+        if unit_named(unit) and column_named(name) is None
+        else name
+        for name, unit in zip(given, units, strict=True)
+    )
+    values = [cell for row in best.rows for cell in row if cell.strip()]
+    lines_used = 1 + bool(best.units)
+    return Dialect(
+        best.separator,
+        "." if best.separator == "," and not decimal_shown(values) else decimal_shown(values),
+        names,
+        given,
+        tuple(unit.strip() for unit in best.units or ()),
+        best.first,
+        best.first - lines_used,
+    )
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A table's beginning as one separator divides it; `fits` is the share of rows it divides."""
+
+    separator: str
+    header: list[str]
+    units: list[str] | None
+    rows: list[list[str]]
+    first: int
+    fits: float
+
+
+def _tried(lines: Sequence[str], separator: str) -> _Try | None:
+    try:
+        table = list(cells_of(lines, separator, ""))
+    except InputError:
+        return None
+    full = [(number, row) for number, row in table if is_row(row) and not _SEP_LINE.match(row[0])]
+    data = [_is_data(row) for _, row in full]
+    at = _header_at([row for _, row in full], data)
+    if at is not None:
+        number, header = full[at]
+    elif full and data[0] and (named := _in_comment(table, full[0][0], len(full[0][1]))):
+        (number, header), at = named, -1
+    else:
+        return None
+    header = trimmed(list(header), 1)
+    below = full[at + 1 :]
+    units = None
+    if below and not data[at + 1] and _are_units(below[0][1]):
+        number, units = below[0]
+        units = (units + [""] * len(header))[: len(header)]
+        below = below[1:]
+    rows = [trimmed(row, len(header)) for _, row in below]
+    fits = sum(len(row) == len(header) for row in rows) / len(rows) if rows else 0.0
+    return _Try(separator, header, units, rows, number, fits)
+
+
+def _header_at(full: Sequence[Sequence[str]], data: Sequence[bool]) -> int | None:
+    """Return which row is the header: words above values, best those that name a clock or a unit.
+
+    Lines before it may hold a name and a value, too: a logger's number, the time of its start.
+    """
+    words = [k for k, known in enumerate(data) if not known]
+    above = [k for k in words if any(data[k + 1 : k + 3]) and len(full[k]) > 1]
+    possible = above if any(data) else words
+    telling = (
+        k
+        for k in possible
+        if any(clock_word(cell) or column_named(cell.strip()) for cell in full[k])
+        or (k + 1 < len(full) and not data[k + 1] and _are_units(full[k + 1]))
+    )
+    return next(telling, next(iter(possible), None))
+
+
+def _in_comment(
+    table: Sequence[tuple[int, list[str]]], before: int, count: int
+) -> tuple[int, list[str]] | None:
+    """Return the last comment before the rows if it names as many columns."""
+    for (number, row), (following, _) in pairwise(table):
+        if row and _COMMENT.match(row[0]) and following == before:
+            header = [row[0].strip().lstrip("#").strip(), *row[1:]]
+            header = header if header[0] else header[1:]
+            return (number, header) if len(header) == count else None
+    return None
+
+
+def _is_data(row: Sequence[str]) -> bool:
+    """Whether a row holds values: a number or a moment, and as many of them as words."""
+    kinds = Counter(
+        "empty"
+        if not cell.strip()
+        else "value"
+        if number_in(cell, "") is not None or _MOMENT.match(cell.strip())
+        else "missing"
+        if is_missing(cell)
+        else "word"
+        for cell in row
+    )
+    return len(row) > 1 and kinds["value"] > 0 and 2 * kinds["value"] >= kinds["word"]
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether a row names units: at least one known, and nothing long."""
+    there = [cell.strip() for cell in row if cell.strip()]
+    return any(map(unit_named, there)) and all(len(cell) <= 12 for cell in there)

@@ -1,0 +1,144 @@
+"""What the columns of a log are: its clock, its readings, and those that are ignored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.quantities import Column, column_assumed, column_named
+from thermojoint.artefacts.tables.clock import Clock, clock_of
+from thermojoint.artefacts.tables.dialect import (
+    Dialect,
+    cells_of,
+    dialect_of,
+    is_row,
+    trimmed,
+)
+
+#: Lines by which a file is judged; a stream is judged by its first row.
+HEAD = 256
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a log is to be read.
+
+    Attributes
+    ----------
+    where : str
+        Name of the file.
+    dialect : Dialect
+        Of its lines.
+    names : tuple of str
+        All columns, renamed and with their units.
+    clock : Clock
+        Which columns tell the time, and how.
+    kept : tuple of int
+        Columns that are readings.
+    columns : tuple of Column
+        What they are.
+    notes : tuple of str
+        What was assumed.
+    """
+
+    where: str
+    dialect: Dialect
+    names: tuple[str, ...]
+    clock: Clock
+    kept: tuple[int, ...]
+    columns: tuple[Column, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """Names of the columns that are neither clock nor reading."""
+        used = {*self.kept, *self.clock.columns}
+        return tuple(name for k, name in enumerate(self.names) if k not in used and name)
+
+    @property
+    def form(self) -> str:
+        """In words."""
+        clock = " + ".join(self.names[k] for k in self.clock.columns)
+        return f"{self.dialect.shown}; clock {clock}, {self.clock.shown}"
+
+
+def layout_of(
+    lines: Sequence[str], where: str, renamed: Mapping[str, str], whole: bool
+) -> Layout | None:
+    """Return how a log is to be read, by its first lines; None where more are needed.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The beginning.
+    where : str
+        Name of the file, for error messages.
+    renamed : mapping
+        Name of a column, with or without its unit, to the one it is given.
+    whole : bool
+        More lines would not help.
+
+    Raises
+    ------
+    InputError
+        There is no header, no clock or no reading, a name of `renamed` is not there, or two
+        columns have one name.
+    """
+    dialect = dialect_of(lines, where, whole)
+    if dialect is None:
+        return None
+    names = _renamed(dialect, where, renamed)
+    rows = [
+        trimmed(row, len(names))
+        for number, row in cells_of(lines, dialect.separator, where)
+        if number > dialect.first and is_row(row)
+    ]
+    chosen = [
+        k
+        for k, (given, name) in enumerate(zip(dialect.names, names, strict=True))
+        if name != given and (column := column_named(name)) and column.quantity == "time"
+    ]
+    clock, bad = clock_of(names, rows, dialect.decimal, chosen)
+    if clock is None:
+        raise InputError(
+            f"{where}, line {dialect.first + 1}: {bad}"
+            if bad
+            else f"{where}: no clock among the columns {', '.join(dialect.given)[:200]}; rename "
+            "one time_s, e.g. --column 'NAME=time_s'"
+        )
+    known = [None if k in clock.columns else column_named(name) for k, name in enumerate(names)]
+    assumed = [
+        None if one else column_assumed(name) for one, name in zip(known, names, strict=True)
+    ]
+    found = {
+        k: column
+        for k, pair in enumerate(zip(known, assumed, strict=True))
+        if (column := pair[0] or pair[1]) and column.quantity != "time"
+    }
+    if not found:
+        raise InputError(
+            f"{where}: no column's name ends in a unit, as T1_degC or x_um does; rename them with "
+            "--column 'NAME=T1_degC'"
+        )
+    notes = [f"{one.name}: no unit in the name, taken as {one.unit}" for one in assumed if one]
+    if dialect.skipped:
+        notes.append(f"lines before the header, not read: {dialect.skipped}")
+    columns = tuple(found.values())
+    return Layout(where, dialect, names, clock, tuple(found), columns, tuple(notes))
+
+
+def _renamed(dialect: Dialect, where: str, renamed: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names of the columns as the user gives them."""
+    there = {*dialect.names, *dialect.given}
+    for name, ours in renamed.items():
+        if name not in there and ours not in there:
+            raise unknown_name("column", name, dialect.given, where)
+    names = tuple(
+        renamed.get(given, renamed.get(name, name))
+        for given, name in zip(dialect.given, dialect.names, strict=True)
+    )
+    twice = sorted({name for name in names if name and names.count(name) > 1})
+    if twice:
+        raise InputError(f"{where}: two columns are called {twice[0]!r}; rename one")
+    return names

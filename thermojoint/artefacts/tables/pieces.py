@@ -1,0 +1,245 @@
+"""The rows of a log as they come in, in SI, piece by piece, with a record of what was read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log_record import Record, with_times
+from thermojoint.artefacts.quantities import Column
+from thermojoint.artefacts.tables.cells import numbers, without_error_values
+from thermojoint.artefacts.tables.clock import FORMS, Hands, moment, passed
+from thermojoint.artefacts.tables.dialect import cells_of, is_row, trimmed
+from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
+
+#: Rows in a piece.
+ROWS = 1 << 15
+#: No machine tool is so hot on the whole, °C; what a room is in kelvin.
+_KELVIN = (223.0, 400.0)
+#: No thermal displacement is larger, m.
+_LARGEST_LENGTH = 0.05
+#: A clock that goes back to where it began has begun anew if so many rows came before.
+_FEWEST = 3
+#: What a row of values mostly begins with; an empty cell is looked at.
+_DIGITS = frozenset("0123456789")
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: list[str]
+
+
+class _At(NamedTuple):
+    """Where the reading of a run stands: its first time, its rows so far, the row before."""
+
+    hands: Hands = Hands()
+    first: float = np.inf
+    rows: int = 0
+    before: _Row = _Row(0, [])
+
+
+class _Part(NamedTuple):
+    """Consecutive rows of one run, their times (s), the time before them, and what was said."""
+
+    rows: list[_Row]
+    times: list[float]
+    last: float
+    notes: list[str]
+    twice: int
+
+
+def pieces_in(
+    lines: Iterable[str], where: str, renamed: Mapping[str, str] | None = None, rows: int = ROWS
+) -> Iterator[Log]:
+    """Yield the samples of a table as its lines come in; each piece is of one run.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        An open file, standard input, or a sheet's rows.
+    where : str
+        Name of the file, for error messages.
+    renamed : mapping, optional
+        Name of a column to the one it is given, which ends in its unit.
+    rows : int
+        Most samples in a piece; 1 for a stream, whose first row must not wait for more.
+
+    Raises
+    ------
+    InputError
+        There is no clock or no reading, a row has another number of cells than the header, a
+        cell is neither a number nor a missing reading, a clock goes back, two rows contradict
+        each other, or what looks like kelvin stands in a column of °C.
+    """
+    source = iter(lines)
+    layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
+    record = Record(where, layout.form, layout.columns, layout.ignored, layout.clock.dated)
+    notes, at, twice = layout.notes, _At(), 0
+    body = _body(chain(head[layout.dialect.first :], source), layout)
+    while part := list(islice(body, rows)):
+        for told, after in _parts(layout, part, at):
+            at, twice = after, twice + told.twice
+            notes = (*notes, *told.notes)
+            if told.times:
+                here = replace(record, notes=notes, twice=twice)
+                piece = _piece(layout, here, told)
+                yield piece
+                record = replace(record, interval=piece.records[0].interval)
+                notes, twice = (), 0
+
+
+def _begun(
+    source: Iterator[str], where: str, renamed: Mapping[str, str], lines: int
+) -> tuple[Layout, list[str]]:
+    """Return the layout of a table and the lines that were read for it."""
+    head = list(islice(source, lines))
+    layout = layout_of(head, where, renamed, whole=len(head) < lines or lines > 1)
+    while layout is None:
+        more = next(source, None)
+        head += [] if more is None else [more]
+        layout = layout_of(head, where, renamed, whole=more is None or len(head) >= HEAD)
+    return layout, head
+
+
+def _body(lines: Iterable[str], layout: Layout) -> Iterator[_Row]:
+    """Yield the rows of values; a header, and units, that stand there again are none."""
+    dialect, header = layout.dialect, layout.dialect.given
+    count = len(header)
+    for number, row in cells_of(lines, dialect.separator, layout.where):
+        line = number + dialect.first
+        if len(row) == count and row[0][:1] in _DIGITS:
+            yield _Row(line, row)
+            continue
+        if not is_row(row):
+            continue
+        cells = trimmed(row, count)
+        if len(cells) != count:
+            raise InputError(
+                f"{layout.where}, line {line}: {len(cells)} cells, expected {count}; mend or "
+                "drop the row"
+            )
+        if tuple(map(str.strip, cells)) not in (header, dialect.units):
+            yield _Row(line, cells)
+
+
+def _parts(layout: Layout, rows: Sequence[_Row], at: _At) -> Iterator[tuple[_Part, _At]]:
+    """Yield rows run by run with their times, and where the reading stands after each."""
+    clock, where = layout.clock, layout.where
+    times = _counted(layout, rows, at)
+    if times is not None:
+        step = times[-1] - (times[-2] if len(times) > 1 else at.hands.last)
+        hands = Hands(times[-1], 0.0, step if step < np.inf else at.hands.step)
+        after = _At(hands, min(at.first, times[0]), at.rows + len(rows), rows[-1])
+        yield _Part(list(rows), times, at.hands.last, [], 0), after
+        return
+    part = _Part([], [], at.hands.last, [], 0)
+    for row in rows:
+        cells = [row.cells[k] for k in clock.columns]
+        told = moment(clock, cells, layout.dialect.decimal)
+        if told is None:
+            raise _no_time(layout, row, " ".join(cells).strip())
+        hands, note = passed(clock, at.hands, told)
+        if note:
+            part.notes.append(f"line {row.line}: {note}")
+        if hands.last == at.hands.last:
+            _check_twice(layout, at.before, row)
+            part = part._replace(twice=part.twice + 1)
+            continue
+        if hands.last < at.hands.last:
+            if clock.dated or at.rows < _FEWEST or hands.last > at.first + at.hands.step:
+                raise InputError(
+                    f"{where}, line {row.line}: the clock does not go forward (line "
+                    f"{at.before.line} is later); drop the row, or put the rows in order"
+                )
+            yield part, at
+            said = [f"line {row.line}: the clock begins anew, and so does a run"]
+            part, hands = _Part([], [], -np.inf, said, 0), Hands(told.first)
+            at = _At()
+        at = _At(hands, min(at.first, hands.last), at.rows + 1, row)
+        part.rows.append(row)
+        part.times.append(hands.last)
+    yield part, at
+
+
+def _counted(layout: Layout, rows: Sequence[_Row], at: _At) -> list[float] | None:
+    """Return the times of rows whose clock is a number that does nothing but increase."""
+    if layout.clock.form != "number":
+        return None
+    (k,) = layout.clock.columns
+    found = numbers([row.cells[k] for row in rows], layout.dialect.decimal)
+    times = found.values * layout.clock.factor / layout.clock.divisor
+    if found.unreadable is None and (np.diff(times, prepend=at.hands.last) > 0.0).all():
+        return list(times.tolist())
+    return None
+
+
+def _check_twice(layout: Layout, one: _Row, other: _Row) -> None:
+    """Refuse two rows of one time that do not say the same."""
+    for k in layout.kept:
+        first, second = one.cells[k].strip(), other.cells[k].strip()
+        if first != second:
+            raise InputError(
+                f"{layout.where}, lines {one.line} and {other.line}: two rows of one time "
+                f"contradict each other ({layout.names[k]}: {first!r} and {second!r}), the clock "
+                "does not go forward; drop one"
+            )
+
+
+def _no_time(layout: Layout, row: _Row, text: str) -> InputError:
+    names = " + ".join(layout.names[k] for k in layout.clock.columns)
+    if not text:
+        return InputError(f"{layout.where}, line {row.line}: the time is missing; drop the row")
+    return InputError(
+        f"{layout.where}, line {row.line}: {names} is {text!r}, no time like those before it; "
+        f"write one of {FORMS}"
+    )
+
+
+def _piece(layout: Layout, record: Record, part: _Part) -> Log:
+    missing = Counter[tuple[str, str]]()
+    values = np.empty((len(part.rows), len(layout.kept)))
+    cells_by_column = list(zip(*(row.cells for row in part.rows), strict=True))
+    for j, (k, column) in enumerate(zip(layout.kept, layout.columns, strict=True)):
+        found = numbers(cells_by_column[k], layout.dialect.decimal)
+        if found.unreadable is not None:
+            row = part.rows[found.unreadable]
+            raise InputError(
+                f"{layout.where}, line {row.line}: {column.name} is {row.cells[k].strip()!r}, no "
+                "number; write it like 20.5 or 20,5, and leave the cell empty if the reading is "
+                "missing"
+            )
+        good, wrong = without_error_values(found.values, column.quantity)
+        for token, count in (found.missing + wrong).items():
+            missing[column.name, token] += count
+        if len(good) > 1 or not np.isfinite(part.last):
+            _check_unit(layout.where, column, good)
+        values[:, j] = column.to_si(good)
+    times = np.array(part.times)
+    record = with_times(replace(record, missing=missing), times, part.last)
+    return Log(times, layout.columns, values, records=(record,))
+
+
+def _check_unit(where: str, column: Column, values: Array) -> None:
+    """Refuse what is hardly meant: kelvin in a column of °C, micrometres in one of metres."""
+    there = values[np.isfinite(values)]
+    if not there.size:
+        return
+    middle = float(np.median(there))
+    if column.unit == "degC" and _KELVIN[0] < middle < _KELVIN[1]:
+        raise InputError(
+            f"{where}: {column.name} is about {middle:.0f}, kelvin and not °C; rename "
+            f"it: --column '{column.name}={column.base}_K'"
+        )
+    if column.quantity == "length" and abs(float(column.to_si(np.array(middle)))) > _LARGEST_LENGTH:
+        raise InputError(
+            f"{where}: {column.name} is about {middle:g}: more than "
+            f"{1e3 * _LARGEST_LENGTH:.0f} mm is no thermal displacement; rename it with its unit"
+        )

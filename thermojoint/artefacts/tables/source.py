@@ -1,0 +1,173 @@
+"""Where the lines of a table come from: text in any usual encoding, Excel workbooks, Parquet."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import BinaryIO
+
+from thermojoint.artefacts.errors import InputError, UnreadableError
+
+#: Bytes by which a file is recognised.
+_HEAD = 4096
+#: The first bytes of a workbook (.xlsx is a zip), of Parquet, and of a workbook before 2007.
+_ZIP, _PARQUET, _OLD_EXCEL = b"PK\x03\x04", b"PAR1", b"\xd0\xcf\x11\xe0"
+
+
+def _as_cp1252(error: UnicodeError) -> tuple[str, int]:
+    """Decode what is no UTF-8 as Windows does: a logger's degree sign is one byte there."""
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    wrong = error.object[error.start : error.end]
+    return "".join(chr(one) if one in _NOT_IN_CP1252 else _cp1252(one) for one in wrong), error.end
+
+
+def _cp1252(one: int) -> str:
+    return bytes([one]).decode("cp1252")
+
+
+_NOT_IN_CP1252 = {0x81, 0x8D, 0x8F, 0x90, 0x9D}
+#: Name of the error handler: UTF-8, and CP1252 where a byte is none.
+OR_CP1252 = "thermojoint-or-cp1252"
+codecs.register_error(OR_CP1252, _as_cp1252)
+
+
+def encoding_of(head: bytes) -> str:
+    """Return the encoding of a text by its first bytes; `OR_CP1252` handles what is no UTF-8.
+
+    Parameters
+    ----------
+    head : bytes
+        Some of the file's beginning.
+    """
+    if head[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return "utf-16"
+    # Without a mark: Latin letters and digits have one empty byte of two.
+    if len(head) >= 4 and head[1:2] == head[3:4] == b"\0":
+        return "utf-16-le"
+    if len(head) >= 4 and head[0:1] == head[2:3] == b"\0":
+        return "utf-16-be"
+    return "utf-8-sig"
+
+
+def as_text(file: BinaryIO, head: bytes) -> io.TextIOWrapper:
+    """Return an open file as text.
+
+    Parameters
+    ----------
+    file : binary file
+        At its beginning; a pipe may be, too.
+    head : bytes
+        Its first bytes.
+    """
+    return io.TextIOWrapper(file, encoding_of(head), errors=OR_CP1252, newline=None)
+
+
+@contextmanager
+def lines_of(path: Path, kind: str) -> Iterator[Iterable[str]]:
+    """Open a table and give its lines; a sheet or Parquet becomes lines of CSV, cell by cell.
+
+    Parameters
+    ----------
+    path : Path
+        Text, .xlsx or Parquet, recognised by its content.
+    kind : str
+        What the file is, for error messages, e.g. ``log``.
+
+    Raises
+    ------
+    UnreadableError
+        The file is missing or cannot be opened.
+    InputError
+        It is no table, or what reads it is not installed.
+    """
+    if not path.is_file():
+        raise UnreadableError(f"{path}: no such file; give a {kind} as CSV, .xlsx or Parquet")
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise UnreadableError(f"{path}: cannot be read; check its permissions") from error
+    with file:
+        head = file.read(_HEAD)
+        file.seek(0)
+        if head.startswith(_ZIP):
+            yield _sheet_lines(file, str(path))
+        elif head.startswith(_PARQUET):
+            yield _parquet_lines(file, str(path))
+        elif head.startswith(_OLD_EXCEL):
+            raise InputError(f"{path}: a workbook from before 2007; save it as .xlsx or CSV")
+        elif b"\0" in head and encoding_of(head) == "utf-8-sig":
+            raise InputError(f"{path}: no table; give a CSV, .xlsx or Parquet")
+        else:
+            yield _text_lines(as_text(file, head), str(path))
+
+
+def _text_lines(text: io.TextIOWrapper, where: str) -> Iterator[str]:
+    try:
+        yield from text
+    except UnicodeError as error:
+        raise InputError(f"{where}: text in an unknown encoding; save it as UTF-8") from error
+    except OSError as error:
+        raise UnreadableError(f"{where}: cannot be read ({error.strerror})") from error
+
+
+def _sheet_lines(file: BinaryIO, where: str) -> Iterator[str]:
+    """Yield the first sheet with two rows or more as lines of CSV."""
+    try:
+        import openpyxl
+    except ImportError as error:
+        raise InputError(
+            f"{where}: reading .xlsx needs openpyxl; install thermojoint[excel], or save as CSV"
+        ) from error
+    try:
+        book = openpyxl.load_workbook(file, read_only=True, data_only=True)
+        sheet = next((one for one in book.worksheets if (one.max_row or 2) > 1), None)
+        for row in sheet.iter_rows(values_only=True) if sheet else ():
+            yield _line(row)
+    except (OSError, KeyError, ValueError, TypeError, EOFError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{where}: no readable workbook ({error}); save it as CSV") from error
+
+
+def _parquet_lines(file: BinaryIO, where: str) -> Iterator[str]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise InputError(f"{where}: reading Parquet needs pyarrow; install it") from error
+    try:
+        table = pq.ParquetFile(file)
+        yield _line(table.schema_arrow.names)
+        for batch in table.iter_batches():
+            columns = [
+                # Nothing of a log is finer than a microsecond.
+                one.cast(pa.timestamp("us", one.type.tz), safe=False)
+                if pa.types.is_timestamp(one.type)
+                else one
+                for one in batch.columns
+            ]
+            for row in zip(*(one.to_pylist() for one in columns), strict=True):
+                yield _line(row)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{where}: no readable Parquet ({error}); save it as CSV") from error
+
+
+def _line(cells: Iterable[object]) -> str:
+    """Return cells as a line of CSV that reads back as the same numbers, to the last bit."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(map(_text, cells))
+    return line.getvalue()
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, datetime):
+        return cell.isoformat(sep=" ")
+    return str(cell)
