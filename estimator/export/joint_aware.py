@@ -23,10 +23,10 @@ from estimator.export.program import (
     listed,
 )
 from estimator.interface import Status
-from estimator.joint_aware.estimator import SLACK, WIDTH, JointAware
+from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.model_file import fingerprint
-from estimator.joint_aware.trust import possible
-from estimator.sensor_faults import GATE, MODEL_ERROR
+from estimator.joint_aware.trust import channels_of
+from estimator.span import SLACK
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -87,7 +87,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     tolerance = kernel.tolerance
     if precision is Precision.SINGLE:
         tolerance = max(tolerance, SINGLE_TOLERANCE)
-    model = estimator.model
+    model, faults = estimator.model, estimator.thresholds.faults
     tables = _tables(estimator, kernel, tolerance)
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
@@ -99,7 +99,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "sources": distinct(model.sources, "sources"),
             "jumped": READING_JUMPED,
             "not_settled": NOT_SETTLED,
-            "jump": GATE * MODEL_ERROR,
+            "jump": faults.gate * faults.model_error,
             "linear": linear,
             "contacts": contacts,
             "modes": model.modes.rates.size,
@@ -172,6 +172,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
     calibrated = estimator.calibrated_readings
+    readable = channels_of(observer, calibrated)
     band = model.band
     return [
         Table("loss", "What a mode loses in a step.", loss),
@@ -187,7 +188,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("gain", "Of the readings, steady.", gain),
         Table("offset", "What every sensor reads too much, K.", np.append(model.offset, 0.0)),
         Table("calibrated", "Readings that were calibrated, K.", np.stack(calibrated, 1)),
-        Table("possible", "Readings that can be, K.", np.stack(possible(calibrated), 1)),
+        Table("possible", "Readings that can be, K.", np.stack([readable.low, readable.high], 1)),
         Table("laws", "Kind, scale, shape, start, preload, friction, stiffness.", kernel.laws),
         Table("springs", "As stiff as the joint at its preload, Pa/m.", kernel.springs),
         Table("compliance", "Gaps per traction, m/Pa.", kernel.compliance),

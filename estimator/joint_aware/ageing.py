@@ -3,10 +3,10 @@
 Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
 runs one copy for each parameter with that parameter a little off, on the same readings. What the
 copies leave of the readings says how the innovations depend on the parameters, without an equation
-for it: through filter, slips and all. Innovations are averaged over `WINDOW`, as a model errs alike
-from sample to sample. A Kalman filter learns from them the logarithms of the parameters, and beside
-these a bias of every sensor's innovations that lasts for hours: a model that errs for hours is no
-machine that has aged.
+for it: through filter, slips and all. Innovations are averaged over `Learning.window`, as a model
+errs alike from sample to sample. A Kalman filter learns from them the logarithms of the parameters,
+and beside these a bias of every sensor's innovations that lasts for hours: a model that errs for
+hours is no machine that has aged.
 
 Modes and gain stay those of the calibration: preload and friction are in the joint's law alone, and
 the film beyond the calibrated one is applied between two samples.
@@ -25,19 +25,21 @@ import numpy as np
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.observer_model import ObserverModel
-from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.slow_parameters import SLOW, Slow, check_ageing, learnt, wandered
+from estimator.joint_aware.observer_state import Layout, placed, unpacked
+from estimator.joint_aware.slow_parameters import (
+    SLOW,
+    USUAL,
+    Learning,
+    Slow,
+    check_ageing,
+    learnt,
+    wandered,
+)
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.reduced.film import Film, convected, film_of
 from thermojoint.reduced.machine import Joint
 from thermojoint.reduced.parameters import joint_with_factors
 
-#: The copies' parameters are off by this, in the logarithm.
-STEP = 0.03
-#: Innovations are averaged over this time, s; then they are wrong by this, K and m.
-WINDOW, LASTING_K, LASTING_M = 600.0, 0.1, 0.5e-6
-#: Their bias, K.
-BIAS = Slow(0.15, 6.0 * 3600.0)
 #: A sample whose status says anything else does not teach.
 TEACHES = (
     Status.BEYOND_TIME | Status.BEYOND_HEAT | Status.BEYOND_TEMPERATURE | Status.READING_MISSING
@@ -77,6 +79,8 @@ class AgeingJointAware:
         As calibrated.
     ageing : tuple of str
         Names out of `SLOW`.
+    learning : Learning
+        How fast, and from what.
 
     Raises
     ------
@@ -86,6 +90,7 @@ class AgeingJointAware:
 
     observer: JointAware
     ageing: tuple[str, ...]
+    learning: Learning = USUAL
     kind: Literal["joint-aware"] = "joint-aware"
 
     def __post_init__(self) -> None:
@@ -117,24 +122,27 @@ class AgeingJointAware:
         return (*self.observer.details, *own)
 
     @cached_property
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
+    def _parts(self) -> Layout:
+        """Where the parts of the state stand."""
         count, rows = len(self.ageing), len(self.observer.observer.system.rows)
-        return {
-            "time": (),
-            "begun": (),
-            "learnt": (count + rows,),
-            "covariance": (count + rows, count + rows),
-            "counted": (rows,),
-            "innovation": (rows,),
-            "sensitivity": (rows, count),
-            "runs": (count + 1, self.observer.initial_state().size),
-        }
+        return placed(
+            {
+                "time": (),
+                "begun": (),
+                "learnt": (count + rows,),
+                "covariance": (count + rows, count + rows),
+                "counted": (rows,),
+                "innovation": (rows,),
+                "sensitivity": (rows, count),
+                "runs": (count + 1, self.observer.initial_state().size),
+            }
+        )
 
     @property
     def _slow(self) -> list[Slow]:
         """What is learnt: parameters, then biases."""
         rows = len(self.observer.observer.system.rows)
-        return [*(SLOW[name] for name in self.ageing), *[BIAS] * rows]
+        return [*(SLOW[name] for name in self.ageing), *[self.learning.bias] * rows]
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest that is as it was calibrated."""
@@ -145,25 +153,17 @@ class AgeingJointAware:
         return self._fresh(self.observer.warm_state())
 
     def _fresh(self, start: Array) -> Array:
-        shapes = self._shapes
-        nothing = {name: np.zeros(shape) for name, shape in shapes.items()}
-        return _State(
-            **nothing
-            | {
-                "time": np.array(np.nan),
-                "begun": np.array(np.nan),
-                "covariance": np.diag([one.spread**2 for one in self._slow]),
-                "runs": np.tile(start, (len(self.ageing) + 1, 1)),
-            }
+        nothing = self._unpacked(np.zeros(self._parts.size))
+        return replace(
+            nothing,
+            time=np.array(np.nan),
+            begun=np.array(np.nan),
+            covariance=np.diag([one.spread**2 for one in self._slow]),
+            runs=np.tile(start, (len(self.ageing) + 1, 1)),
         ).flat()
 
     def _unpacked(self, state: Array) -> _State:
-        at, found = 0, {}
-        for name, shape in self._shapes.items():
-            size = math.prod(shape)
-            found[name] = state[at : at + size].reshape(shape)
-            at += size
-        return _State(**found)
+        return _State(**self._parts.views(state))
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
@@ -177,7 +177,7 @@ class AgeingJointAware:
         values = [*values, *[math.nan] * (len(self.channels) - len(values))]
         count = len(self.ageing)
         logarithms = before.learnt[:count]
-        machines = _aged(self.observer, self.ageing, tuple(logarithms.tolist()))
+        machines = _aged(self.observer, self.ageing, tuple(logarithms.tolist()), self.learning.step)
         taken = [
             one.sample(run, time, values) for one, run in zip(machines, before.runs, strict=True)
         ]
@@ -203,13 +203,11 @@ class AgeingJointAware:
             innovation, sensitivity, variance = self._without(before, machines, time, values, at)
             unbiased = np.zeros((len(innovation), before.learnt.size - count))
             rows = np.hstack([-sensitivity, unbiased])
-            after = _learning(
-                after, *learnt(after.learnt, after.covariance, innovation, rows, variance)
-            )
-        if time - float(after.begun) >= WINDOW:
+            after = self._taught(after, innovation, rows, variance)
+        if time - float(after.begun) >= self.learning.window:
             after = self._concluded(after)
         spread = before.covariance[:count, :count]
-        uncertain = np.einsum("ai,ij,aj->a", moved, spread, moved) / STEP**2
+        uncertain = np.einsum("ai,ij,aj->a", moved, spread, moved) / self.learning.step**2
         band = np.sqrt(estimate.band**2 + WIDTH**2 * np.maximum(uncertain, 0.0))
         own = np.column_stack([np.exp(logarithms), np.sqrt(np.diag(spread))]).ravel()
         return after.flat(), estimate._replace(
@@ -220,23 +218,30 @@ class AgeingJointAware:
         """Learn from a window and begin the next one."""
         some = state.counted > 0.0
         count = state.counted[some]
-        before = wandered(
+        found, covariance = wandered(
             self._slow, state.learnt, state.covariance, float(state.time - state.begun)
         )
         biases = np.eye(some.size)[some]
-        found = learnt(
-            *before,
-            state.innovation[some] / count - biases @ before[0][len(self.ageing) :],
+        taught = self._taught(
+            replace(state, learnt=found, covariance=covariance),
+            state.innovation[some] / count - biases @ found[len(self.ageing) :],
             np.hstack([-state.sensitivity[some] / count[:, None], biases]),
-            np.full(count.size, LASTING_K**2),
+            np.full(count.size, self.learning.lasting_K**2),
         )
         return replace(
-            _learning(state, *found),
+            taught,
             begun=state.time,
             counted=np.zeros_like(state.counted),
             innovation=np.zeros_like(state.innovation),
             sensitivity=np.zeros_like(state.sensitivity),
         )
+
+    def _taught(self, state: _State, innovation: Array, rows: Array, variance: Array) -> _State:
+        """What is learnt from some innovations; as `learnt`."""
+        found, covariance = learnt(
+            state.learnt, state.covariance, innovation, rows, variance, self.learning.farthest
+        )
+        return replace(state, learnt=found, covariance=covariance)
 
     def _touched(self, values: Sequence[float]) -> Flags:
         """Which values are readings of the displacement that came."""
@@ -260,10 +265,11 @@ class AgeingJointAware:
         axes = at[-len(self.axes) :]
         nominal = found[0]
         innovation = read[at] - nominal.displacement[axes]
-        sensitivity = np.array(
-            [(nominal.displacement - other.displacement)[axes] / STEP for other in found[1:]]
-        ).T
-        variance = (nominal.band[axes] / WIDTH) ** 2 + LASTING_M**2
+        sensitivity = (
+            np.array([(nominal.displacement - other.displacement)[axes] for other in found[1:]]).T
+            / self.learning.step
+        )
+        variance = (nominal.band[axes] / WIDTH) ** 2 + self.learning.lasting_m**2
         return innovation, sensitivity, variance
 
     def _films(self, logarithms: Array) -> list[float]:
@@ -272,16 +278,16 @@ class AgeingJointAware:
             return [0.0] * (len(self.ageing) + 1)
         at = self.ageing.index("film")
         now = float(logarithms[at])
-        return [now, *(now + STEP * (k == at) for k in range(len(self.ageing)))]
+        return [now, *(now + self.learning.step * (k == at) for k in range(len(self.ageing)))]
 
     def _with_film(self, run: Array, exponent: float, length: float) -> Array:
         """A run after the convection that the film has beyond the calibrated one, for a while."""
         if not exponent or not length:
             return run
-        at = slice(3, 3 + self._film.ambient.size)
-        ambient = float(unpacked(run, self.observer.parts).linear[-1])
         after = run.copy()
-        after[at] = convected(self._film, run[at], ambient, math.exp(exponent), length)
+        linear = unpacked(after, self.observer.parts).linear
+        modes = linear[: self._film.ambient.size]
+        modes[:] = convected(self._film, modes, float(linear[-1]), math.exp(exponent), length)
         return after
 
     @cached_property
@@ -292,7 +298,7 @@ class AgeingJointAware:
         """The window with one more sample."""
         innovations = np.array([self._innovation(run, values, length) for run in after.runs])
         present = np.isfinite(innovations[0])
-        slope = (innovations[1:] - innovations[0]).T / STEP
+        slope = (innovations[1:] - innovations[0]).T / self.learning.step
         return replace(
             after,
             counted=after.counted + present,
@@ -321,11 +327,11 @@ class AgeingJointAware:
 
 @lru_cache(maxsize=32)
 def _aged(
-    observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...]
+    observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...], step: float
 ) -> list[JointAware]:
     """The observer and its copies at these parameters; kept, as a window has the same ones."""
     every = [logarithms] + [
-        tuple(value + STEP * (k == one) for k, value in enumerate(logarithms))
+        tuple(value + step * (k == one) for k, value in enumerate(logarithms))
         for one in range(len(names))
     ]
     return [replace(observer, model=_with_joints(observer.model, names, one)) for one in every]
@@ -341,7 +347,3 @@ def _with_joints(
     }
     joints: tuple[Joint, ...] = tuple(joint_with_factors(one, factors) for one in model.joints)
     return replace(model, joints=joints)
-
-
-def _learning(state: _State, found: Array, covariance: Array) -> _State:
-    return replace(state, learnt=found, covariance=covariance)

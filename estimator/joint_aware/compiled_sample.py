@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.joint_aware.observer_state import UNKNOWN, Layout
-from estimator.sensor_faults import GATE, MODEL_ERROR, Watch, look
+from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
+from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
 from fesim.machine_code import compiled
 from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
 from thermojoint.artefacts.arrays import Array
@@ -34,8 +34,10 @@ class Filter(NamedTuple):
         Of all readings with the steady covariance.
     remainder : ndarray, shape (axes, s q)
         Displacement per relaxation, m.
-    noise, low, high : ndarray, shape (p + 1,)
-        Of the readings, and between which they are possible, K.
+    channels : Channels
+        What the readings can say.
+    rules : Thresholds
+        When one is distrusted.
     forgetting : float
         Rate at which what readings of the displacement told is forgotten, 1/s.
     """
@@ -45,44 +47,23 @@ class Filter(NamedTuple):
     rows: Array
     gain: Array
     remainder: Array
-    noise: Array
-    low: Array
-    high: Array
+    channels: Channels
+    rules: Thresholds
     forgetting: float
 
 
-class Places(NamedTuple):
-    """Where the parts of a flat state begin (`observer_state.layout`)."""
+class Place(NamedTuple):
+    """Where a sample is taken: the machine and its joint over one step, and what is not theirs."""
 
-    time: int
-    memory: int
-    linear: int
-    gap: int
-    slip: int
-    pressure: int
-    change: int
-    excess: int
-    watch: int
-    model_error: int
-    suspected: int
-
-
-def places(known: Layout) -> Places:
-    """Return where the parts begin."""
-    starts = {name: at.start for name, at, _ in known.parts}
-    return Places(
-        **{name: starts[name] for name in Places._fields[:-1]},
-        suspected=starts["suspicion.channel"],
-    )
+    own: Filter
+    heat: HeatStep
+    joint: JointKernel
 
 
 @compiled
 def usual_sample(
-    own: Filter,
-    heat: HeatStep,
-    joint: JointKernel,
-    at: Places,
-    state: Array,
+    place: Place,
+    state: ObserverState,
     time: float,
     length: float,
     readings: Array,
@@ -92,10 +73,10 @@ def usual_sample(
 
     Parameters
     ----------
-    own, heat, joint, at
-        What the observer is made of; `heat` for a step of `length`.
-    state : ndarray
-        Flat; the sample before is `length` (s) ago.
+    place : Place
+        What the observer is made of, for a step of `length`.
+    state : ObserverState
+        Views of a flat state; the sample before is `length` (s) ago.
     time, length : float
         s.
     readings : ndarray, shape (p + 1,)
@@ -108,27 +89,22 @@ def usual_sample(
     bool
         Whether it was. If not, `state` is no state any more.
     """
+    own, heat, joint = place.own, place.heat, place.joint
     channels, size = own.rows.shape
-    contacts, modes = joint.preload.size, heat.decay.size
-    if state[at.memory] == UNKNOWN or state[at.suspected] == state[at.suspected]:
+    judging = state.suspicion.channel[()]
+    if state.memory[()] == UNKNOWN or judging == judging:
         return False
-    for k in range(at.excess, at.watch):
-        if state[k] != 0.0:
+    for more in state.excess.flat:
+        if more != 0.0:
             return False
-    seen = state[at.watch : at.model_error].reshape((-1, channels))
     for k in range(channels):
-        if seen[0, k] != 0.0 or not np.isfinite(readings[k]):
+        if state.watch.distrusted[k] != 0.0 or not np.isfinite(readings[k]):
             return False
-    linear = state[at.linear : at.gap]
-    gap = state[at.gap : at.slip].reshape((3, contacts))
-    slip = state[at.slip : at.pressure].reshape((2, contacts))
-    pressure = state[at.pressure : at.change]
-    change = state[at.change : at.excess].reshape((3, contacts))
+    modes = heat.decay.size
     sources, rates = own.relaxing.shape
     dynamic = modes + sources * rates
-    inputs = linear[dynamic:]
-    conduct_step(heat, joint, linear[:modes], inputs, pressure)
-    relaxed = linear[modes:dynamic]
+    linear, inputs, relaxed = state.linear, state.linear[dynamic:], state.linear[modes:dynamic]
+    conduct_step(heat, joint, linear[:modes], inputs, state.pressure)
     for s in range(sources):
         for q in range(rates):
             kept = own.relaxing[s, q]
@@ -136,39 +112,31 @@ def usual_sample(
             relaxed[k] = kept * relaxed[k] + (1.0 - kept) * inputs[s] / own.power[s]
     predicted = np.dot(own.rows, linear)
     innovation = readings - predicted
-    # No contradiction is smaller than this; nor is a jump.
-    if math.sqrt(np.dot(innovation, innovation)) > GATE * MODEL_ERROR:
+    if not certainly_alike(innovation, own.rules):
         return False
     odd, near = np.empty(channels, np.bool_), np.empty(channels, np.bool_)
-    watch = Watch(
-        seen[0],
-        seen[1],
-        seen[2],
-        seen[3],
-        seen[4],
-        seen[5],
-        seen[6],
-        seen[7],
-        seen[8],
-        seen[9],
-        seen[10],
-        seen[11],
-        seen[12],
-    )
-    # The last channel is the ambient.
-    look(watch, time, readings, predicted, own.noise, own.low, own.high, channels - 1, odd, near)
+    sample = Sample(time, readings, predicted)
+    look(state.watch, sample, own.channels, own.rules, odd, near)
     if odd.any():
         return False
     for k in range(size):
         for c in range(channels):
             linear[k] += own.gain[k, c] * innovation[c]
-    if settle_step(joint, linear[:modes], gap, slip, pressure, change, displacement) != 0:
+    if settle_step(
+        joint,
+        linear[:modes],
+        state.gap,
+        state.slip,
+        state.pressure,
+        state.change,
+        displacement,
+    ):
         return False
     displacement += np.dot(own.remainder, relaxed)
-    told = state[at.model_error : at.suspected].reshape((2, -1))
     kept = math.exp(-own.forgetting * length)
+    told = state.model_error
     for axis in range(displacement.size):
-        told[0, axis] *= kept
-        told[1, axis] = 1.0 - kept * kept * (1.0 - told[1, axis])
-    state[at.time] = time
+        told.mean[axis] *= kept
+        told.variance[axis] = 1.0 - kept * kept * (1.0 - told.variance[axis])
+    state.time[()] = time
     return True

@@ -3,23 +3,40 @@
 What the temperatures leave open in the displacement has two parts: what the state is not known to
 (the columns L, which a reading corrects like any other measurement), and what the model is wrong
 by. The latter is taken as b = beta sigma, sigma being the model's own standard deviation at the
-present heat (`Band`) and beta of unit variance, forgotten over `MEMORY`: what was found at one
-heat is taken to grow and to fade with sigma.
+present heat (`Band`) and beta of unit variance, forgotten over `Touch.memory`: what was found at
+one heat is taken to grow and to fade with sigma.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from estimator.interface import READING_NOISE
+from estimator.joint_aware.observer_model import Band
 from thermojoint.artefacts.arrays import Array
 
-#: How long what was found of the model's error lasts, s.
-MEMORY = 4.0 * 3600.0
-#: Standard deviations of an innovation beyond which a reading is refused.
-GATE = 5.0
+
+@dataclass(frozen=True)
+class Touch:
+    """How a reading of the displacement is taken (docs/faulty-sensors.md).
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of a reading, m.
+    memory : float
+        How long what was found of the model's error lasts, s.
+    gate : float
+        Standard deviations of an innovation beyond which a reading is refused.
+    """
+
+    noise: float = READING_NOISE
+    memory: float = 4.0 * 3600.0
+    gate: float = 5.0
 
 
 class ModelError(NamedTuple):
@@ -42,9 +59,9 @@ def unknown(axes: int) -> ModelError:
     return ModelError(np.zeros(axes), np.ones(axes))
 
 
-def later(known: ModelError, elapsed: float) -> ModelError:
-    """Return what is left of it after some time, s."""
-    kept = math.exp(-elapsed / MEMORY)
+def later(known: ModelError, elapsed: float, memory: float) -> ModelError:
+    """Return what is left of it after some time, s, where it lasts for `memory`, s."""
+    kept = math.exp(-elapsed / memory)
     return ModelError(kept * known.mean, 1.0 - kept**2 * (1.0 - known.variance))
 
 
@@ -71,10 +88,9 @@ class Correction(NamedTuple):
 
 def correct_by(
     innovation: Array,
-    noise: float,
-    steady: Array,
+    touch: Touch,
+    band: Band,
     sigma: Array,
-    tangent: Array,
     excess: Array,
     known: ModelError,
 ) -> Correction:
@@ -87,25 +103,23 @@ def correct_by(
     ----------
     innovation : ndarray, shape (axes,)
         Reading less estimate, m; NaN along an axis that was not read.
-    noise : float
-        Standard deviation of a reading, m.
-    steady : ndarray, shape (axes,)
-        Variance of the displacement that the steady covariance has, m2.
+    touch : Touch
+        How it is taken.
+    band : Band
+        Of the model: T, displacement per state, and the variance that the steady covariance has.
     sigma : ndarray, shape (axes,)
         The model's standard deviation, m.
-    tangent : ndarray, shape (axes, n)
-        T, displacement per state, m.
     excess : ndarray, shape (n, k)
         L.
     known : ModelError
         Before it.
     """
     at = np.flatnonzero(np.isfinite(innovation))
-    own = (steady + sigma**2 * known.variance + noise**2)[at]
-    seen = tangent[at] @ excess
+    own = (band.steady + sigma**2 * known.variance + touch.noise**2)[at]
+    seen = band.tangent[at] @ excess
     covariance = seen @ seen.T + np.diag(own)
     told = np.linalg.solve(covariance, innovation[at])
-    if innovation[at] @ told > GATE**2 * at.size:
+    if innovation[at] @ told > touch.gate**2 * at.size:
         return Correction(np.zeros(len(excess)), excess, known, True)
     gain = (sigma * known.variance)[at]
     mean, variance = known.mean.copy(), known.variance.copy()

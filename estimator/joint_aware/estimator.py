@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, suspicion
-from estimator.joint_aware.displacement_readings import ModelError
+from estimator.joint_aware.displacement_readings import ModelError, Touch
 from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
@@ -24,20 +24,13 @@ from estimator.joint_aware.observer_state import (
     layout,
     unpacked,
 )
-from estimator.joint_aware.trust import Moment, Trusted, possible, thermometer_noise, trusted
+from estimator.joint_aware.thresholds import USUAL, Thresholds
+from estimator.joint_aware.trust import Moment, Trusted, channels_of, trusted
+from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.physics import heat_step
 
-#: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
-SLACK = 0.05
-#: The ambient may change by this much without a word, K.
-AMBIENT = 10.0
-#: Steps between two samples at most; after a longer silence they are longer.
-MOST_STEPS = 2000
-#: The excess columns forget what the readings err by for hours: the displacement is so many times
-#: less certain than they say (found on the reference machine, warm starts after 2, 4 and 6 h).
-DOUBT = 3.0
 #: Half a band of 95 % in standard deviations.
 WIDTH = 1.96
 
@@ -84,10 +77,13 @@ class JointAware:
         All it runs on.
     touch_noise : float
         Standard deviation of a reading of the displacement, m.
+    thresholds : Thresholds
+        What is taken for possible, known, settled or beyond.
     """
 
     model: ObserverModel
     touch_noise: float = READING_NOISE
+    thresholds: Thresholds = USUAL
 
     @property
     def kind(self) -> Kind:
@@ -123,7 +119,7 @@ class JointAware:
     @cached_property
     def observer(self) -> Observer:
         """What runs from sample to sample."""
-        return Observer(self.model)
+        return Observer(self.model, self.thresholds)
 
     @cached_property
     def parts(self) -> Layout:
@@ -145,8 +141,8 @@ class JointAware:
         slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(self.model.filter.noise[:-1]))
         offset = self.model.offset
         return (
-            np.append(low - slack - offset, -AMBIENT),
-            np.append(high + slack - offset, AMBIENT),
+            np.append(low - slack - offset, -self.thresholds.ambient),
+            np.append(high + slack - offset, self.thresholds.ambient),
         )
 
     def initial_state(self) -> Array:
@@ -166,32 +162,35 @@ class JointAware:
             linear=np.zeros(size),
             **self.observer.physics.at_rest()._asdict(),
             excess=excess,
-            watch=sensor_faults.fresh(len(self.observer.system.rows)),
+            watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=displacement_readings.unknown(len(self.axes)),
             suspicion=suspicion.none(size),
         ).flat()
 
     @cached_property
-    def _filter(self) -> compiled_sample.Filter:
-        """What a usual sample needs beside the machine and its joint, in machine code."""
-        model, observer = self.model, self.observer
-        relaxing = 1.0 / (1.0 + model.step * model.remainder.rates)
-        low, high = possible(self.calibrated_readings)
-        return compiled_sample.Filter(
-            np.tile(relaxing, (model.power.size, 1)),
-            model.power,
-            np.ascontiguousarray(observer.system.rows),
-            np.ascontiguousarray(observer.usual_gain),
-            np.ascontiguousarray(model.remainder.displacement),
-            thermometer_noise(observer),
-            low,
-            high,
-            1.0 / displacement_readings.MEMORY,
-        )
+    def _readable(self) -> sensor_faults.Channels:
+        """What the readings of the temperatures can say."""
+        return channels_of(self.observer, self.calibrated_readings)
 
     @cached_property
-    def _places(self) -> compiled_sample.Places:
-        return compiled_sample.places(self.parts)
+    def _place(self) -> compiled_sample.Place | None:
+        """Where a usual sample is taken in machine code; None where there is none."""
+        model, observer = self.model, self.observer
+        kernel = observer.physics.kernel
+        if kernel is None:
+            return None
+        relaxing = 1.0 / (1.0 + model.step * model.remainder.rates)
+        own = compiled_sample.Filter(
+            relaxing=np.tile(relaxing, (model.power.size, 1)),
+            power=model.power,
+            rows=np.ascontiguousarray(observer.system.rows),
+            gain=np.ascontiguousarray(observer.usual_gain),
+            remainder=np.ascontiguousarray(model.remainder.displacement),
+            channels=self._readable,
+            rules=self.thresholds.faults,
+            forgetting=1.0 / self.thresholds.touch.memory,
+        )
+        return compiled_sample.Place(own, heat_step(model.modes, model.step), kernel)
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
@@ -204,50 +203,42 @@ class JointAware:
             The joint has no equilibrium that is found at these temperatures.
         """
         readings, touched = self.separated(values)
-        moment = self._moment(float(state[0]), time)
-        after, taken = self._usual(state, moment, readings, touched) or self._taken(
-            state, moment, readings, touched
-        )
-        return after, self._told(taken, time, readings)
+        flat = state.copy()
+        after = unpacked(flat, self.parts)
+        moment = self._moment(float(after.time), time)
+        taken = self._usual(after, moment, readings, touched)
+        if taken is None:
+            taken = self._taken(unpacked(state, self.parts), moment, readings, touched)
+            flat = taken.after.flat()
+        return flat, self._told(taken, time, readings)
 
     def _usual(
-        self, state: Array, moment: Moment, readings: Array, touched: Array
-    ) -> tuple[Array, Taken] | None:
-        """Take a sample in machine code, if it is a usual one."""
-        kernel = self.observer.physics.kernel
-        if kernel is None or moment.steps != 1 or moment.length != self.model.step:
+        self, state: ObserverState, moment: Moment, readings: Array, touched: Array
+    ) -> Taken | None:
+        """Take a sample in machine code, in place, if it is a usual one."""
+        if self._place is None or moment.steps != 1 or moment.length != self.model.step:
             return None
         if not np.isnan(touched).all():
             return None
-        after, displacement = state.copy(), np.empty(len(self.axes))
-        usual = compiled_sample.usual_sample(
-            self._filter,
-            heat_step(self.model.modes, moment.length),
-            kernel,
-            self._places,
-            after,
-            moment.time,
-            moment.length,
-            readings,
-            displacement,
-        )
-        if not usual:
+        displacement = np.empty(len(self.axes))
+        if not compiled_sample.usual_sample(
+            self._place, state, moment.time, moment.length, readings, displacement
+        ):
             return None
-        parts = unpacked(after, self.parts)
-        memory, everything = float(parts.memory), np.ones(readings.size, dtype=bool)
-        return after, Taken(parts, displacement, memory, parts.excess, everything, False)
+        memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
+        return Taken(state, displacement, memory, state.excess, everything, False)
 
     def _taken(
-        self, state: Array, moment: Moment, readings: Array, touched: Array
-    ) -> tuple[Array, Taken]:
+        self, before: ObserverState, moment: Moment, readings: Array, touched: Array
+    ) -> Taken:
         """Take a sample, whatever it is like."""
-        before = unpacked(state, self.parts)
         expected = self.observer.expected(before, moment.length, moment.steps)
-        used = trusted(self.observer, before, expected, moment, readings, self.calibrated_readings)
+        used = trusted(self.observer, before, expected, moment, readings, self._readable)
         linear, excess = self._corrected(used, moment, readings)
         expected = used.expected
         found = self.observer.read(linear, expected.joint, expected.memory)
-        known = displacement_readings.later(before.model_error, moment.length * moment.steps)
+        elapsed, memory = moment.length * moment.steps, self.thresholds.touch.memory
+        known = displacement_readings.later(before.model_error, elapsed, memory)
         refused = False
         if np.isfinite(touched).any():
             correction = self._touched(touched, found, expected.memory, excess, known)
@@ -265,8 +256,7 @@ class JointAware:
             model_error=known,
             suspicion=used.suspicion,
         )
-        taken = Taken(after, found.displacement, expected.memory, excess, used.believed, refused)
-        return after.flat(), taken
+        return Taken(after, found.displacement, expected.memory, excess, used.believed, refused)
 
     def _told(self, taken: Taken, time: float, readings: Array) -> Estimate:
         """What is said of a sample."""
@@ -330,7 +320,7 @@ class JointAware:
             )
         # An interval of a step, but for its rounding, is one step.
         steps = max(1, math.ceil((time - last) / self.model.step - 1e-6))
-        steps = min(steps, MOST_STEPS)
+        steps = min(steps, self.thresholds.most_steps)
         length = (time - last) / steps
         near = abs(length - self.model.step) <= 1e-6 * self.model.step
         return Moment(time, self.model.step if near else length, steps)
@@ -348,14 +338,10 @@ class JointAware:
     ) -> displacement_readings.Correction:
         """What a reading of the displacement changes."""
         sigma = self.observer.sigma(found.relaxed, memory)
+        touch: Touch = replace(self.thresholds.touch, noise=self.touch_noise)
+        innovation = touched - found.displacement - known.mean * sigma
         return displacement_readings.correct_by(
-            touched - found.displacement - known.mean * sigma,
-            self.touch_noise,
-            self.model.band.steady,
-            sigma,
-            self.model.band.tangent,
-            excess,
-            known,
+            innovation, touch, self.model.band, sigma, excess, known
         )
 
     def _left_out(self, readings: Array, believed: sensor_faults.Flags) -> tuple[Names, Names]:
@@ -374,7 +360,7 @@ class JointAware:
         variance = self.model.band.steady + known.variance * sigma**2
         if excess.any():
             told = np.square(self.model.band.tangent @ excess).sum(axis=1)
-            variance = variance + DOUBT**2 * told
+            variance = variance + self.thresholds.doubt**2 * told
         return np.asarray(WIDTH * np.sqrt(variance))
 
     def _undecided(self, after: ObserverState) -> Array:

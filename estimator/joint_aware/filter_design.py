@@ -230,9 +230,7 @@ def correct(
         rest = covariance[np.ix_(absent, absent)] - across.T @ precision @ across
         unseen = filter_.cross[:, absent] - gain @ across
         lost = unseen @ np.linalg.inv(np.linalg.cholesky(rest)).T
-    if not excess.any():
-        return gain, np.hstack([excess, lost])
-    if not present.size:
+    if not (present.size and excess.any()):
         return gain, np.hstack([excess, lost])
     seen_excess = rows[present] @ excess
     shifted = excess - gain @ seen_excess

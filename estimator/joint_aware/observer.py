@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, ObserverState
+from estimator.joint_aware.thresholds import USUAL, Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import (
     JointState,
@@ -21,13 +22,6 @@ from thermojoint.reduced.physics import (
     settle_joint,
 )
 
-#: Excess columns that tell the readings less than this part of their noise are nothing any more.
-FORGOTTEN = 1e-3
-#: The joint is followed from when the displacement is known to this, m.
-FOLLOWABLE = 1e-6
-#: Part of what lasts in the readings that counts where the past is known: unknown is then the heat
-#: of some minutes, and no field that may have been there for hours.
-DOUBT_OF_HEAT = 0.2
 #: Steps over which the answer of the readings to the heat is kept.
 ANSWER = 60
 
@@ -57,9 +51,12 @@ class Observer:
     ----------
     model : ObserverModel
         All it runs on.
+    thresholds : Thresholds
+        What it takes for known.
     """
 
     model: ObserverModel
+    thresholds: Thresholds = USUAL
 
     @cached_property
     def physics(self) -> Physics:
@@ -98,7 +95,7 @@ class Observer:
             linear = self._later(linear, joint, length)
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory)
-                excess = self._forgetting(excess, length, memory)
+                excess = self._forgetting(excess, length)
         return Expected(linear, joint, excess, memory)
 
     def _later(self, linear: Array, joint: JointState, length: float) -> Array:
@@ -122,7 +119,7 @@ class Observer:
         weight = max(1.0, self.model.step / length)
         if present.size == len(self.system.rows) and weight == 1.0 and not excess.any():
             return self.usual_gain, excess
-        doubt = DOUBT_OF_HEAT if memory == KNOWN else 1.0
+        doubt = self.thresholds.doubt_of_heat if memory == KNOWN else 1.0
         gain, after = correct(self.model.filter, self.system.rows, present, excess, weight, doubt)
         return gain, compressed(after, self.model.filter.scale, excess.shape[1])
 
@@ -132,10 +129,11 @@ class Observer:
         own = np.diag(self.model.filter.noise)
         return np.asarray(self.model.filter.innovation + own + told @ told.T)
 
-    def _forgetting(self, excess: Array, length: float, memory: float) -> Array:
+    def _forgetting(self, excess: Array, length: float) -> Array:
         """Excess columns after a step of some length without any reading."""
-        nothing = np.arange(0)
-        _, after = self.gain(nothing, excess, self.model.step, memory)
+        nothing, own = np.arange(0), self.model.filter
+        _, after = correct(own, self.system.rows, nothing, excess, 1.0)
+        after = compressed(after, own.scale, excess.shape[1])
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
         if walks.any():
             more = np.zeros((len(after), walks.size))
@@ -150,8 +148,9 @@ class Observer:
         after = self.system.advance(excess)
         told = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
         moved = np.square(self.model.band.tangent @ after).sum(axis=1)
-        known = np.all(moved <= FORGOTTEN * self.model.band.steady)
-        return np.zeros_like(after) if told.max() <= FORGOTTEN and known else after
+        least = self.thresholds.forgotten
+        known = np.all(moved <= least * self.model.band.steady)
+        return np.zeros_like(after) if told.max() <= least and known else after
 
     def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
         """The joint and the displacement at the present temperatures.
@@ -166,7 +165,8 @@ class Observer:
     def remembered(self, memory: float, excess: Array) -> float:
         """What is known of the slips after a sample."""
         uncertain = np.square(self.model.band.tangent @ excess).sum(axis=1)
-        return FOLLOWED if memory == UNKNOWN and uncertain.max() <= FOLLOWABLE**2 else memory
+        known = uncertain.max() <= self.thresholds.followable**2
+        return FOLLOWED if memory == UNKNOWN and known else memory
 
     def read(self, linear: Array, joint: JointState, memory: float) -> Settled:
         """The joint settled at the corrected temperatures, and what is read off it."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +20,7 @@ from thermojoint.reduced.physics import JointState
 KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class ObserverState:
+class ObserverState(NamedTuple):
     """All that the next sample depends on.
 
     Attributes
@@ -64,20 +65,8 @@ class ObserverState:
 
     def flat(self) -> Array:
         """Return one array that holds it all."""
-        return np.concatenate(
-            [
-                [self.time, self.begun, self.memory],
-                self.linear,
-                self.gap.ravel(),
-                self.slip.ravel(),
-                self.pressure,
-                self.change.ravel(),
-                self.excess.ravel(),
-                *self.watch,
-                *self.model_error,
-                *(part.ravel() for part in self.suspicion),
-            ]
-        )
+        *own, watch, error, suspicion = self
+        return np.concatenate([np.ravel(part) for part in (*own, *watch, *error, *suspicion)])
 
 
 @dataclass(frozen=True)
@@ -92,32 +81,50 @@ class Layout:
 
     parts: tuple[tuple[str, slice, tuple[int, ...]], ...]
 
+    @property
+    def size(self) -> int:
+        """Values of the state."""
+        return self.parts[-1][1].stop
 
-def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -> Layout:
-    """Return where the parts of the state of an observer stand."""
-    shapes: dict[str, tuple[int, ...]] = {
-        "time": (),
-        "begun": (),
-        "memory": (),
-        "linear": (states,),
-        "gap": (3, contacts),
-        "slip": (2, contacts),
-        "pressure": (contacts,),
-        "change": (3, contacts),
-        "excess": (states, columns),
-        "watch": (len(Watch._fields), channels),
-        "model_error": (len(ModelError._fields), axes),
-        **{f"suspicion.{name}": () for name in Suspicion._fields[:-1]},
-        "suspicion.linear": (states,),
-    }
+    def views(self, state: Array) -> dict[str, Array]:
+        """Return the parts of a flat state by their names, as views."""
+        return {
+            name: state[at] if len(shape) == 1 else state[at].reshape(shape)
+            for name, at, shape in self.parts
+        }
+
+
+def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
+    """Return where parts of these shapes stand, one after the other."""
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
     places = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
     return Layout(tuple(zip(shapes, places, shapes.values(), strict=True)))
 
 
+def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -> Layout:
+    """Return where the parts of the state of an observer stand."""
+    return placed(
+        {
+            "time": (),
+            "begun": (),
+            "memory": (),
+            "linear": (states,),
+            "gap": (3, contacts),
+            "slip": (2, contacts),
+            "pressure": (contacts,),
+            "change": (3, contacts),
+            "excess": (states, columns),
+            "watch": (len(Watch._fields), channels),
+            "model_error": (len(ModelError._fields), axes),
+            **{f"suspicion.{name}": () for name in Suspicion._fields[:-1]},
+            "suspicion.linear": (states,),
+        }
+    )
+
+
 def unpacked(state: Array, known: Layout) -> ObserverState:
     """Return views of the parts of a flat state."""
-    found = {name: state[at].reshape(shape) for name, at, shape in known.parts}
+    found = known.views(state)
     suspicion = Suspicion(*(found.pop(f"suspicion.{name}") for name in Suspicion._fields))
     watch, error = Watch(*found.pop("watch")), ModelError(*found.pop("model_error"))
     return ObserverState(watch=watch, model_error=error, suspicion=suspicion, **found)

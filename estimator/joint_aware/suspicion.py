@@ -16,11 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from estimator.sensor_faults import GATE
 from thermojoint.artefacts.arrays import Array
-
-#: A jump is judged after this long, s, and this many samples.
-DECIDED, SAMPLES = 12.0, 3
 
 
 class Suspicion(NamedTuple):
@@ -66,11 +62,7 @@ def none(states: int) -> Suspicion:
 
 
 def suspected(
-    linear: Array,
-    innovation: Array,
-    deviation: Array,
-    time: float,
-    interval: float,
+    linear: Array, innovation: Array, limit: Array, time: float, interval: float
 ) -> Suspicion:
     """Return the suspicion that a sample arouses.
 
@@ -80,12 +72,11 @@ def suspected(
         What was expected before it.
     innovation : ndarray, shape (p,)
         Of the readings that are believed, K; 0 for the others.
-    deviation : ndarray, shape (p,)
-        Their standard deviation, what the model errs by included, K.
+    limit : ndarray, shape (p,)
+        Beyond which one is a jump, K.
     time, interval : float
         Of the sample and since the one before, s.
     """
-    limit = GATE * deviation
     relative = np.abs(innovation) / limit
     channel = int(np.argmax(relative))
     if relative[channel] <= 1.0:
@@ -100,43 +91,52 @@ def suspected(
     )
 
 
+def growth(known: Suspicion, elapsed: float, answer: Array, step: float) -> float:
+    """Return by what factor a jump that was heat would have grown by now.
+
+    Parameters
+    ----------
+    known : Suspicion
+        The jump.
+    elapsed : float
+        Since it, s.
+    answer : ndarray, shape (k,)
+        The reading's answer to heat that is switched on, after 1, 2 ... steps, K/W.
+    step : float
+        s.
+    """
+    times = step * np.arange(1, answer.size + 1)
+    interval = float(known.interval)
+    now, then = np.interp(elapsed + interval, times, answer), np.interp(interval, times, answer)
+    return float(now / then)
+
+
 def judged(
-    known: Suspicion,
-    departure: float,
-    time: float,
-    imperfect: float,
-    answer: Array,
-    step: float,
+    known: Suspicion, departure: float, limit: float, due: bool, expected: float
 ) -> Judgement:
     """Say what a jump was, a sample later.
 
     Parameters
     ----------
     known : Suspicion
-        With this sample counted.
+        The jump.
     departure : float
         The reading less what the state without it expects, K; NaN where there is none.
-    time : float
-        s.
-    imperfect : float
-        What the reading may be off by for want of a perfect model, K.
-    answer : ndarray, shape (k,)
-        The reading's answer to heat that is switched on, after 1, 2 ... steps, K/W.
-    step : float
-        s.
+    limit : float
+        What the reading may be off by, K.
+    due : bool
+        Whether it is late enough to tell heat from an offset.
+    expected : float
+        By what factor it would have grown if it was heat (`growth`).
     """
     if not math.isfinite(departure):
         return Judgement.OPEN
-    if abs(departure) <= GATE * imperfect:
+    if abs(departure) <= limit:
         return Judgement.SPIKE
-    elapsed = time - float(known.since)
-    if elapsed < DECIDED or known.samples < SAMPLES:
+    if not due:
         return Judgement.OPEN
-    times = step * np.arange(1, answer.size + 1)
-    interval = float(known.interval)
-    growth = np.interp(elapsed + interval, times, answer) / np.interp(interval, times, answer)
     grown = departure / float(known.jump)
-    return Judgement.HEAT if grown >= math.sqrt(max(growth, 1.0)) else Judgement.OFFSET
+    return Judgement.HEAT if grown >= math.sqrt(max(expected, 1.0)) else Judgement.OFFSET
 
 
 def without_heat(

@@ -1,13 +1,22 @@
 """Which readings of a sample an observer uses, and what it takes to be known where some are not.
 
-`sensor_faults` judges a sample by itself, `suspicion` a jump by the samples after it. Where most
-readings contradict, it is the state that is wrong: then nothing is taken to be known. Where one is
-newly left out that saw most of a source, that source's heat is: it may have changed just then.
+Start at `trusted`, the only judge of a sample. It takes three steps:
+
+1. A jump that is not yet judged is followed for another sample (`_followed`, `suspicion`).
+2. The channels are judged (`sensor_faults.judge_sample`), a jump of the heat being no contradiction
+   (`_unexplained`). Where most contradict, it is the state that is wrong: then nothing is taken to
+   be known, and they are judged again.
+3. Where a channel is newly left out that saw most of a source, that source's heat is unknown: it
+   may have changed just then (`_heat_unknown`). A jump of a channel that is used becomes a
+   suspicion.
+
+A usual sample, on which all of this has no effect, is taken in machine code (`compiled_sample`).
+Proved by tests/test_faulty_readings.py: every fault in every sensor of a machine.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,19 +24,11 @@ from numpy.typing import NDArray
 
 from estimator.joint_aware import suspicion
 from estimator.joint_aware.filter_design import compressed
-from estimator.joint_aware.observer import ANSWER, Expected, Observer
+from estimator.joint_aware.observer import Expected, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.joint_aware.suspicion import Judgement, Suspicion
-from estimator.sensor_faults import GATE, Watch, judge_sample, model_error
+from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
 from thermojoint.artefacts.arrays import Array, Flags
-
-#: A reading is impossible further than this beyond the calibrated ones, K; above them also by this
-#: many times their range.
-ROOM, FURTHER = 60.0, 3.0
-#: Noise of a thermometer, K, at most.
-THERMOMETER = 0.05
-#: The heat may jump to this many times the largest calibrated, and a part of that more or below 0.
-ONSET, SLACK = 1.5, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def trusted(
     expected: Expected,
     moment: Moment,
     readings: Array,
-    limits: tuple[Array, Array],
+    channels: Channels,
 ) -> Trusted:
     """Say which readings of a sample are used.
 
@@ -93,10 +94,10 @@ def trusted(
         When it comes.
     readings : ndarray, shape (p + 1,)
         K; NaN where there is none.
-    limits : pair of ndarray, shape (p + 1,)
-        Lowest and highest calibrated reading, K.
+    channels : Channels
+        What the readings can say (`channels_of`).
     """
-    watch = before.watch
+    rules, watch = observer.thresholds.faults, before.watch
     open_, judgement = _followed(observer, before, moment, readings)
     if judgement in (Judgement.OFFSET, Judgement.SPIKE):
         expected = expected._replace(linear=open_.linear)
@@ -107,18 +108,14 @@ def trusted(
     if judgement is not Judgement.OPEN:
         open_ = suspicion.none(expected.linear.size)
     rows = observer.system.rows
-    noise = thermometer_noise(observer)
     lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
         verdict = judge_sample(
             watch,
-            moment.time,
-            readings,
-            rows @ attempt.linear,
+            Sample(moment.time, readings, rows @ attempt.linear),
             partial(_unexplained, observer, attempt, moment),
-            noise,
-            possible(limits),
-            len(observer.model.sensors),
+            channels,
+            rules,
         )
         if not verdict.lost:
             break
@@ -129,28 +126,25 @@ def trusted(
     if newly.any():
         attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
     innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
-    imperfect = model_error(rows @ attempt.linear)
-    jumps = bool((np.abs(innovation) > GATE * imperfect).any())
+    imperfect = model_error(rows @ attempt.linear, rules)
+    jumps = bool((np.abs(innovation) > rules.gate * imperfect).any())
     if jumps and not np.isfinite(open_.channel):
         own = np.diag(observer.innovation_covariance(attempt.excess))
-        deviation = np.sqrt(own + imperfect**2)
+        limit = rules.gate * np.sqrt(own + imperfect**2)
         elapsed = moment.steps * moment.length or observer.model.step
-        open_ = suspicion.suspected(attempt.linear, innovation, deviation, moment.time, elapsed)
+        open_ = suspicion.suspected(attempt.linear, innovation, limit, moment.time, elapsed)
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
 
 
-def thermometer_noise(observer: Observer) -> Array:
-    """Return the noise of every thermometer, K, shape (p + 1,).
-
-    The filter's own holds what the model errs by, too.
-    """
-    return np.minimum(np.sqrt(observer.model.filter.noise), THERMOMETER)
-
-
-def possible(limits: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the lowest and highest reading that can be one, K, of the calibrated ones."""
-    low, high = limits
-    return low - ROOM, high + FURTHER * (high - low) + ROOM
+def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
+    """Return what the readings of an observer can say; `limits` are the calibrated ones, K."""
+    known, (low, high) = observer.thresholds, limits
+    return Channels(
+        noise=np.minimum(np.sqrt(observer.model.filter.noise), known.thermometer),
+        low=low - known.room,
+        high=high + known.further * (high - low) + known.room,
+        thermometers=len(observer.model.sensors),
+    )
 
 
 def _followed(
@@ -161,19 +155,21 @@ def _followed(
     if not np.isfinite(known.channel):
         return known, Judgement.OPEN
     channel = int(known.channel)
-    alone = observer.expected(replace(before, linear=known.linear), moment.length, moment.steps)
+    alone = observer.expected(before._replace(linear=known.linear), moment.length, moment.steps)
     known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck: that takes longer to be seen.
         return known, Judgement.OPEN
     said = observer.system.rows[channel] @ alone.linear
-    departure, imperfect = float(readings[channel] - said), float(model_error(said))
+    departure, rules = float(readings[channel] - said), observer.thresholds
+    limit = rules.faults.gate * float(model_error(said, rules.faults))
     # The source that the reading sees most of.
     answers = observer.onset[:, channel]
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
-    return known, suspicion.judged(
-        known, departure, moment.time, imperfect, answer, observer.model.step
-    )
+    elapsed = moment.time - float(known.since)
+    due = elapsed >= rules.decided and known.samples >= rules.samples
+    expected = suspicion.growth(known, elapsed, answer, observer.model.step)
+    return known, suspicion.judged(known, departure, limit, bool(due), expected)
 
 
 def _believed_before(before: ObserverState) -> Flags:
@@ -222,9 +218,10 @@ def _unexplained(
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
-    most = ONSET * observer.model.calibrated.heat * power
-    slack = SLACK * most
+    known = observer.thresholds
+    most = known.onset * observer.model.calibrated.heat * power
+    slack = known.onset_slack * most
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
     # Before the first sample a source may have been on for a step.
-    onset = observer.onset[min(max(moment.steps, 1), ANSWER) - 1]
+    onset = observer.onset[min(max(moment.steps, 1), len(observer.onset)) - 1]
     return suspicion.without_heat(innovation, at, covariance, onset, bounds), covariance

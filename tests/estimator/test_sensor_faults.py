@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.sensor_faults import AGREED, GATE, MODEL_ERROR, RETURN, fresh, judge_sample
+from estimator.sensor_faults import Channels, Sample, Thresholds, fresh, judge_sample
 
-NOISE = np.full(4, 0.03)
-LIMITS = (np.full(4, -60.0), np.full(4, 200.0))
+CHANNELS = Channels(np.full(4, 0.03), np.full(4, -60.0), np.full(4, 200.0), 4)
+RULES = Thresholds()
 STEP = 2.0
 
 
@@ -19,9 +19,11 @@ def nothing_explained(innovation, _):
 
 def followed(rows, predicted, step=STEP):
     """The verdict on every row of readings, with what the model says beside it."""
-    watch, found = fresh(4), []
+    watch, found = fresh(4, RULES), []
     for k, (row, said) in enumerate(zip(rows, predicted, strict=True)):
-        verdict = judge_sample(watch, step * k, row, said, nothing_explained, NOISE, LIMITS, 4)
+        verdict = judge_sample(
+            watch, Sample(step * k, row, said), nothing_explained, CHANNELS, RULES
+        )
         watch = verdict.watch
         found.append(verdict)
     return found
@@ -65,7 +67,7 @@ def test_a_channel_comes_back_some_time_after_its_last_fault():
     rows, said = healthy()
     rows[40, 2] += 30.0
     found = believed(followed(rows, said))
-    away = round(RETURN / STEP)
+    away = round(RULES.clear / STEP)
     # The way back is as hasty as the way out.
     assert not found[40 : 41 + away, 2].any()
     assert found[42 + away :, 2].all()
@@ -82,7 +84,7 @@ def test_a_channel_that_is_off_stays_out_where_the_model_without_it_wanders_towa
     rows[150:, 0] -= 5.5
     said[150:, 0] -= said[150, 0] - rows[150, 0] - 0.8
     found = believed(followed(rows, said))
-    assert found[150 + round(AGREED / STEP) + 1 :, 0].all()
+    assert found[150 + round(RULES.agreed / STEP) + 1 :, 0].all()
 
 
 def test_a_jump_of_the_heat_does_not_clear_a_channel_that_is_off():
@@ -158,18 +160,19 @@ def test_what_a_change_of_the_heat_explains_is_no_fault():
 
     rows[1, 0] += 4.0
     watch = followed(rows[:1], said[:1])[0].watch
-    verdict = judge_sample(watch, STEP, rows[1], said[1], heat, NOISE, LIMITS, 4)
+    sample = Sample(STEP, rows[1], said[1])
+    verdict = judge_sample(watch, sample, heat, CHANNELS, RULES)
     assert verdict.believed.all()
-    verdict = judge_sample(watch, STEP, rows[1], said[1], nothing_explained, NOISE, LIMITS, 4)
+    verdict = judge_sample(watch, sample, nothing_explained, CHANNELS, RULES)
     assert not verdict.believed[0]
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
 def test_no_small_innovation_is_a_fault(departures):
     """Whatever the covariance says of itself: a model is not perfect."""
-    small = GATE * MODEL_ERROR / 2.0 * np.array(departures)
-    watch = fresh(4)
-    verdict = judge_sample(watch, 0.0, small, np.zeros(4), nothing_explained, NOISE, LIMITS, 4)
+    small = RULES.gate * RULES.model_error / 2.0 * np.array(departures)
+    sample = Sample(0.0, small, np.zeros(4))
+    verdict = judge_sample(fresh(4, RULES), sample, nothing_explained, CHANNELS, RULES)
     assert verdict.believed.all()
 
 

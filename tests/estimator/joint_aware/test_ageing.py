@@ -131,7 +131,7 @@ def test_a_sample_that_cannot_be_trusted_does_not_teach(observer):
 def test_the_filter_weighs_what_it_knows_with_what_it_reads():
     """One parameter, one reading: the mean of both by their variances."""
     found, covariance = learnt(
-        np.zeros(1), np.eye(1), np.array([1.0]), np.array([[2.0]]), np.array([4.0])
+        np.zeros(1), np.eye(1), np.array([1.0]), np.array([[2.0]]), np.array([4.0]), 1.5
     )
     assert found[0] == pytest.approx(0.25)
     assert covariance[0, 0] == pytest.approx(0.5)

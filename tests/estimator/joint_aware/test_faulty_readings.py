@@ -1,5 +1,6 @@
 """An observer whose sensors lie, that starts on a warm machine, or is told the displacement."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 from estimator.interface import Status
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.thresholds import Thresholds
 from estimator.touches import read_touches, with_touches
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
@@ -84,13 +86,11 @@ def test_a_lost_sensor_widens_the_band(estimator, response):
     assert Status.SENSOR_DISTRUSTED in found[-1].status
 
 
-def test_where_the_past_is_known_the_other_sensors_are_believed_more(
-    estimator, response, monkeypatch
-):
+def test_where_the_past_is_known_the_other_sensors_are_believed_more(estimator, response):
     samples = faulty(response, 0, FAULTS["away"])
     _, found = estimates(estimator, samples)
-    monkeypatch.setattr("estimator.joint_aware.observer.DOUBT_OF_HEAT", 1.0)
-    _, doubting = estimates(estimator, samples)
+    doubtful = replace(estimator, thresholds=Thresholds(doubt_of_heat=1.0))
+    _, doubting = estimates(doubtful, samples)
     assert np.all(found[-1].band < 0.5 * doubting[-1].band)
     bands = np.array([one.band for one in found])
     assert np.all(np.abs(errors(estimator, response, found)) <= np.maximum(1.0 * MICRO, bands))
