@@ -22,15 +22,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from calibrate.learning.learn import learn
+from estimator.columns import samples_of
 from estimator.export.c_source import c_files
-from estimator.export.exporting import export_program
 from estimator.export.program import Precision, Program
+from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.starting import started
+from estimator.joint_aware.model_file import read_observer
 from estimator.learned.estimator import Learned
-from estimator.learned.samples import samples_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.models.assembly import assemble
@@ -94,7 +94,7 @@ def learned() -> tuple[Learned, Array]:
     """Return a model of the measured machine, and time, s, and readings of all that is known."""
     logs = [read_log([MACHINE / f"{name}.csv"]) for name in ("learned", "unseen")]
     model = replace(learn(logs[:1], ["disp1_um", "disp2_um"], 4), log_end=None)
-    samples = [row for log in logs for row in samples_of(model, [log])]
+    samples = [row for log in logs for row in samples_of(model.columns, [log])]
     return Learned(model), np.array(samples)
 
 
@@ -131,7 +131,7 @@ def main() -> None:
     samples = fchs_samples(fchs)
     compared("fchs", fchs, samples, timed=True)
     compared("learned", *learned(), timed=True, interval=60.0)
-    observer, _ = started(given.results / "joint_aware.h5")
+    observer = JointAware(read_observer(given.results / "joint_aware.h5"))
     compared("joint-aware", observer, joint_aware_samples(observer), timed=False)
 
 

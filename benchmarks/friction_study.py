@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from calibrate import chain
-from estimator import judge
+from estimator.fchs import judging as judge
 from fesim.case.schema import read_case
 from thermojoint.console import show_blocks, show_schemes, show_validation
 from thermojoint.paper import inputs

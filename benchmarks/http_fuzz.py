@@ -295,12 +295,13 @@ def serve(folder: Path) -> None:
     from prometheus_client import CollectorRegistry
 
     from estimator.interface import Channel
+    from estimator.quality import Quality
     from thermojoint.live.archive import Archive
     from thermojoint.live.http import server
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
     from thermojoint.live.hub import Hub
-    from thermojoint.live.publication import Layout, Publication, Quality, as_row
+    from thermojoint.live.publication import Layout, Publication, as_row
     from thermojoint.live.settings import HttpServer, Secret
     from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
 

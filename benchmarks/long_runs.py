@@ -17,9 +17,9 @@ import xarray as xr
 from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement.fchs import with_roles
+from estimator.baselines.kind import regressions
 from estimator.baselines.linear import Linear
 from estimator.baselines.none import Nothing
-from estimator.baselines.starting import regressions
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from fesim.case.schema import Case, read_case

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.response import probes_of
-from thermojoint.models.parameters import Model
-from thermojoint.models.sensors import JOINT_SENSORS, roles_in
+from thermojoint.models.sensors import JOINT_SENSORS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -72,15 +72,17 @@ def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
     return {role: channels[:, k] for k, role in enumerate(JOINT_SENSORS)}
 
 
-def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: int) -> xr.Dataset:
-    """Return the response with noise on the temperatures that the estimator reads.
+def with_noise(
+    response: xr.Dataset, probes: Sequence[str], peak_to_peak: float, seed: int
+) -> xr.Dataset:
+    """Return the response with noise on the temperatures that an estimator reads.
 
     Parameters
     ----------
     response : xarray.Dataset
         A response; it is not changed.
-    model : Model
-        Says which probes are read.
+    probes : sequence of str
+        Names of those that are read.
     peak_to_peak : float
         Of each channel, K (`sensor_noise`).
     seed : int
@@ -93,11 +95,21 @@ def with_noise(response: xr.Dataset, model: Model, peak_to_peak: float, seed: in
     """
     if not 0.0 < peak_to_peak < math.inf:
         raise InputError(f"noise of {peak_to_peak:g} K peak to peak; give a positive number")
-    probes = list(dict.fromkeys(roles_in(response, model).values()))
     noise = sensor_noise(response["time"].to_numpy(), peak_to_peak, seed, len(probes))
+    return with_added(response, dict(zip(probes, noise.T, strict=True)))
+
+
+def with_added(response: xr.Dataset, added: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """Return the response with something (K, for every sample) added to some probes.
+
+    Raises
+    ------
+    InputError
+        A probe is not in the response.
+    """
     names = probes_of(response)
     temperature = response["temperature"].copy(deep=True)
-    for probe, values in zip(probes, noise.T, strict=True):
+    for probe, values in added.items():
         if probe not in names:
             raise unknown_name("probe", probe, names, "response")
         temperature[:, names.index(probe)] += values

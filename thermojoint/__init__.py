@@ -22,20 +22,19 @@ if TYPE_CHECKING:
     from calibrate.chain import calibrate_responses as calibrate
     from calibrate.learning.learn import learn
     from calibrate.provenance import provenance_of
+    from estimator.estimate_table import read_estimate
     from estimator.export.c_source import write_c
-    from estimator.export.exporting import export_program
     from estimator.export.fmu import Standard as FmiStandard
     from estimator.export.fmu import write_fmu
     from estimator.export.program import Precision, Program
     from estimator.export.structured_text import write_structured_text
+    from estimator.exporting import export_program
     from estimator.fchs.estimator import Fchs
+    from estimator.fchs.judging import Validated
+    from estimator.fchs.judging import validate_model as validate
     from estimator.interface import Channel, Estimate, Estimator, Status, follow
-    from estimator.judge import Validated
-    from estimator.judge import validate_model as validate
     from estimator.learned.estimator import Learned
-    from estimator.saved_state import load_state as load_estimator
-    from estimator.saved_state import save_state as save_estimator
-    from estimator.starting import started as start_estimator
+    from estimator.registry import open_estimator, resume_estimator, save_state
     from fesim.case.schema import Case, case_from_data, read_case
     from fesim.case.thermal_sections import RampInput, SampledInput, StepInput, TriangleInput
     from fesim.setup.machine import Setup, set_up
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
     from thermojoint.compensation.loop.run import Closed, close_loop
     from thermojoint.compensation.loop.schema import Loop, read_loop
     from thermojoint.compensation.offsets.preview import preview as preview_offsets
-    from thermojoint.compensation.offsets.preview import read_estimate
     from thermojoint.compensation.offsets.settings import Settings as OffsetSettings
     from thermojoint.compensation.offsets.settings import read_settings as read_offset_settings
     from thermojoint.models.assembly import Assembly, assemble
@@ -98,8 +96,8 @@ __all__ = [
     "export_program",
     "follow",
     "learn",
-    "load_estimator",
     "make_response",
+    "open_estimator",
     "preview_offsets",
     "provenance_of",
     "read_assembly",
@@ -113,10 +111,10 @@ __all__ = [
     "read_provenance",
     "read_response",
     "read_structure",
-    "save_estimator",
+    "resume_estimator",
+    "save_state",
     "set_up",
     "simulate",
-    "start_estimator",
     "validate",
     "write_assembly",
     "write_c",
@@ -159,21 +157,21 @@ _HOMES = {
     "Structure": "meshes.structure:Structure",
     "ThermojointError": "thermojoint.artefacts.errors:ThermojointError",
     "TriangleInput": "fesim.case.thermal_sections:TriangleInput",
-    "Validated": "estimator.judge:Validated",
+    "Validated": "estimator.fchs.judging:Validated",
     "assemble": "thermojoint.models.assembly:assemble",
     "calibrate": "calibrate.chain:calibrate_responses",
     "case_from_data": "fesim.case.schema:case_from_data",
     "close_loop": "thermojoint.compensation.loop.run:close_loop",
-    "export_program": "estimator.export.exporting:export_program",
+    "export_program": "estimator.exporting:export_program",
     "follow": "estimator.interface:follow",
     "learn": "calibrate.learning.learn:learn",
-    "load_estimator": "estimator.saved_state:load_state",
     "make_response": "thermojoint.artefacts.response:make_response",
+    "open_estimator": "estimator.registry:open_estimator",
     "preview_offsets": "thermojoint.compensation.offsets.preview:preview",
     "provenance_of": "calibrate.provenance:provenance_of",
     "read_assembly": "thermojoint.models.assembly_file:read_assembly",
     "read_case": "fesim.case.schema:read_case",
-    "read_estimate": "thermojoint.compensation.offsets.preview:read_estimate",
+    "read_estimate": "estimator.estimate_table:read_estimate",
     "read_learned": "thermojoint.models.learned:read_learned",
     "read_log": "thermojoint.artefacts.log_file:read_log",
     "read_loop": "thermojoint.compensation.loop.schema:read_loop",
@@ -182,11 +180,11 @@ _HOMES = {
     "read_provenance": "thermojoint.models.model_file:read_provenance",
     "read_response": "thermojoint.artefacts.response:read_response",
     "read_structure": "meshes.exchange:read_structure",
-    "save_estimator": "estimator.saved_state:save_state",
+    "resume_estimator": "estimator.registry:resume_estimator",
+    "save_state": "estimator.registry:save_state",
     "set_up": "fesim.setup.machine:set_up",
     "simulate": "fesim.simulate:simulate",
-    "start_estimator": "estimator.starting:started",
-    "validate": "estimator.judge:validate_model",
+    "validate": "estimator.fchs.judging:validate_model",
     "write_assembly": "thermojoint.models.assembly_file:write_assembly",
     "write_c": "estimator.export.c_source:write_c",
     "write_fmu": "estimator.export.fmu:write_fmu",

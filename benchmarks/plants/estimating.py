@@ -12,12 +12,12 @@ from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
 from calibrate.joint_aware.calibration import calibrate_machine, report
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
+from estimator.baselines.kind import regressions
 from estimator.baselines.none import Nothing
-from estimator.baselines.starting import regressions
+from estimator.fchs.judging import validate
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
-from estimator.judge import validate
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
 from thermojoint.models.sensors import rises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -14,8 +14,7 @@ from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.models.baselines import Autoregression
-from thermojoint.models.parameters import Span
+from thermojoint.models.baselines import FILE, Baselines
 from thermojoint.models.sensors import ROLES
 
 #: A sample this near to a step of the autoregression is at it, relative to the interval.
@@ -32,34 +31,30 @@ class AutoregressionEstimator:
 
     Attributes
     ----------
-    axis_models : mapping
-        Axis to its autoregression; all of the same orders.
-    interval_s : float
-        Between steps, s.
-    span : Span
+    model : Baselines
+        The file's content: autoregressions of the same orders, and the interval of their steps.
     """
 
-    axis_models: Mapping[str, Autoregression]
-    interval_s: float
-    span: Span
+    model: Baselines
     kind: Literal["arx"] = "arx"
     channels: tuple[Channel, ...] = CHANNELS
     details: tuple[Channel, ...] = ()
+    schema: str = FILE.schema
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Axes of the displacement."""
-        return tuple(self.axis_models)
+        return tuple(self.model.arx)
 
     @cached_property
     def _past(self) -> Array:
         """Weights of past estimates, shape (axes, order)."""
-        return np.array([one.past for one in self.axis_models.values()])
+        return np.array([one.past for one in self.model.arx.values()])
 
     @cached_property
     def _inputs(self) -> Array:
         """Weights of temperatures, shape (axes, lags, channels)."""
-        return np.array([one.inputs for one in self.axis_models.values()])
+        return np.array([one.inputs for one in self.model.arx.values()])
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
@@ -68,21 +63,21 @@ class AutoregressionEstimator:
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
-        begun, dt = began(state, time, values, CHANNELS, self.interval_s)
+        begun, dt = began(state, time, values, CHANNELS, self.model.interval_s)
         done = int(state[2])
         width = len(CHANNELS)
         last, past, seen = np.split(state[3:], [width, width + self._past.size])
         past, seen = past.reshape(self._past.shape), seen.reshape(self._inputs.shape[1:])
         new = np.asarray(values, dtype=float)
-        steps = (time - begun) / self.interval_s
+        steps = (time - begun) / self.model.interval_s
         while done + 1 <= steps + _AT_STEP:
             done += 1
-            share = 1.0 - (steps - done) * self.interval_s / dt
+            share = 1.0 - (steps - done) * self.model.interval_s / dt
             past, seen = self._stepped(past, seen, last + min(share, 1.0) * (new - last))
         part = max(steps - done, 0.0)
         ahead = self._stepped(past, seen, new)[0][:, 0] if part > _AT_STEP else past[:, 0]
         displacement = past[:, 0] + part * (ahead - past[:, 0])
-        status = status_of(self.span, time - begun, dict(zip(ROLES, values, strict=True)))
+        status = status_of(self.model.span, time - begun, dict(zip(ROLES, values, strict=True)))
         band = np.full(len(self.axes), np.nan)
         inner = np.concatenate(([time, begun, done], new, past.ravel(), seen.ravel()))
         return inner, Estimate(time, displacement, band, status, np.empty(0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -12,9 +13,8 @@ from estimator.baselines.samples import began
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.models.baselines import Regression, taus_of
+from thermojoint.models.baselines import FILE, Baselines, Regression, taus_of
 from thermojoint.models.filters.relaxations import relaxed
-from thermojoint.models.parameters import Span
 from thermojoint.models.sensors import ROLES
 
 #: Rises of the four sensors above the current ambient.
@@ -31,18 +31,23 @@ class RegressionEstimator:
     ----------
     kind : str
         ``mlr`` or ``ridge``.
-    regression : Regression
-    span : Span
+    model : Baselines
+        The file's content.
     dt_s : float
         The machine is at rest until this long before the first sample, s.
     """
 
-    kind: str
-    regression: Regression
-    span: Span
+    kind: Literal["mlr", "ridge"]
+    model: Baselines
     dt_s: float
     channels: tuple[Channel, ...] = CHANNELS
     details: tuple[Channel, ...] = ()
+    schema: str = FILE.schema
+
+    @property
+    def regression(self) -> Regression:
+        """The weights."""
+        return self.model.mlr if self.kind == "mlr" else self.model.ridge
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -68,7 +73,7 @@ class RegressionEstimator:
         old, new = state[2 : 2 + len(CHANNELS)], np.asarray(values, dtype=float)
         times = len(self._taus) // len(CHANNELS)
         features = relaxed(state[2:], np.tile(old, times), np.tile(new, times), dt, self._taus)
-        status = status_of(self.span, time - begun, dict(zip(ROLES, values, strict=True)))
+        status = status_of(self.model.span, time - begun, dict(zip(ROLES, values, strict=True)))
         band = np.full(len(self.axes), np.nan)
         return np.concatenate(([time, begun], features)), Estimate(
             time, self._weights @ features, band, status, np.empty(0)

@@ -13,6 +13,8 @@ from estimator.interface import Channel, Estimate
 from estimator.span import status_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.assembly import Assembly
+from thermojoint.models.model_file import FILE
+from thermojoint.models.parameters import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,12 @@ class Fchs:
 
     assembly: Assembly
     kind: Literal["fchs"] = "fchs"
+    schema: str = FILE.schema
+
+    @property
+    def model(self) -> Model:
+        """What was assembled."""
+        return self.assembly.model
 
     @property
     def axes(self) -> tuple[str, ...]:

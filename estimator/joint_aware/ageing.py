@@ -24,7 +24,7 @@ import numpy as np
 
 from estimator.interface import Channel, Estimate, Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
-from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_model import SCHEMA, ObserverModel
 from estimator.joint_aware.observer_state import Layout, placed, unpacked
 from estimator.joint_aware.slow_parameters import (
     SLOW,
@@ -92,6 +92,7 @@ class AgeingJointAware:
     ageing: tuple[str, ...]
     learning: Learning = USUAL
     kind: Literal["joint-aware"] = "joint-aware"
+    schema: str = SCHEMA
 
     def __post_init__(self) -> None:
         """Check what is to age; raises as `check_ageing`."""

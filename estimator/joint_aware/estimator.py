@@ -15,7 +15,7 @@ from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, suspicion
 from estimator.joint_aware.displacement_readings import ModelError, Touch
 from estimator.joint_aware.observer import Observer, Settled
-from estimator.joint_aware.observer_model import Kind, ObserverModel
+from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
     KNOWN,
     UNKNOWN,
@@ -84,6 +84,7 @@ class JointAware:
     model: ObserverModel
     touch_noise: float = READING_NOISE
     thresholds: Thresholds = USUAL
+    schema: str = SCHEMA
 
     @property
     def kind(self) -> Kind:

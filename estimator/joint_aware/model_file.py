@@ -17,8 +17,7 @@ import numpy as np
 import pydantic
 
 from estimator.joint_aware.filter_design import SteadyFilter
-from estimator.joint_aware.observer_model import Band, Calibrated, Kind, ObserverModel
-from estimator.joint_aware.recognition import SCHEMA
+from estimator.joint_aware.observer_model import SCHEMA, Band, Calibrated, Kind, ObserverModel
 from fesim.case.joint_sections import JointSection
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array

@@ -10,6 +10,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Joint, Modes
 from thermojoint.reduced.remainder import Remainder
 
+#: Of the model file.
+SCHEMA = "thermojoint-joint-aware-model"
 #: With its joint, or with the joint linearised at its preload (`linear_joint`).
 Kind = Literal["joint-aware", "kalman-linear"]
 

@@ -25,7 +25,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
-from thermojoint.models.learned import LearnedModel, at_rest, signals
+from thermojoint.models.learned import FILE, LearnedModel, at_rest, signals
 
 #: Size of the drift in held-out errors, which come from hours beside those that were learned, and
 #: the time in which it forgets, s.
@@ -62,6 +62,7 @@ class Learned:
 
     model: LearnedModel
     reading_noise: float = READING_NOISE
+    schema: str = FILE.schema
 
     @property
     def kind(self) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.columns import samples_of
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
-from estimator.learned.samples import samples_of
 from estimator.touches import with_touches
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -26,7 +26,7 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
     every : float, optional
         The displacement is read so often, s, and first at the start; default never.
     """
-    samples = samples_of(estimator.model, [log])
+    samples = samples_of(estimator.model.columns, [log])
     if every is not None:
         due = np.arange(log.times[0], log.times[-1] + 1.0, every)
         at = np.minimum(np.searchsorted(log.times, due), len(log.times) - 1)

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from calibrate import chain
 from calibrate.baselines import bounded_past, fit_baselines
 from calibrate.linear import FADING, SLOWEST
+from estimator.baselines.kind import regressions
 from estimator.baselines.linear import Linear
 from estimator.baselines.none import Nothing
-from estimator.baselines.starting import regressions
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from fesim.case.schema import case_from_data

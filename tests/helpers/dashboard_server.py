@@ -10,6 +10,8 @@ import numpy as np
 from live_parts import free_port
 from prometheus_client import CollectorRegistry, Gauge
 
+from estimator.quality import quality_of
+from estimator.registry import kind_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.http.server import open_http, serve_http
 from thermojoint.live.http.sources import About, Sources
@@ -17,8 +19,6 @@ from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout, Publication, as_row
 from thermojoint.live.settings import HttpServer
 from thermojoint.live.store import Batch, Checkpoint, Event, commit, era_of, open_store
-from thermojoint.live.validity import ranges_of
-from thermojoint.live.watchdog import quality_of
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
 
@@ -42,7 +42,7 @@ def published(name, layout, estimates, samples, start):
             number=number,
             time=start + one.time,
             published=start + one.time,
-            quality=quality_of(one.words),
+            quality=quality_of(one.words, one.displacement),
             layout=layout,
             displacement=one.displacement,
             band=one.band,
@@ -72,7 +72,9 @@ def keep(path, runs, events=()):
 
 def about(estimator, layout, since):
     """What stays of a machine."""
-    return About(layout, estimator.kind, "model.h5", since, ranges_of(estimator))
+    return About(
+        layout, estimator.kind, "model.h5", since, kind_of(estimator).ranges(estimator.model)
+    )
 
 
 class Running:

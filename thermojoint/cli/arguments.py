@@ -160,18 +160,31 @@ def only_for(what: str, given: Mapping[str, object]) -> None:
             raise InputError(f"{option}: goes with {what}; leave it out")
 
 
-def reading_noise(given_um: float | None, readings: Path | None) -> float:
-    """Return the standard deviation of a reading of the displacement, m.
+def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
+    """Refuse options that something has no use for.
+
+    Parameters
+    ----------
+    what : str
+        A kind of model, e.g. "a learned model".
+    given : mapping
+        Option to its value, None or False if it was not given, and whether it is taken.
+    """
+    for option, (value, taken) in given.items():
+        if value is not None and value is not False and not taken:
+            raise InputError(f"{option}: not for {what}; leave it out")
+
+
+def reading_noise(given_um: float | None, readings: Path | None) -> float | None:
+    """Return the standard deviation of a reading of the displacement, m; None if it is not said.
 
     Raises
     ------
     InputError
         It is not positive, or there are no readings.
     """
-    from estimator.interface import READING_NOISE
-
     if given_um is None:
-        return READING_NOISE
+        return None
     if readings is None:
         raise InputError("--reading-noise-um: goes with --readings; leave it out")
     return 1e-6 * positive("--reading-noise-um", given_um)

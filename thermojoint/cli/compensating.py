@@ -32,8 +32,9 @@ def compensate(
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]
     """
+    from estimator.estimate_table import read_estimate
     from thermojoint import console
-    from thermojoint.compensation.offsets.preview import header, preview, read_estimate, row_of
+    from thermojoint.compensation.offsets.preview import header, preview, row_of
     from thermojoint.compensation.offsets.settings import read_settings
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])

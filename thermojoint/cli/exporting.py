@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermojoint.cli import arguments, file_kinds, joint_aware, learning
+from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
     from estimator.export.program import Operations, Program
-    from estimator.interface import Estimator
-
-Samples = Iterable[Sequence[float]]
+    from estimator.kind import OpenedEstimator, Options
 
 
 class Target(StrEnum):
@@ -84,8 +81,9 @@ def export(
 
     Example: [bold]thermojoint export estimator.json --to fmu --out spindle.fmu[/bold]
     """
-    from estimator.export.exporting import export_program
     from estimator.export.program import checked_name
+    from estimator.exporting import export_program
+    from estimator.kind import Options
     from thermojoint import console
 
     one_file = to in (Target.FMU, Target.FMI2)
@@ -99,7 +97,7 @@ def export(
     origin = samples.name if samples else ""
     with (
         console.working("exporting"),
-        _opened(model, samples, dt, 60.0 * length) as (estimator, rows),
+        _opened(model, samples, Options(dt, 60.0 * length)) as (estimator, rows),
     ):
         program = export_program(estimator, precision.value, name, rows, origin, dt)
         files = _written(program, to, out)
@@ -122,65 +120,23 @@ def _written(program: Program, to: Target, out: Path) -> list[Path]:
 
 @contextmanager
 def _opened(
-    model: Path, samples: Path | None, interval: float, run_length: float
-) -> Iterator[tuple[Estimator, Samples | None]]:
+    model: Path, samples: Path | None, options: Options
+) -> Iterator[tuple[OpenedEstimator, Iterable[Sequence[float]] | None]]:
     """Give the estimator, and the samples of a log or response if there is one."""
-    from estimator.joint_aware.recognition import is_observer
-    from thermojoint.models.learned import is_learned
-
-    if is_learned(model):
-        opened = _learned
-    elif is_observer(model):
-        opened = _joint_aware
-    else:
-        opened = partial(_fchs, interval=interval, run_length=run_length)
-    if samples is None:
-        yield opened(model, None, None)
-    else:
-        with arguments.opened(samples) as source:
-            yield opened(model, samples, source)
-
-
-def _learned(
-    model: Path, samples: Path | None, source: TextIO | None
-) -> tuple[Estimator, Samples | None]:
-    from estimator.learned.starting import started
-
-    if samples is None:
-        return started(model)[0], None
-    estimator, _, rows = learning.opened(model, source, str(samples), None, None, None)
-    return estimator, rows
-
-
-def _fchs(
-    model: Path, samples: Path | None, source: TextIO | None, interval: float, run_length: float
-) -> tuple[Estimator, Samples | None]:
-    from estimator import measured
-    from estimator.starting import started
+    from estimator.registry import kind_of_file, started
     from thermojoint.artefacts.response import read_response
 
-    estimator, _ = started(model, interval, run_length)
+    kind = kind_of_file(model)
+    given = kind.read(model)
+    estimator = started(kind, given, options)
     if samples is None:
-        return estimator, None
-    table = estimator.assembly.model
-    if source is None:
-        return estimator, measured.response_samples(read_response(samples), table)
-    return estimator, measured.read_samples(source, list(table.linear.direct), str(samples))
-
-
-def _joint_aware(
-    model: Path, samples: Path | None, source: TextIO | None
-) -> tuple[Estimator, Samples | None]:
-    from estimator.joint_aware.estimator import JointAware
-    from estimator.joint_aware.model_file import read_observer
-    from thermojoint.artefacts.response import read_response
-
-    estimator = JointAware(read_observer(model))
-    if samples is None:
-        return estimator, None
-    response = read_response(samples) if source is None else None
-    _, _, rows = joint_aware.opened(model, source, response, str(samples), joint_aware.Start())
-    return estimator, rows
+        yield estimator, None
+        return
+    with arguments.opened(samples) as source:
+        if source is None:
+            yield estimator, kind.response(given, read_response(samples))
+        else:
+            yield estimator, kind.log(given, source, str(samples), None)
 
 
 def _show(program: Program) -> None:

@@ -37,18 +37,25 @@ def _starts(*starts: bytes) -> Callable[[Path], bool]:
     return holds
 
 
-def _json(*keys: str, **values: object) -> Callable[[Path], bool]:
-    """A JSON object that has some keys, and some values."""
+def _schema(schema: str) -> Callable[[Path], bool]:
+    """A file that says so of itself."""
+
+    def holds(path: Path) -> bool:
+        from thermojoint.artefacts.schema import states
+
+        return states(path, schema)
+
+    return holds
+
+
+def _json(*keys: str) -> Callable[[Path], bool]:
+    """A JSON object that has some keys."""
 
     def holds(path: Path) -> bool:
         found: Any = None
         with suppress(ValueError, RecursionError):
             found = json.loads(path.read_bytes())
-        return (
-            isinstance(found, dict)
-            and found.keys() >= {*keys, *values}
-            and all(found[name] == value for name, value in values.items())
-        )
+        return isinstance(found, dict) and found.keys() >= {*keys}
 
     return holds
 
@@ -72,26 +79,6 @@ def _is_simulated(path: Path) -> bool:
     return False
 
 
-def _is_estimator_state(path: Path) -> bool:
-    names = ("estimator", "joint-aware", "learned")
-    kinds = [f"thermojoint-{name}-state" for name in names]
-    return any(_json(schema=kind)(path) for kind in kinds)
-
-
-def _is_observer(path: Path) -> bool:
-    from estimator.joint_aware.recognition import is_observer
-
-    return is_observer(path)
-
-
-def _is_surface(path: Path) -> bool:
-    import h5py
-
-    with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
-        return bool(file.attrs.get("schema") == "thermojoint-surface")
-    return False
-
-
 def _is_march_state(path: Path) -> bool:
     import numpy as np
 
@@ -108,7 +95,7 @@ def _is_march_state(path: Path) -> bool:
 def _is_estimate(path: Path) -> bool:
     with path.open("rb") as file:
         header = file.readline(1 << 16).strip()
-    return header.startswith(b"time_s,") and header.endswith(b",status")
+    return header.startswith(b"time_s,") and header.endswith(b",status,quality")
 
 
 def _is_offsets(path: Path) -> bool:
@@ -148,27 +135,27 @@ def _is_picture(path: Path) -> bool:
 
 RESPONSE = Kind("a simulated response", _is_simulated)
 MARCH_STATE = Kind("the state of a simulation", _is_march_state)
-MODEL = Kind("a model file", _json(schema="thermojoint-model"))
-LEARNED = Kind("a learned model", _json(schema="thermojoint-learned-model"))
-OBSERVER = Kind("a joint-aware model", _is_observer)
-SURFACE = Kind("the surface of a machine", _is_surface)
+MODEL = Kind("a model file", _schema("thermojoint-model"))
+LEARNED = Kind("a learned model", _schema("thermojoint-learned-model"))
+OBSERVER = Kind("a joint-aware model", _schema("thermojoint-joint-aware-model"))
+SURFACE = Kind("the surface of a machine", _schema("thermojoint-surface"))
 CALIBRATION_REPORT = Kind(
     "the report of a calibration", _json("parameters", "directions", "profiles", "further_runs")
 )
-BASELINES = Kind("a file of baselines", _json(schema="thermojoint-baselines"))
-ESTIMATOR_STATE = Kind("the state of an estimator", _is_estimator_state)
+BASELINES = Kind("a file of baselines", _schema("thermojoint-baselines"))
+ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimator-state"))
 ESTIMATE = Kind("an estimate", _is_estimate)
-ASSEMBLY = Kind("an assembled estimator", _json(schema="thermojoint-assembly"))
+ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"))
 FMU = Kind("an FMU of this program", _is_fmu)
 VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
 OFFSETS = Kind("a preview of offsets", _is_offsets)
 TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"))
-TEST_PARAMETERS = Kind("parameters of a thermal test", _json(schema="thermojoint-iso230-3"))
+TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"))
 SENSORS = Kind("a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"))
 LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"))
-LOOP_FIGURES = Kind("figures of a closed loop", _json(schema="thermojoint-control"))
+LOOP_FIGURES = Kind("figures of a closed loop", _schema("thermojoint-control"))
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
 #: A case that exists may be finished: no draft replaces it.

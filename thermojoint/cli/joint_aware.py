@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
@@ -14,37 +13,7 @@ from thermojoint.cli import arguments, file_kinds
 if TYPE_CHECKING:
     import xarray as xr
 
-    from estimator.joint_aware.ageing import AgeingJointAware
-    from estimator.joint_aware.estimator import JointAware
     from fesim.case.schema import Case
-    from thermojoint.artefacts.arrays import Array
-
-Sample = tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Start:
-    """How an estimator begins, and what it reads beside its temperatures.
-
-    Attributes
-    ----------
-    resume : Path, optional
-        A saved state.
-    warm : bool
-        Nothing is known of the machine's past.
-    touches : Path, optional
-        Readings of the displacement, CSV.
-    touch_noise_um : float, optional
-        Their standard deviation, µm.
-    ageing : str, optional
-        What is learnt as the machine runs, ``preload,film``.
-    """
-
-    resume: Path | None = None
-    warm: bool = False
-    touches: Path | None = None
-    touch_noise_um: float | None = None
-    ageing: str | None = None
 
 
 def calibrate(
@@ -118,79 +87,4 @@ def _fitted(
     if report_file:
         write_text(report_file, json.dumps(told, indent=2, allow_nan=False) + "\n")
     results.show_physics(console.out(), told)
-    console.wrote(out)
-
-
-def opened(
-    model: Path,
-    source: TextIO | None,
-    response: xr.Dataset | None,
-    where: str,
-    start: Start,
-) -> tuple[JointAware | AgeingJointAware, Array, Iterable[Sample]]:
-    """Return the estimator, the state to go on from, and the samples of a log or a response."""
-    from estimator.joint_aware.log import read_log
-    from estimator.joint_aware.readings import samples_in
-    from estimator.joint_aware.starting import started
-    from estimator.touches import read_touches, with_touches
-
-    if start.resume and start.warm:
-        raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
-    noise = arguments.reading_noise(start.touch_noise_um, start.touches)
-    estimator, state = started(model, start.resume, parameters(start.ageing), noise)
-    if start.warm:
-        state = estimator.warm_state()
-    names = estimator.model.sensors
-    samples: Iterable[Sample]
-    if source is not None:
-        samples = read_log(source, names, where)
-    elif response is not None:
-        samples = samples_in(response, names)
-    else:
-        raise InputError(f"{where}: no log and no response; give one of them")
-    if start.touches is not None:
-        samples = with_touches(samples, *read_touches(start.touches, estimator.axes))
-    return estimator, state, samples
-
-
-def parameters(ageing: str | None) -> list[str]:
-    """Return the names in ``preload,film``; an empty text is one empty name, which is refused."""
-    return [] if ageing is None else [name.strip() for name in ageing.split(",")]
-
-
-def save(estimator: JointAware | AgeingJointAware, path: Path, state: Array) -> None:
-    """Write a state beside the model it belongs to."""
-    from estimator.joint_aware.saved_state import save_state
-
-    save_state(estimator, state, path)
-
-
-def validate(
-    model: Path,
-    responses: Mapping[str, xr.Dataset],
-    noise_pp: float | None,
-    seed: int,
-    out: Path | None,
-) -> None:
-    """Judge an observer by responses, by its band, too."""
-    from estimator import noise
-    from estimator.joint_aware.estimator import JointAware
-    from estimator.joint_aware.judging import judge
-    from estimator.joint_aware.model_file import read_observer
-    from thermojoint import console
-    from thermojoint.artefacts.files import write_text
-    from thermojoint.cli import results
-
-    estimator = JointAware(read_observer(model))
-    rows = []
-    for name, response in responses.items():
-        added, case = None, name
-        if noise_pp is not None:
-            case = f"{name}, {noise_pp:g} K noise"
-            times = response["time"].to_numpy()
-            added = noise.sensor_noise(times, noise_pp, seed, len(estimator.model.sensors))
-        rows += judge(case, response, estimator, added)[0]
-    if out:
-        write_text(out, json.dumps({"rows": rows}, indent=2) + "\n")
-    results.show_bands(console.out(), rows)
     console.wrote(out)

@@ -1,13 +1,11 @@
-"""The command `learn`, and what `estimate` and `validate` do where the model was learned."""
+"""The command `learn`."""
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -15,9 +13,6 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
-    from estimator.learned.estimator import Learned
-    from estimator.learned.samples import Sample
-    from thermojoint.artefacts.arrays import Array
     from thermojoint.models.learned import LearnedModel
 
 
@@ -143,116 +138,3 @@ def _show(model: LearnedModel) -> None:
             printer.print(
                 f"{kind}, on all sensors, is better here on {', '.join(better)}: --kind {kind}"
             )
-
-
-def opened(
-    model: Path,
-    source: TextIO | None,
-    where: str,
-    resume: Path | None,
-    readings: Path | None,
-    reading_noise_um: float | None,
-) -> tuple[Learned, Array, Iterable[Sample]]:
-    """Return the estimator, the state to go on from, and the samples of a log."""
-    from estimator.learned.samples import samples_of
-    from estimator.learned.starting import started
-    from estimator.touches import read_touches, with_touches
-    from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
-
-    if source is None:
-        raise InputError(f"{where}: a response; a learned model takes a log (CSV)")
-    noise = arguments.reading_noise(reading_noise_um, readings)
-    estimator, state = started(model, resume, noise)
-    # What comes in live is told at once.
-    rows = 1 if where == "standard input" else ROWS
-    known = estimator.model
-    renamed = known.renamed_in(known.columns)
-    samples = samples_of(known, pieces_in(source, where, renamed, rows))
-    if readings is not None:
-        samples = with_touches(samples, *read_touches(readings, estimator.axes))
-    return estimator, state, samples
-
-
-def estimate(opened: tuple[Learned, Array, Iterable[Sample]], out: Path, save: Path | None) -> None:
-    """Write one row for each sample: displacements as the log names them, bands, status."""
-    from estimator.interface import follow
-    from estimator.learned.saved_state import save_state
-    from thermojoint.artefacts.quantities import column_named
-    from thermojoint.artefacts.unfinished import cleared_at_stop
-
-    estimator, state, samples = opened
-    columns = [one for name in estimator.axes if (one := column_named(name))]
-    live = str(out) == "-"
-
-    def keep_state() -> None:
-        if save and live:
-            save_state(estimator, state, save)
-
-    with arguments.output(out) as target, cleared_at_stop(keep_state):
-        writer = csv.writer(target, lineterminator="\n")
-        bands = (f"band_{name}" for name in estimator.axes)
-        writer.writerow(["time_s", *estimator.axes, *bands, "status"])
-        try:
-            for reached, result in follow(estimator, samples, state):
-                state = reached
-                values = [
-                    one.from_si(value)
-                    for part in (result.displacement, result.band)
-                    for one, value in zip(columns, part, strict=True)
-                ]
-                numbers = (f"{float(value):.9g}" for value in values)
-                writer.writerow([f"{result.time:.12g}", *numbers, result.status.words])
-                if live:
-                    target.flush()
-        finally:
-            keep_state()
-    if save and not live:
-        save_state(estimator, state, save)
-
-
-def validate(model: Path, logs: Sequence[Path], out: Path | None) -> None:
-    """Judge a learned model by logs that it has not seen."""
-    from estimator.learned.judging import judge
-    from estimator.learned.starting import started
-    from thermojoint import console
-    from thermojoint.artefacts.files import write_text
-    from thermojoint.artefacts.log_file import read_log
-
-    estimator, _ = started(model)
-    if len({path.stem for path in logs}) < len(logs):
-        raise InputError("validate: two logs have the same name; rename one")
-    rows = []
-    renamed = estimator.model.renamed_in(estimator.model.columns)
-    with console.working("validating"):
-        for path in logs:
-            rows += judge(path.stem, estimator, read_log([path], renamed))
-    if out:
-        write_text(out, json.dumps({"rows": rows}, indent=2, allow_nan=False) + "\n")
-    _show_rows(rows)
-    console.wrote(out)
-
-
-def _show_rows(rows: Sequence[Mapping[str, str | float]]) -> None:
-    from rich.table import Table
-
-    from thermojoint import console
-
-    table = Table(title="errors from temperatures, speed and load alone, um")
-    columns = {
-        "rms error": "rms_error_um",
-        "uncompensated": "rms_uncompensated_um",
-        "zeroed at the start": "rms_error_zeroed_um",
-        "uncompensated, zeroed": "rms_uncompensated_zeroed_um",
-        "largest": "max_abs_error_um",
-    }
-    for name in ("case", "estimator", "axis"):
-        table.add_column(name, no_wrap=True)
-    for name in (*columns, "in the band"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(
-            *(str(row[name]) for name in ("case", "estimator", "axis")),
-            *(f"{float(row[name]):.2f}" for name in columns.values()),
-            f"{100.0 * float(row['within_band']):.0f} %",
-        )
-    console.out().print(table)

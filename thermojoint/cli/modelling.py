@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from importlib.resources import as_file, files
@@ -14,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.cli import arguments, file_kinds, joint_aware, learning
+from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
     from estimator.interface import Estimator
-    from estimator.measured import Sample
+    from estimator.kind import Sample
     from thermojoint.artefacts.arrays import Array
 
 
@@ -189,6 +190,10 @@ def estimate(
         str | None,
         typer.Option(help="What a joint-aware model learns as it runs: preload,friction,film."),
     ] = None,
+    regression: Annotated[
+        str | None,
+        typer.Option(help="Of a file of baselines: mlr, ridge or arx; default: ridge."),
+    ] = None,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
@@ -208,12 +213,11 @@ def estimate(
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
     from estimator import measured
-    from estimator.joint_aware.recognition import is_observer
-    from estimator.saved_state import save_state
-    from estimator.starting import model_in, started
+    from estimator.kind import Options
+    from estimator.registry import kind_of_file, resumed, save_state, started
+    from estimator.touches import read_touches, with_touches
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
-    from thermojoint.models.learned import is_learned
 
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
@@ -224,39 +228,54 @@ def estimate(
         [model, temperatures, readings],
     )
     length = arguments.positive("--run-length-min", run_length)
+    if resume and warm:
+        raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
     where = arguments.shown(temperatures)
+    kind = kind_of_file(model)
+    arguments.check_taken(
+        kind.name,
+        {
+            "--warm": (warm, kind.warm_state is not None),
+            "--readings": (readings, "reading_noise" in kind.options),
+            "--reading-noise-um": (reading_noise, "reading_noise" in kind.options),
+            "--ageing": (ageing, "ageing" in kind.options),
+            "--regression": (regression, "regression" in kind.options),
+        },
+    )
+    given = kind.read(model)
+    options = Options(
+        run_length=60.0 * length,
+        reading_noise=arguments.reading_noise(reading_noise, readings),
+        # An empty text is one empty name, which is refused.
+        ageing=() if ageing is None else tuple(name.strip() for name in ageing.split(",")),
+        regression=regression,
+    )
     with arguments.opened(temperatures) as source:
-        if is_learned(model):
-            arguments.only_for("a joint-aware model", {"--warm": warm, "--ageing": ageing})
-            log = learning.opened(model, source, where, resume, readings, reading_noise)
-            learning.estimate(log, out, save)
-        elif is_observer(model):
-            response = read_response(temperatures) if source is None else None
-            start = joint_aware.Start(resume, warm, readings, reading_noise, ageing)
-            observer, state, seen = joint_aware.opened(model, source, response, where, start)
-            keep = partial(joint_aware.save, observer, save) if save else None
-            _write_estimates(observer, state, seen, out, keep)
+        samples: Iterator[Sample]
+        if source is None:
+            response = read_response(temperatures)
+            console.warn(plausibility.of_response(response, where))
+            samples = kind.response(given, response)
         else:
-            given = {"--readings": readings, "--reading-noise-um": reading_noise}
-            arguments.only_for("a joint-aware or learned model", given)
-            arguments.only_for("a joint-aware model", {"--warm": warm, "--ageing": ageing})
-            table = model_in(model)
-            samples: Iterator[Sample]
-            if source is None:
-                response = read_response(temperatures)
-                console.warn(plausibility.of_response(response, where))
-                samples = measured.response_samples(response, table)
-            else:
-                samples = measured.read_samples(
-                    source,
-                    list(table.linear.direct),
-                    where,
-                    lambda first: console.warn(plausibility.of_sample(first, where)),
-                )
+            samples = kind.log(
+                given,
+                source,
+                where,
+                lambda first: console.warn(plausibility.of_sample(first, where)),
+            )
+        if kind.paced:
             nominal, samples = measured.nominal_interval(samples, interval, where)
-            estimator, state = started(model, nominal, 60.0 * length, resume)
-            keep = partial(save_state, estimator, path=save) if save else None
-            _write_estimates(estimator, state, samples, out, keep)
+            options = replace(options, interval=nominal)
+        if resume:
+            estimator, state = resumed(kind, given, options, resume)
+        else:
+            estimator = started(kind, given, options)
+            warm_state = kind.warm_state if warm else None
+            state = warm_state(estimator) if warm_state else estimator.initial_state()
+        if readings is not None:
+            samples = with_touches(samples, *read_touches(readings, estimator.axes))
+        keep = partial(save_state, estimator, path=save) if save else None
+        _write_estimates(estimator, state, samples, out, keep)
     console.wrote(None if str(out) == "-" else out, save)
 
 
@@ -324,9 +343,12 @@ def assemble(
 
 def validate(
     model: ModelFile,
-    responses: Annotated[
+    data: Annotated[
         list[Path],
-        typer.Argument(help="Responses to validate against; logs (CSV) for a learned model."),
+        typer.Argument(
+            metavar="RESPONSES",
+            help="Responses to validate against; logs (CSV) for a learned model.",
+        ),
     ],
     reference: Annotated[
         Path | None,
@@ -348,47 +370,48 @@ def validate(
 
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
     """
-    from estimator import judge, noise
-    from estimator.joint_aware.recognition import is_observer
+    from estimator.judging import Conditions
+    from estimator.registry import kind_of_file
     from thermojoint import console, plausibility
     from thermojoint.artefacts.files import write_text
     from thermojoint.artefacts.response import read_response
     from thermojoint.models.baselines import read_baselines
-    from thermojoint.models.learned import is_learned
-    from thermojoint.models.model_file import read_model
     from thermojoint.paper import printing
     from thermojoint.paper.summary import compare_schemes
 
-    inputs = [model, baselines, reference, *responses]
+    inputs = [model, baselines, reference, *data]
     arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
-    if is_learned(model):
-        learning.validate(model, responses, out)
-        return
-    given = {path.stem: read_response(path) for path in responses}
-    if len(given) < len(responses):
-        raise InputError("validate: two responses have the same name; rename one")
-    for name, response in given.items():
-        console.warn(plausibility.of_response(response, name))
-    if is_observer(model):
-        joint_aware.validate(model, given, noise_pp, seed, out)
-        return
-    table = read_model(model)
-    beside = read_baselines(baselines) if baselines else None
-    base = read_response(reference) if reference else None
-    if noise_pp is not None:
-        # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
-        given = {
-            f"{name}, {noise_pp:g} K noise": noise.with_noise(response, table, noise_pp, seed)
-            for name, response in given.items()
-        }
-    with console.working("validating"):
-        found = judge.validate_model(table, base, given, baselines=beside)
+    named = {path.stem: path for path in data}
+    if len(named) < len(data):
+        raise InputError("validate: two files have the same name; rename one")
+    kind = kind_of_file(model)
+    given = kind.read(model)
+    if kind.judge is None:
+        beside = {"--reference": reference, "--noise-pp": noise_pp, "--baselines": baselines}
+        arguments.check_taken(kind.name, {name: (one, False) for name, one in beside.items()})
+        if kind.judge_logs is None:
+            raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
+        with console.working("validating"):
+            figures = kind.judge_logs(given, named)
+    else:
+        responses = {name: read_response(path) for name, path in named.items()}
+        for name, response in responses.items():
+            console.warn(plausibility.of_response(response, name))
+        conditions = Conditions(
+            noise_pp,
+            seed,
+            read_response(reference) if reference else None,
+            read_baselines(baselines) if baselines else None,
+        )
+        with console.working("validating"):
+            figures = kind.judge(kind, given, responses, conditions)
     if out:
-        write_text(out, json.dumps(found.figures(), indent=2) + "\n")
-    printing.show_validation(console.out(), found.rows)
-    schemes = compare_schemes(found.rows, found.as_printed, found.vectors)
-    printing.show_schemes(console.out(), schemes)
-    printing.show_blocks(console.out(), found.blocks)
+        write_text(out, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    printing.show_validation(console.out(), figures["rows"])
+    if "as_printed" in figures:
+        schemes = compare_schemes(figures["rows"], figures["as_printed"], figures["vectors"])
+        printing.show_schemes(console.out(), schemes)
+        printing.show_blocks(console.out(), figures["blocks"])
     console.wrote(out)
 
 

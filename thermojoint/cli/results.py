@@ -73,25 +73,6 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
             console.print(f"{run['run']}: {run['reached']}.")
 
 
-def show_bands(console: Console, rows: Sequence[Mapping[str, str | float]]) -> None:
-    """Print the errors of an estimator that knows a band, and how often it holds."""
-    table = Table()
-    for name in ("case", "estimator", "axis"):
-        table.add_column(name, no_wrap=True)
-    for name in ("max error", "rms error", "peak", "band", "inside the band"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(
-            *(str(row[name]) for name in ("case", "estimator", "axis")),
-            *(
-                number(float(row[name]), 3)
-                for name in ("max_abs_error_um", "rms_error_um", "peak_total_um", "mean_band_um")
-            ),
-            f"{100.0 * float(row['band_cover']):.0f} %",
-        )
-    titled(console, "Validation from temperatures alone (µm)", table)
-
-
 def show_placement(console: Console, placement: Placement, axes: Sequence[str]) -> None:
     """Print the band for one sensor, two and so on, along the axes that move."""
     largest = max(float(value) for one in placement.steps for value in one.band)

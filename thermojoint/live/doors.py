@@ -43,7 +43,6 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
 def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
-    from thermojoint.live.validity import ranges_of
 
     machines = {
         name: About(
@@ -51,7 +50,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             kind=place.served.estimator.kind,
             model=Path(place.served.file).name,
             since=running.archive.model(name).begun,
-            valid=ranges_of(place.served.estimator),
+            valid=place.served.ranges,
         )
         for name, place in running.floor.places.items()
     }

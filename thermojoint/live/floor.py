@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from estimator.quality import Quality
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import (
@@ -21,7 +22,7 @@ from thermojoint.live.machine import (
     with_waiting,
 )
 from thermojoint.live.metrics import Metrics
-from thermojoint.live.publication import Publication, Quality, as_row
+from thermojoint.live.publication import Publication, as_row
 from thermojoint.live.samples import arrived
 from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
@@ -238,7 +239,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
     return Checkpoint(
         place.era,
         place.machine.said.number,
-        state_bytes(place.machine),
+        state_bytes(place.served, place.machine),
         rest_of(place.machine, place.position),
         rows,
         status,

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from estimator.quality import Quality, quality_of
+from estimator.states import as_bytes, from_bytes
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.compensation.offsets.output import (
@@ -19,11 +21,11 @@ from thermojoint.compensation.offsets.output import (
     offsets_of,
 )
 from thermojoint.compensation.offsets.usable import usable
-from thermojoint.live.publication import Publication, Quality, from_row
+from thermojoint.live.publication import Publication, from_row
 from thermojoint.live.samples import Waiting
 from thermojoint.live.served import Served
 from thermojoint.live.store import Kept
-from thermojoint.live.watchdog import REFUSED, quality_at, quality_of, silenced
+from thermojoint.live.watchdog import REFUSED, quality_at, silenced
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -137,7 +139,7 @@ def taken(
         number,
         instant,
         now,
-        quality_of(words) if sound else Quality.BAD,
+        quality_of(words, reached),
         served.layout,
         reached,
         estimate.band,
@@ -216,9 +218,9 @@ def _offsets(served: Served, output: OutputState | None) -> Array:
     return offsets_of(served.output.output, output)
 
 
-def state_bytes(machine: Machine) -> bytes:
+def state_bytes(served: Served, machine: Machine) -> bytes:
     """Return what the estimator needs, as the store keeps it."""
-    return np.concatenate(([machine.cold], machine.state)).astype("<f8").tobytes()
+    return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
 
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
@@ -270,13 +272,13 @@ def restored(
     """
     machine = at_rest(name, served, now)
     if kept.state is not None and last is not None:
-        found = np.frombuffer(kept.state, dtype="<f8")
+        found = from_bytes(kept.state, served.digest, name)
         if found.size != machine.state.size + 1:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
         machine = replace(
             machine,
             cold=float(found[0]),
-            state=found[1:].copy(),
+            state=found[1:],
             said=last,
             usable=last,
             output=_output(served, kept.rest),

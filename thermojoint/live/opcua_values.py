@@ -10,9 +10,9 @@ from typing import Any
 
 from asyncua import ua
 
+from estimator.quality import Quality, reasons_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.compensation.offsets.usable import reasons_of
-from thermojoint.live.publication import Layout, Publication, Quality, detail_name
+from thermojoint.live.publication import Layout, Publication, detail_name
 from thermojoint.live.watchdog import REFUSED, SILENT
 
 _CODES = ua.StatusCodes

@@ -6,30 +6,17 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from estimator.interface import Channel
+from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 
 #: Numbers of a row before the arrays: time, published, quality.
 _LEADING = 3
-
-
-class Quality(IntEnum):
-    """How far a value can be used; the number is what the history keeps."""
-
-    GOOD = 0
-    UNCERTAIN = 1
-    BAD = 2
-
-    @property
-    def word(self) -> str:
-        """``good``, ``uncertain`` or ``bad``."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True)

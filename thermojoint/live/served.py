@@ -7,22 +7,18 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from estimator.fchs.estimator import Fchs
+from estimator.intake import Intake, axis_name
 from estimator.interface import Estimator
-from estimator.joint_aware.model_file import fingerprint
-from estimator.joint_aware.recognition import is_observer
-from estimator.joint_aware.starting import started as started_joint_aware
-from estimator.learned.starting import started as started_learned
-from estimator.starting import started as started_fchs
+from estimator.kind import Kind, Options
+from estimator.ranges import Range
+from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.errors import ThermojointError, unknown_name
 from thermojoint.compensation.offsets.settings import Settings, read_settings
-from thermojoint.live.intake import Intake, axis_name, intake_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import ModelSection, Service
-from thermojoint.models.assembly_file import write_assembly
-from thermojoint.models.learned import is_learned
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +35,8 @@ class Served:
         Where it came from, as the service file says.
     intake : Intake
         What its machines read.
+    ranges : tuple of Range
+        What it was calibrated for.
     rule : Rule
         How their samples are made.
     layout : Layout
@@ -51,6 +49,7 @@ class Served:
     digest: str
     file: str
     intake: Intake
+    ranges: tuple[Range, ...]
     rule: Rule
     layout: Layout
     output: Settings | None
@@ -83,8 +82,11 @@ def served(section: ModelSection, base: Path, kept: Path) -> Served:
     ConvergenceError
         The model cannot be assembled at the interval.
     """
-    estimator, digest = _opened(section, base, kept)
-    intake = intake_of(estimator, section.reads == "above-ambient")
+    path = base / section.file
+    kind = kind_of_file(path)
+    model = kind.read(path)
+    intake = kind.intake(model, section.reads == "above-ambient")
+    estimator, digest = _opened(kind, model, section, base, kept)
     output = None if section.offsets is None else read_settings(base / section.offsets)
     axes = tuple(map(axis_name, estimator.axes))
     if output is not None:
@@ -97,7 +99,8 @@ def served(section: ModelSection, base: Path, kept: Path) -> Served:
     )
     _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
-    return Served(estimator, digest, section.file, intake, rule, layout, output)
+    ranges = kind.ranges(model)
+    return Served(estimator, digest, section.file, intake, ranges, rule, layout, output)
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:
@@ -114,29 +117,27 @@ def _check_axes(output: Settings, axes: tuple[str, ...], where: str) -> None:
             raise unknown_name("axis", name, axes, f"{where}: axes: the estimate has")
 
 
-def _opened(section: ModelSection, base: Path, kept: Path) -> tuple[Estimator, str]:
-    path = base / section.file
-    reads = section.reads
-    if is_learned(path):
-        learned, _ = started_learned(path)
-        return learned, f"learned {learned.model.digest}"
-    if is_observer(path):
-        observer, _ = started_joint_aware(path)
-        return observer, f"{observer.kind} {fingerprint(observer.model)} {reads}"
-    content = path.read_bytes() if path.is_file() else b""
-    made_of = f"{section.interval_s!r} {section.run_length_min!r} "
-    digest = hashlib.sha256(made_of.encode() + content).hexdigest()
+def _opened(
+    kind: Kind[Any, Any],
+    model: Any,  # noqa: ANN401
+    section: ModelSection,
+    base: Path,
+    kept: Path,
+) -> tuple[Estimator, str]:
+    """Start the estimator, or go on with what was made from the same file at the same interval."""
+    options = Options(section.interval_s, 60.0 * section.run_length_min)
+    made_of = f"{kind.fingerprint(model)} {section.reads}"
+    if kind.paced:
+        made_of = f"{section.interval_s!r} {section.run_length_min!r} {made_of}"
+    digest = hashlib.sha256(made_of.encode()).hexdigest()
     own = kept / f"{digest[:32]}.json"
-    source = own if own.is_file() else path
-    fchs, _ = started_fchs(source, section.interval_s, 60.0 * section.run_length_min)
-    if source is path:
-        _keep(fchs, own)
-    return fchs, f"fchs {digest} {reads}"
-
-
-def _keep(estimator: Fchs, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_assembly(estimator.assembly, path)
+    if kind.paced and own.is_file():
+        return resumed(kind, model, options, own)[0], digest
+    estimator = started(kind, model, options)
+    if kind.paced:
+        own.parent.mkdir(parents=True, exist_ok=True)
+        save_state(estimator, estimator.initial_state(), own)
+    return estimator, digest
 
 
 def single(models: Mapping[str, Served], service: Service) -> dict[str, Served]:

@@ -24,7 +24,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Layout
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 #: How often the log is moved in a row: what came meanwhile is less every time.
 _PASSES = 2
 #: How long one waits for another who writes, s.

@@ -4,20 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thermojoint.compensation.offsets.usable import known_reasons, reasons_of
-from thermojoint.live.publication import Quality
+from estimator.quality import Quality
 
-#: Reasons that leave a value good: a run longer than the calibration is what a service is for, and
-#: a reading of the displacement that was refused changes nothing.
-HARMLESS = frozenset({"beyond-time", "reading-refused"})
 #: What the service itself adds to a status: no sample for a while; a sample no estimator can use.
 SILENT, REFUSED = "silent", "refused"
-_DOUBTS = (set(known_reasons()) - HARMLESS) | {REFUSED}
-
-
-def quality_of(status: str) -> Quality:
-    """Return the quality of a value that has just come, by its status in words."""
-    return Quality.UNCERTAIN if reasons_of(status) & _DOUBTS else Quality.GOOD
 
 
 def quality_at(age: float, uncertain: float, bad: float) -> Quality:

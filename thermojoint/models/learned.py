@@ -297,12 +297,3 @@ def read_learned(path: Path | str) -> LearnedModel:
     if missing or not found.channels:
         raise InputError(f"{path}: spans or channels are missing; learn again")
     return found
-
-
-def is_learned(path: Path | str) -> bool:
-    """Whether a file says that it is a learned model; what cannot be read is none."""
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(content, dict) and content.get("schema") == FILE.schema

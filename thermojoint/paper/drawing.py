@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimator.fchs.judging import Validated
 from estimator.fchs.stream import Signals
-from estimator.judge import Validated
 from estimator.noise import joint_noise
 from estimator.superposition import superposed
 from fesim.case.schema import Case

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimator.judge import Validated
+from estimator.fchs.judging import Validated
 from estimator.rows import Row
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import AmbientSection, SampledInput

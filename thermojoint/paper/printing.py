@@ -43,34 +43,46 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     console.print(f"Paper: {paper_values.CITATION}.")
 
 
+#: What a row of errors may hold, in the order of its columns: heading, key, factor and unit.
+_ERRORS = (
+    ("max error", "max_abs_error_um", 1.0, ""),
+    ("rms error", "rms_error_um", 1.0, ""),
+    ("rms uncompensated", "rms_uncompensated_um", 1.0, ""),
+    ("rms error zeroed", "rms_error_zeroed_um", 1.0, ""),
+    ("uncompensated zeroed", "rms_uncompensated_zeroed_um", 1.0, ""),
+    ("peak", "peak_total_um", 1.0, ""),
+    ("nonlinear peak", "peak_nonlinear_um", 1.0, ""),
+    ("band", "mean_band_um", 1.0, ""),
+    ("inside the band", "band_cover", 100.0, " %"),
+    ("inside the band", "within_band", 100.0, " %"),
+)
+
+
 def show_validation(console: Console, rows: Sequence[Row]) -> None:
-    """Print the errors of the estimators, from temperatures alone."""
+    """Print the errors of estimators of any kind, from temperatures alone: what their rows hold."""
     from thermojoint.paper.verdict import paper_claim
 
+    held = [one for one in _ERRORS if any(one[1] in row for row in rows)]
+    claims = [paper_claim(row) for row in rows]
     table = Table()
-    title = "Validation from temperatures alone (µm)"
     for name in ("case", "estimator", "axis"):
         table.add_column(name, no_wrap=True)
-    for name in ("max error", "rms error", "peak", "nonlinear peak", "paper's error"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        claim = paper_claim(row)
-        table.add_row(
-            str(row["case"]),
-            str(row["estimator"]),
-            str(row["axis"]),
-            *(
-                _figure(row[name])
-                for name in (
-                    "max_abs_error_um",
-                    "rms_error_um",
-                    "peak_total_um",
-                    "peak_nonlinear_um",
-                )
-            ),
-            number(claim),
-        )
-    titled(console, title, table)
+    for heading, *_ in held:
+        table.add_column(heading, justify="right")
+    claimed = any(claim is not None for claim in claims)
+    if claimed:
+        table.add_column("paper's error", justify="right")
+    for row, claim in zip(rows, claims, strict=True):
+        cells = (_cell(row.get(key), factor, unit) for _, key, factor, unit in held)
+        names = (str(row[name]) for name in ("case", "estimator", "axis"))
+        table.add_row(*names, *cells, *([number(claim)] if claimed else []))
+    titled(console, "Validation from temperatures alone (µm)", table)
+
+
+def _cell(value: str | float | None, factor: float, unit: str) -> str:
+    if value is None:
+        return ""
+    return f"{factor * float(value):.0f}{unit}" if unit else _figure(value)
 
 
 def show_estimators(console: Console, table: ErrorTable) -> None:

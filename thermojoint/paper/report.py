@@ -55,7 +55,7 @@ class ReportData:
     tables : sequence of PrintedTable
         Tables 1-3.
     validation, blocks : sequence of mapping
-        Rows of `estimator.judge.validate` and `estimator.block_errors`.
+        Rows of `estimator.fchs.judging.validate` and `estimator.fchs.block_errors`.
     schemes : sequence of SchemeErrors
         The two calibrations of Eq. 18 beside the linear estimator.
     convergence : mapping

@@ -13,9 +13,9 @@ from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement.fchs import with_roles
 from calibrate.provenance import provenance_of
-from estimator import judge
+from estimator.fchs import judging as judge
+from estimator.fchs.judging import Validated
 from estimator.joint_aware.estimator import JointAware
-from estimator.judge import Validated
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint import console

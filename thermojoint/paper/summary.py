@@ -242,7 +242,7 @@ def compare_schemes(
     Parameters
     ----------
     rows, as_printed, vectors
-        See `estimator.judge.Validated`.
+        See `estimator.fchs.judging.Validated`.
 
     Returns
     -------

@@ -60,7 +60,7 @@ def error_table(rows: Sequence[Row]) -> ErrorTable:
     Parameters
     ----------
     rows : sequence of mapping
-        See `estimator.judge.validate`; every estimator in every case.
+        See `estimator.fchs.judging.validate`; every estimator in every case.
     """
     estimators = tuple(dict.fromkeys(str(row["estimator"]) for row in rows))
     found: dict[Key, dict[str, Row]] = {}
@@ -101,7 +101,7 @@ def verdict(rows: Sequence[Row]) -> str:
     Parameters
     ----------
     rows : sequence of mapping
-        See `estimator.judge.validate`.
+        See `estimator.fchs.judging.validate`.
 
     Returns
     -------

@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.thermal_error.scoring import NotApplicable
 from calibrate.learning.learn import learn
+from estimator.columns import samples_of
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
-from estimator.learned.samples import samples_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -19,7 +19,7 @@ from thermojoint.artefacts.log import Log
 def learned(training: Log, test: Log) -> dict[str, Array]:
     """The learned model with at most four sensors."""
     estimator = _learned(training)
-    samples = samples_of(estimator.model, [test])
+    samples = samples_of(estimator.model.columns, [test])
     found = [one for _, one in follow(estimator, samples, estimator.initial_state())]
     claims = np.array([one.displacement for one in found])
     bands = np.array([one.band for one in found])

@@ -12,11 +12,13 @@ from calibrate.learning import blocks as sums
 from calibrate.learning import thinning
 from calibrate.learning.learn import learn
 from calibrate.learning.thinning import thinned
+from estimator.columns import samples_of
 from estimator.interface import Status, follow
+from estimator.kind import Options
 from estimator.learned.estimator import Learned
 from estimator.learned.judging import judge, run
-from estimator.learned.samples import samples_of
-from estimator.learned.saved_state import load_state, save_state
+from estimator.learned.kind import KIND
+from estimator.registry import resumed, save_state
 from estimator.touches import with_touches
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.filters.relaxations import relax_all
@@ -182,16 +184,16 @@ def test_the_file_brings_the_model_back_and_damage_is_refused(model, tmp_path):
 
 def test_a_saved_state_goes_on_bit_for_bit(model, tmp_path):
     estimator = Learned(model)
-    samples = list(samples_of(model, [DAY]))[:200]
+    samples = list(samples_of(model.columns, [DAY]))[:200]
     samples = list(with_touches(samples, np.array([DAY.times[60]]), np.array([[1e-6, np.nan]])))
     whole = [one for one, _ in follow(estimator, samples, estimator.initial_state())]
     save_state(estimator, whole[99], tmp_path / "state.json")
-    begun = load_state(estimator, tmp_path / "state.json")
+    _, begun = resumed(KIND, model, Options(), tmp_path / "state.json")
     rest = [one for one, _ in follow(estimator, samples[100:], begun)]
     np.testing.assert_array_equal(rest[-1], whole[-1])
     other = replace(model, duration_s=1.0)
     with pytest.raises(InputError, match="another model"):
-        load_state(Learned(other), tmp_path / "state.json")
+        resumed(KIND, other, Options(), tmp_path / "state.json")
 
 
 def test_a_log_that_goes_on_where_the_learned_one_ended_begins_with_what_it_left(model):
@@ -231,7 +233,7 @@ def test_readings_improve_the_model_itself(model):
 
 def test_a_reading_against_everything_is_refused_and_a_second_one_is_a_new_zero(model):
     estimator = Learned(model)
-    samples = list(samples_of(model, [DAY]))[:100]
+    samples = list(samples_of(model.columns, [DAY]))[:100]
     times = DAY.times[[20, 40, 60]]
     wrong = np.array([[5e-3, np.nan], [5e-3, np.nan], [5e-3, np.nan]])
     told = with_touches(samples, times, wrong)

@@ -9,8 +9,8 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 
 from estimator.export.c_source import literal
-from estimator.export.exporting import export_program
 from estimator.export.program import REFUSED, Precision
+from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.measured import response_samples

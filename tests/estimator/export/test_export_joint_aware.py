@@ -10,15 +10,15 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 from observed import SENSORS, observed_data, observer, run, step
 
-from estimator.export import joint_aware
-from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, write_fmu
-from estimator.export.joint_aware import NOT_SETTLED, READING_JUMPED
 from estimator.export.program import COMMON, Precision
+from estimator.exporting import export_program
 from estimator.interface import Status, follow
+from estimator.joint_aware import program as joint_aware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.program import NOT_SETTLED, READING_JUMPED
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError

@@ -10,13 +10,13 @@ from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selfte
 from machine_logs import as_csv, machine_log
 
 from calibrate.learning.learn import learn
-from estimator.export.exporting import export_program
+from estimator.columns import samples_of
 from estimator.export.fmu import Standard, write_fmu
-from estimator.export.learned import gains
 from estimator.export.program import REFUSED, Precision
+from estimator.exporting import export_program
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
-from estimator.learned.samples import samples_of
+from estimator.learned.program import gains
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 from thermojoint.models.filters.relaxations import relaxed
@@ -35,7 +35,7 @@ def estimator():
 
 @pytest.fixture(scope="module")
 def samples(estimator):
-    return list(samples_of(estimator.model, [DAY]))
+    return list(samples_of(estimator.model.columns, [DAY]))
 
 
 @needs_gcc

@@ -10,9 +10,9 @@ from exported import STRICT, needs_gcc
 from typer.testing import CliRunner
 
 from estimator.export.c_source import c_files
-from estimator.export.exporting import export_program
 from estimator.export.fmu import Standard, fmi_files, write_fmu
 from estimator.export.program import Precision
+from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import follow
 from thermojoint.cli.app import app

@@ -16,13 +16,13 @@ from observed import step as observed_step
 from structured_text import FLAGS, HEAD, Translator, parsed, run
 
 from calibrate.learning.learn import learn
-from estimator.export import joint_aware
-from estimator.export.exporting import export_program
+from estimator.columns import samples_of
 from estimator.export.program import Precision
 from estimator.export.structured_text import decimal, literal, st_files
+from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
+from estimator.joint_aware import program as joint_aware
 from estimator.learned.estimator import Learned
-from estimator.learned.samples import samples_of
 from estimator.measured import response_samples
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
@@ -83,7 +83,7 @@ def test_a_leaking_estimator_is_the_same_at_any_interval(hand_made_model, precis
 @pytest.mark.parametrize("precision", Precision)
 def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
     log = machine_log(hours=24.0, seed=5, start=500000.0)
-    samples = list(samples_of(learned.model, [log]))
+    samples = list(samples_of(learned.model.columns, [log]))
     agrees(export_program(learned, precision, "m", samples, interval=60.0), tmp_path / "even")
     agrees(export_program(learned, precision, "m"), tmp_path / "uneven")
 

@@ -10,14 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.block_errors import block_errors
+from estimator.fchs.block_errors import block_errors
 from estimator.fchs.estimator import Fchs
+from estimator.fchs.judging import validate
+from estimator.fchs.kind import KIND
 from estimator.fchs.stream import initial_state, run, step, stream
 from estimator.interface import follow
-from estimator.judge import validate
+from estimator.kind import Options
 from estimator.noise import sensor_noise
-from estimator.saved_state import load_state, save_state
-from estimator.starting import started
+from estimator.registry import resume_estimator, resumed, save_state
+from estimator.states import read_state
 from estimator.superposition import superposed
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import make_response
@@ -201,7 +203,7 @@ def test_a_saved_state_resumes_bit_for_bit(assembly, tmp_path):
     whole, end = followed(estimator, samples, estimator.initial_state())
     _, half = followed(estimator, samples[:25], estimator.initial_state())
     save_state(estimator, half, tmp_path / "state.json")
-    again, loaded = load_state(tmp_path / "state.json")
+    again, loaded = resumed(KIND, assembly, Options(), tmp_path / "state.json")
     assert np.array_equal(loaded, half)
     assert fingerprint(again.assembly) == fingerprint(assembly)
     rest, resumed_end = followed(again, samples[25:], loaded)
@@ -209,7 +211,7 @@ def test_a_saved_state_resumes_bit_for_bit(assembly, tmp_path):
     assert np.array_equal(whole[25:], rest)
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
     save_state(estimator, estimator.initial_state(), tmp_path / "fresh.json")
-    assert np.isnan(load_state(tmp_path / "fresh.json")[1][0])
+    assert np.isnan(read_state(tmp_path / "fresh.json").values[0])
 
 
 def test_a_state_goes_on_where_the_fit_of_the_poles_differs_in_its_last_digits(assembly, tmp_path):
@@ -222,8 +224,8 @@ def test_a_state_goes_on_where_the_fit_of_the_poles_differs_in_its_last_digits(a
     save_state(
         estimator, followed(estimator, [(2.0, 1.0, 0.5, 0.2)], estimator.initial_state())[1], state
     )
-    resumed, _ = started(model, DT, resume=state)
-    assert fingerprint(resumed.assembly) == fingerprint(elsewhere)
+    again, _ = resume_estimator(model, state)
+    assert fingerprint(again.assembly) == fingerprint(elsewhere)
 
 
 def test_an_assembly_comes_back_from_its_file_to_the_last_bit(assembly, tmp_path):
@@ -261,27 +263,27 @@ def test_a_state_that_does_not_belong_here_is_refused(assembly, tmp_path):
     hotter = replace(MODEL.linear, thermal=replace(MAIN, K=3.4))
     write_model(replace(MODEL, linear=hotter), model, Provenance("a hotter plate"))
     with pytest.raises(InputError, match="another model"):
-        started(model, DT, resume=path)
+        resume_estimator(model, path)
     text = path.read_text()
-    newer = json.loads(text) | {"schema_version": 3}
+    newer = json.loads(text) | {"schema_version": 2}
     short = json.loads(text)
     short["state"] = short["state"][:-1]
     endless = json.loads(text)
     endless["state"][0] = float("inf")
-    foreign = json.loads(text) | {"estimator": {}}
+    foreign = json.loads(text) | {"carried": {}}
     for content, message in (
         (text[: len(text) // 2], "truncated"),
         ("[]", "not a 'thermojoint-estimator-state'"),
-        (json.dumps(newer), "version 3"),
+        (json.dumps(newer), "version 2"),
         (json.dumps(short), "damaged"),
         (json.dumps(endless), "damaged"),
-        (json.dumps(foreign), "not a 'thermojoint-assembly'"),
+        (json.dumps(foreign), "damaged"),
     ):
         path.write_text(content)
         with pytest.raises(InputError, match=message):
-            load_state(path)
+            read_state(path)
     with pytest.raises(InputError, match="no such file"):
-        load_state(tmp_path / "absent.json")
+        read_state(tmp_path / "absent.json")
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,12 @@ from calibrate.joint_aware.physics_fit import Run, fit_physics
 from estimator.interface import Status, follow
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_model import Calibrated
-from estimator.joint_aware.saved_state import load_state, save_state
 from estimator.joint_aware.slow_parameters import learnt
+from estimator.kind import Options
+from estimator.registry import resumed, save_state
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
@@ -145,13 +147,15 @@ def test_a_state_goes_on_bit_for_bit_and_knows_what_it_learns(machine, observer,
     whole = list(follow(estimator, every, estimator.initial_state()))[-1][0]
     half = list(follow(estimator, every[:70], estimator.initial_state()))[-1][0]
     save_state(estimator, half, path)
-    again = AgeingJointAware(JointAware(observer.model), estimator.ageing)
-    resumed = list(follow(again, every[70:], load_state(again, path)))[-1][0]
-    assert np.array_equal(resumed, whole, equal_nan=True)
+    options = Options(ageing=estimator.ageing)
+    again, begun = resumed(KIND, observer.model, options, path)
+    rest = list(follow(again, every[70:], begun))[-1][0]
+    assert np.array_equal(rest, whole, equal_nan=True)
     with pytest.raises(InputError, match="saved with --ageing preload,film"):
-        load_state(observer, path)
+        resumed(KIND, observer.model, Options(), path)
     save_state(estimator, estimator.warm_state(), path)
-    assert np.array_equal(load_state(again, path), estimator.warm_state(), equal_nan=True)
+    _, begun = resumed(KIND, observer.model, options, path)
+    assert np.array_equal(begun, estimator.warm_state(), equal_nan=True)
 
 
 @pytest.mark.parametrize(
@@ -187,14 +191,14 @@ def test_the_command_line_learns_what_it_is_asked_to(machine, observer, inputs, 
     assert result.exit_code == 0
     header = out.read_text().splitlines()[0].split(",")
     assert {"preload_factor", "preload_std", "friction_factor", "friction_std"} <= set(header)
-    assert json.loads(state.read_text())["ageing"] == ["preload", "friction"]
+    assert json.loads(state.read_text())["carried"] == ["preload", "friction"]
 
 
 def test_only_a_joint_aware_model_learns(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("time_s\n0\n")
     model = tmp_path / "model.json"
-    model.write_text("{}")
+    model.write_text('{"schema": "thermojoint-learned-model"}')
     words = ["estimate", model, log, "--ageing", "film", "--out", tmp_path / "out.csv"]
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert "--ageing" in str(result.exception)

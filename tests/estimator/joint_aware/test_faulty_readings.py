@@ -180,7 +180,7 @@ def test_the_command_starts_warm_and_takes_readings(estimator, response, tmp_pat
     assert result.exit_code == 0, result.output
     rows = out.read_text().splitlines()
     assert "unsettled" in rows[1]
-    at = rows[0].split(",").index("total_x_um")
+    at = rows[0].split(",").index("x_um")
     assert float(rows[21].split(",")[at]) == pytest.approx(actual[120], abs=1.0)
     out.unlink()
     result = CliRunner().invoke(app, [*common, "--reading-noise-um", "0.2"])

@@ -22,6 +22,7 @@ from calibrate.joint_aware.report import whole_report
 from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.log import read_log
 from estimator.joint_aware.model_file import (
     fingerprint,
@@ -30,8 +31,9 @@ from estimator.joint_aware.model_file import (
 )
 from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.recognition import is_observer
-from estimator.joint_aware.saved_state import load_state, save_state
+from estimator.kind import Options
+from estimator.registry import kind_of_file, resumed, save_state
+from estimator.states import read_state
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
@@ -298,7 +300,7 @@ def test_a_model_file_gives_the_same_estimates(estimator, response, tmp_path):
 def test_foreign_and_damaged_files_are_refused_in_one_line(estimator, tmp_path):
     path = tmp_path / "model.h5"
     write_observer(estimator.model, path)
-    assert is_observer(path)
+    assert kind_of_file(path) is KIND
     whole = path.read_bytes()
     middle = len(whole) // 2
     damaged = whole[:middle] + bytes(2000) + whole[middle + 2000 :]
@@ -464,16 +466,17 @@ def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, respons
     samples = list(samples_in(response, SENSORS))[:40]
     state, _ = estimates(estimator, samples)
     save_state(estimator, state, path)
-    assert np.array_equal(load_state(estimator, path), state, equal_nan=True)
+    _, again = resumed(KIND, estimator.model, Options(), path)
+    assert np.array_equal(again, state, equal_nan=True)
     save_state(estimator, estimator.warm_state(), path)
-    again = load_state(estimator, path)
+    _, again = resumed(KIND, estimator.model, Options(), path)
     assert np.array_equal(again, estimator.warm_state(), equal_nan=True)
-    other = JointAware(replace(estimator.model, step=1.0))
+    other = replace(estimator.model, step=1.0)
     with pytest.raises(InputError, match="another model"):
-        load_state(other, path)
+        resumed(KIND, other, Options(), path)
     path.write_text("{}")
-    with pytest.raises(InputError, match="not a 'thermojoint-joint-aware-state'"):
-        load_state(estimator, path)
+    with pytest.raises(InputError, match="not a 'thermojoint-estimator-state'"):
+        resumed(KIND, estimator.model, Options(), path)
 
 
 def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
@@ -513,7 +516,7 @@ def test_the_command_line_estimates_and_validates_with_a_model_file(estimator, r
     rows = out.read_text().splitlines()
     assert rows[0].startswith("time_s,heat_bearings_W")
     assert len(rows) == 61
-    assert load_state(estimator, state)[0] == pytest.approx(118.0)
+    assert read_state(state).values[0] == pytest.approx(118.0)
     judged = tmp_path / "validation.json"
     command("validate", model, run_file, "--out", judged)
     found = json.loads(judged.read_text())["rows"]

@@ -9,8 +9,9 @@ import pytest
 
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.judging import judge
 from estimator.joint_aware.model_file import read_observer, write_observer
+from estimator.joint_aware.readings import samples_in
+from estimator.judging import judge
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -89,7 +90,9 @@ def test_the_report_says_what_became_of_every_parameter(machine, responses):
 
 
 def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):
-    rows, _ = judge("step", responses["step 1.0"], JointAware(calibrated.model))
+    estimator, response = JointAware(calibrated.model), responses["step 1.0"]
+    seen = samples_in(response, estimator.model.sensors)
+    rows, _ = judge("step", response, estimator, seen)
     for row in rows:
         assert row["max_abs_error_um"] < 0.05 * row["peak_total_um"]
         assert row["rms_error_um"] < 0.02 * row["peak_total_um"]

@@ -20,7 +20,7 @@ from reference_case import lasting
 from repository import TOP, modules
 from short_runs import SHORT, quick_bands
 
-from estimator.judge import ESTIMATORS
+from estimator.fchs.judging import ESTIMATORS
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.cli import main as cli
@@ -408,13 +408,11 @@ def test_an_estimate_is_the_same_from_a_response_and_from_a_csv(
         assert command("estimate", model, source, "--out", tmp_path / out)[0] == 0
     one, two = read_estimate(tmp_path / "one"), read_estimate(tmp_path / "two")
     assert one.dtype.names == two.dtype.names
-    assert {"time_s", "heat_input", "source_1", "deviation_T2_K", "total_x_um"} <= {
-        *one.dtype.names
-    }
+    assert {"time_s", "heat_input", "source_1", "deviation_T2_K", "x_um"} <= {*one.dtype.names}
     for name in one.dtype.names:
         scale = np.abs(one[name]).max()
         assert two[name] == pytest.approx(one[name], rel=1e-6, abs=1e-6 * scale)
-    assert one["total_x_um"] == pytest.approx(one["linear_x_um"] + one["nonlinear_x_um"], abs=1e-6)
+    assert one["x_um"] == pytest.approx(one["linear_x_um"] + one["nonlinear_x_um"], abs=1e-6)
 
 
 def test_an_estimate_resumed_on_the_streams_goes_on_as_if_never_stopped(

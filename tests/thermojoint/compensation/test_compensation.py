@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from repository import ROOT
 from typer.testing import CliRunner
 
+from estimator.estimate_table import Row, read_estimate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings import toml
 from thermojoint.cli.app import app
@@ -22,7 +23,7 @@ from thermojoint.compensation.offsets.output import (
     followed,
     offsets_of,
 )
-from thermojoint.compensation.offsets.preview import Row, preview, read_estimate
+from thermojoint.compensation.offsets.preview import preview
 from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
 from thermojoint.compensation.offsets.usable import Trust, usable
 
@@ -189,7 +190,8 @@ sign = 1
 
 
 def estimate_text(rows):
-    return "\n".join(["time_s,heat_W,total_x_um,total_y_um,band_x_um,band_y_um,status", *rows, ""])
+    named = "x_um,y_um,x_band_um,y_band_um"
+    return "\n".join([f"time_s,heat_W,{named},status", *rows, ""])
 
 
 @pytest.fixture

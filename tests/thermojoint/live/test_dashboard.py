@@ -11,9 +11,10 @@ from dashboard_server import TOKEN, about, again, event, keep, layout_of, publis
 from observed import SENSORS, estimates, observed_data, observer, run, step
 
 from estimator.joint_aware.readings import samples_in
+from estimator.quality import Quality
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from thermojoint.live.publication import Quality, as_json
+from thermojoint.live.publication import as_json
 from thermojoint.live.scene import scene_of
 from thermojoint.live.surface import surface_of, write_surface
 from thermojoint.reduced.machine import reduce_machine

@@ -25,6 +25,7 @@ from live_parts import free_port
 from repository import ROOT
 
 from estimator.interface import Channel
+from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.http import gate, server
 from thermojoint.live.http.access import SHORTEST_TOKEN, access_by
@@ -35,7 +36,7 @@ from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
 from thermojoint.live.http.sources import About
 from thermojoint.live.http.stream import stream
 from thermojoint.live.hub import Hub
-from thermojoint.live.publication import Layout, Publication, Quality, as_json
+from thermojoint.live.publication import Layout, Publication, as_json
 from thermojoint.live.scene import Scene
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import HttpServer, Secret

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.live_fuzz import DOORS, check
+from estimator.quality import Quality
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.opcua_values import status_of
-from thermojoint.live.publication import Quality
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, MqttSource

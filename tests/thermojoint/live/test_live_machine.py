@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.quality import Quality
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
@@ -13,7 +14,7 @@ from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog, line_of
 from thermojoint.live.machine import at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
-from thermojoint.live.publication import Quality, as_json, as_row, from_row
+from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served
 from thermojoint.live.settings import ModelSection, WatchdogSection

@@ -18,11 +18,11 @@ from live_parts import Broker, free_port, message, needs_broker, serving, until
 
 from benchmarks import live_kills
 from estimator.interface import follow
-from estimator.starting import started
+from estimator.quality import Quality
+from estimator.registry import open_estimator
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import own_identity
-from thermojoint.live.publication import Quality
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
 from thermojoint.live.users import add_user
@@ -53,7 +53,8 @@ def day(count=120):
 @pytest.fixture(scope="module")
 def expected(model):
     """What an estimator says of that day, sample by sample."""
-    estimator, state = started(model, INTERVAL)
+    estimator = open_estimator(model)
+    state = estimator.initial_state()
     samples = [(row[0], row[1] - row[2], row[3] - row[5], row[4] - row[5]) for row in day()]
     return np.array([one.displacement for _, one in follow(estimator, samples, state)])
 

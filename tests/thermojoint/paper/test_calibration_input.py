@@ -12,7 +12,7 @@ from repository import ROOT
 
 from calibrate import chain
 from calibrate.responses import moving_axes
-from estimator import judge
+from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response, read_response
@@ -150,7 +150,7 @@ def test_every_command_takes_a_model_of_other_axes(page, capsys, monkeypatch):
     app(["estimate", "model.json", "step-2.0.csv", "--out", "estimate.csv"], standalone_mode=False)
     estimate = np.genfromtxt("estimate.csv", delimiter=",", names=True)
     truth = 1e6 * measured(2.0, estimate["time_s"])["z"]
-    assert np.abs(estimate["total_z_um"] - truth).max() < 0.05 * np.abs(truth).max()
+    assert np.abs(estimate["z_um"] - truth).max() < 0.05 * np.abs(truth).max()
     arguments = ["validate", "model.json", "step-2.0.nc", "--reference", "step-1.0.nc"]
     app([*arguments, "--out", "errors.json"], standalone_mode=False)
     rows = json.loads(Path("errors.json").read_text())["rows"]

@@ -19,7 +19,8 @@ from calibrate.placement.fchs import (
     sources_for,
     with_roles,
 )
-from estimator import judge, noise
+from estimator import noise
+from estimator.fchs import judging as judge
 from estimator.joint_aware.model_file import read_observer
 from fesim.case.schema import MeshSection, case_from_data
 from fesim.case.thermal_sections import HeldTemperatureSection

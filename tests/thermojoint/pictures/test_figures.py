@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from estimator.judge import ESTIMATORS
+from estimator.fchs.judging import ESTIMATORS
 from fesim.simulate import at_rest
 from meshes.milling_machine import box_milling_machine
 from thermojoint import console

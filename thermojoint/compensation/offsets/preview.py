@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from estimator.estimate_table import Row
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.output import at_zero, cycle, followed, offsets_of
 from thermojoint.compensation.offsets.settings import Settings
 from thermojoint.compensation.offsets.usable import usable
-
-_TOTAL, _BAND, _UNIT = "total_", "band_", "_um"
-
-
-class Row(NamedTuple):
-    """One row of an estimate.
-
-    Attributes
-    ----------
-    time : float
-        s.
-    displacement, band : ndarray, shape (axes,)
-        m; NaN where the cell is empty.
-    status : str
-        In words.
-    """
-
-    time: float
-    displacement: Array
-    band: Array
-    status: str
 
 
 class Cycle(NamedTuple):
@@ -54,61 +33,6 @@ class Cycle(NamedTuple):
     time: float
     offsets: Array
     state: str
-
-
-def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], list[Row]]:
-    """Return the axes and the rows of an estimate of any estimator.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        A CSV with the columns ``time_s``, ``total_AXIS_um``, ``band_AXIS_um`` and ``status``; the
-        bands may be missing, other columns are ignored.
-    where : str
-        Name of the file, for error messages.
-
-    Raises
-    ------
-    InputError
-        A column is missing, a value is no number, time does not increase, or there is no row.
-    """
-    reader = csv.reader(lines)
-    try:
-        table = [(reader.line_num, row) for row in reader if row]
-    except csv.Error as error:
-        raise InputError(f"{where}: not readable as CSV ({error}); mend the file") from error
-    header = [name.strip().lstrip("\ufeff") for name in table[0][1]] if table else []
-    axes = tuple(
-        name[len(_TOTAL) : -len(_UNIT)]
-        for name in header
-        if name.startswith(_TOTAL) and name.endswith(_UNIT)
-    )
-    if not axes or "time_s" not in header or "status" not in header:
-        raise InputError(
-            f"{where}: no estimate, columns {', '.join(header) or 'none'}; give what "
-            "`thermojoint estimate` writes"
-        )
-    rows: list[Row] = []
-    for number, row in table[1:]:
-        line = f"{where}, line {number}"
-        if len(row) != len(header):
-            raise InputError(f"{line}: {len(row)} values, expected {len(header)}; mend the row")
-        cells = dict(zip(header, row, strict=True))
-        time = _number(cells["time_s"], line)
-        last = rows[-1].time if rows else -math.inf
-        if not last < time < math.inf:
-            raise InputError(
-                f"{line}: time {time:g} s does not come after {last:g} s; drop or re-order it"
-            )
-        totals, bands = (
-            MICRO
-            * np.array([_number(cells.get(f"{part}{axis}{_UNIT}", ""), line) for axis in axes])
-            for part in (_TOTAL, _BAND)
-        )
-        rows.append(Row(time, totals, bands, cells["status"].strip()))
-    if not rows:
-        raise InputError(f"{where}: holds no row; give an estimate of some length")
-    return axes, rows
 
 
 def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Iterator[Cycle]:
@@ -166,10 +90,3 @@ def _named(settings: Settings, since: float, time: float) -> str:
     if math.isnan(since):
         return "follow"
     return "freeze" if time - since <= settings.output.freeze_time else "decay"
-
-
-def _number(text: str, line: str) -> float:
-    try:
-        return float(text) if text.strip() else math.nan
-    except ValueError:
-        raise InputError(f"{line}: {text!r} is no number; mend the row") from None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.interface import Status
+from estimator.quality import reasons_of
 from thermojoint.artefacts.arrays import Array
 
 #: Reasons that make an estimate unusable where the settings name none: what was never calibrated,
@@ -52,11 +53,6 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
         and not (reasons_of(status) & set(trust.unusable))
         and not bool(np.any(band > trust.widest_band))
     )
-
-
-def reasons_of(status: str) -> set[str]:
-    """Return the reasons of a status in words, without the channels they are of."""
-    return {word.partition(":")[0] for word in status.split()}
 
 
 def known_reasons() -> Sequence[str]:

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 from thermojoint.live.archive import History
 from thermojoint.live.http.sources import About
-from thermojoint.live.publication import Publication, Quality, detail_name, iso_time
+from thermojoint.live.publication import Publication, detail_name, iso_time
 from thermojoint.live.store import Event
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry
 
+from estimator.ranges import Range
 from thermojoint.live.archive import Archive
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout
 from thermojoint.live.scene import Scene
-from thermojoint.live.validity import Range
 
 
 @dataclass(frozen=True)

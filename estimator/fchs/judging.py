@@ -1,8 +1,8 @@
 """Estimators against a response: they see the temperatures, the displacement is the judge.
 
 All that are given are judged by the same samples of the same sensors: FCHS and its linear part
-alone, no compensation, regressions, observers. `estimator.block_errors` then says which block of
-FCHS an error comes from.
+alone, no compensation, regressions, observers. `estimator.fchs.block_errors` then says which block
+of FCHS an error comes from.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator.baselines.starting import regressions
-from estimator.block_errors import assembled_for, block_errors
+from estimator.baselines.kind import regressions
+from estimator.fchs.block_errors import assembled_for, block_errors
 from estimator.fchs.stream import Signals, run
 from estimator.interface import follow
-from estimator.noise import joint_noise
+from estimator.kind import OpenedEstimator
+from estimator.noise import joint_noise, with_added
+from estimator.registry import kind_of
 from estimator.rows import Row, figures_of
 from estimator.superposition import superposed
 from thermojoint.artefacts.arrays import Array
@@ -31,8 +33,6 @@ from thermojoint.models.sensors import readings, rises, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from estimator.joint_aware.estimator import JointAware
 
 #: Their order everywhere.
 ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", "joint-aware")
@@ -75,7 +75,7 @@ class Validated:
     as_printed : list of dict
         `rows` of the paper's own scheme, whose deformation models are calibrated to steps.
     blocks : list of dict
-        See `estimator.block_errors`; empty without a reference response.
+        See `estimator.fchs.block_errors`; empty without a reference response.
     estimates : dict
         Case to the whole run of FCHS.
     errors : dict
@@ -121,7 +121,7 @@ def validate(
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, np.ndarray] | None = None,
     baselines: Baselines | None = None,
-    observers: Sequence[tuple[JointAware, Array]] = (),
+    observers: Sequence[tuple[OpenedEstimator, Array]] = (),
     settled_s: float = 0.0,
 ) -> Judged:
     """Run the estimators on the temperatures of `response` and judge them by the displacement.
@@ -137,7 +137,7 @@ def validate(
         superposed reference; without it, less the estimated δ_L.
     baselines : Baselines, optional
         Regressions to judge beside the model.
-    observers : sequence of (JointAware, ndarray)
+    observers : sequence of (OpenedEstimator, ndarray)
         Observers to judge beside the model, and the state that each starts from. They read the
         probes that are named as their sensors.
     settled_s : float
@@ -194,7 +194,7 @@ def _regressed(
     for axis in axes:
         if axis not in baselines.axes:
             raise unknown_name("axis", axis, baselines.axes, "baselines")
-    found = {}
+    found: dict[str, Array] = {}
     for one in regressions(baselines, interval):
         order = [one.axes.index(axis) for axis in axes]
         run_of = follow(one, told, one.initial_state())
@@ -204,25 +204,24 @@ def _regressed(
 
 def _observed(
     response: xr.Dataset,
-    observer: JointAware,
+    observer: OpenedEstimator,
     axes: Sequence[str],
     noise: Mapping[str, Array],
     state: Array,
 ) -> tuple[Array, Array]:
     """Return the displacement and half its band, (k, axes), m, of an observer."""
-    # Here, not above: nobody who judges no observer waits for its compiler.
-    from estimator.joint_aware.judging import followed
-
     for axis in axes:
         if axis not in observer.axes:
             raise unknown_name("axis", axis, observer.axes, observer.kind)
     order = [observer.axes.index(axis) for axis in axes]
-    nothing = np.zeros(response.sizes["time"])
-    added = np.column_stack([noise.get(name, nothing) for name in observer.model.sensors])
-    found = followed(response, observer, added, state)
+    kind = kind_of(observer)
+    read = kind.sensors(observer.model, response)
+    seen = with_added(response, {name: noise[name] for name in read if name in noise})
+    samples = kind.response(observer.model, seen)
+    run_of = [estimate for _, estimate in follow(observer, samples, state)]
     return (
-        np.array([one.displacement for one in found])[:, order],
-        np.array([one.band for one in found])[:, order],
+        np.array([one.displacement for one in run_of])[:, order],
+        np.array([one.band for one in run_of])[:, order],
     )
 
 
@@ -233,7 +232,7 @@ def validate_model(
     responses: Mapping[str, xr.Dataset],
     noisy: Collection[str] = (),
     baselines: Baselines | None = None,
-    observers: Sequence[tuple[JointAware, Array]] = (),
+    observers: Sequence[tuple[OpenedEstimator, Array]] = (),
     settled_s: float = 0.0,
 ) -> Validated:
     """Judge a model by responses, from temperatures alone.

@@ -1,24 +1,23 @@
-"""A log as samples of a learned estimator."""
+"""Columns of a log as samples, in the order of an estimator's channels."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
-from thermojoint.models.learned import LearnedModel
 
 Sample = tuple[float, ...]
 
 
-def samples_of(model: LearnedModel, pieces: Iterable[Log]) -> Iterator[Sample]:
+def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
     """Yield (time, columns in SI) of a log.
 
     Parameters
     ----------
-    model : LearnedModel
-        Says which columns.
+    names : sequence of str
+        Of the columns, with their units.
     pieces : iterable of Log
         In the order of time.
 
@@ -32,6 +31,6 @@ def samples_of(model: LearnedModel, pieces: Iterable[Log]) -> Iterator[Sample]:
         if not piece.times[0] > last:
             raise InputError("log: the clock begins anew; estimate each run by itself")
         last = float(piece.times[-1])
-        at = [piece.index(name) for name in model.columns]
+        at = [piece.index(name) for name in names]
         for time, values in zip(piece.times.tolist(), piece.values[:, at].tolist(), strict=True):
             yield (time, *values)

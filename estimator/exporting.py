@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from estimator.export import fchs, joint_aware, learned
-from estimator.export.program import Contents, Precision, Program, checked_name, program
-from estimator.fchs.estimator import Fchs
-from estimator.interface import Estimator
-from estimator.joint_aware.estimator import JointAware
-from estimator.learned.estimator import Learned
+from estimator.export.program import Precision, Program, checked_name, program
+from estimator.kind import OpenedEstimator
+from estimator.registry import kind_of
 from thermojoint.artefacts.errors import InputError
 
 
 def export_program(
-    estimator: Estimator,
+    estimator: OpenedEstimator,
     precision: Precision | str = Precision.DOUBLE,
     name: str = "thermojoint",
     samples: Iterable[Sequence[float]] | None = None,
@@ -25,8 +22,8 @@ def export_program(
 
     Parameters
     ----------
-    estimator : Estimator
-        Of the kinds FCHS, joint-aware and learned.
+    estimator : OpenedEstimator
+        Of a kind that has a program: FCHS, joint-aware and learned.
     precision : Precision or str
         ``double`` or ``single``, of all numbers of the program.
     name : str
@@ -46,17 +43,8 @@ def export_program(
     """
     checked_name(name)
     numbers = Precision(precision)
-    return program(_contents(estimator, numbers, interval), numbers, name, samples, origin)
-
-
-def _contents(estimator: Estimator, precision: Precision, interval: float) -> Contents:
-    if isinstance(estimator, Fchs):
-        return fchs.contents(estimator)
-    if isinstance(estimator, JointAware):
-        return joint_aware.contents(estimator, precision)
-    if isinstance(estimator, Learned):
-        return learned.contents(estimator, interval)
-    raise InputError(
-        f"export: an estimator of kind {estimator.kind} has no program; run it with "
-        "'thermojoint estimate'"
-    )
+    kind = kind_of(estimator)
+    if kind.program is None:
+        raise InputError(f"export: {kind.name} has no program; run it with 'thermojoint estimate'")
+    contents = kind.program(estimator, numbers, interval)
+    return program(contents, numbers, name, samples, origin)

@@ -54,8 +54,8 @@ def block_errors(
     Parameters
     ----------
     case, response, model, reference, roles, noise
-        As in `estimator.judge.validate`; the noise stays on the temperatures wherever they are
-        used.
+        As in `estimator.fchs.judging.validate`; the noise stays on the temperatures wherever
+        they are used.
 
     Returns
     -------

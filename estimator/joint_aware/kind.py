@@ -1,0 +1,122 @@
+"""The joint-aware estimator as a kind, with the one whose joint is linear (``kalman-linear``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TextIO
+
+from estimator.intake import Intake, intake
+from estimator.joint_aware.ageing import AgeingJointAware
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.log import read_log
+from estimator.joint_aware.model_file import fingerprint, read_observer
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.readings import samples_in
+from estimator.kind import Kind, OnFirst, Options
+from estimator.ranges import Range, calibrated_ranges
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MICRO
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from estimator.export.program import Contents, Precision
+
+#: As calibrated, or with parameters that are learnt as the machine runs.
+JointAwareEstimator = JointAware | AgeingJointAware
+
+
+def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
+    observer = JointAware(model, options.noise)
+    return AgeingJointAware(observer, options.ageing) if options.ageing else observer
+
+
+def _warm_state(estimator: JointAwareEstimator) -> Array:
+    return estimator.warm_state()
+
+
+def _ageing(estimator: JointAwareEstimator) -> list[str]:
+    return list(estimator.ageing) if isinstance(estimator, AgeingJointAware) else []
+
+
+def _resumed(
+    model: ObserverModel,
+    options: Options,
+    carried: Any,  # noqa: ANN401
+    where: str,
+) -> JointAwareEstimator:
+    if carried != list(options.ageing):
+        names = ",".join(map(str, carried)) if isinstance(carried, list) else ""
+        raise InputError(
+            f"{where}: saved with {f'--ageing {names}' if names else 'no --ageing'}; give the same"
+        )
+    return _start(model, options)
+
+
+def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
+    unit = "K" if above_ambient else "degC"
+    thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
+    count = len(thermal)
+
+    def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
+        # The machine was cold at the first ambient temperature that was ever read.
+        if math.isnan(cold):
+            cold = 0.0 if above_ambient else readings[count - 1]
+        temperatures = [value - cold for value in readings[:count]]
+        return [*temperatures, *(MICRO * value for value in readings[count:])], cold
+
+    return intake([*thermal, *(f"{axis}_um" for axis in model.axes)], count, convert)
+
+
+def _log(
+    model: ObserverModel,
+    lines: TextIO,
+    where: str,
+    on_first: OnFirst | None,
+) -> Iterator[tuple[float, ...]]:
+    return read_log(lines, model.sensors, where)
+
+
+def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
+    return samples_in(response, model.sensors)
+
+
+def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:
+    return model.sensors
+
+
+def _ranges(model: ObserverModel) -> tuple[Range, ...]:
+    known = model.calibrated
+    return calibrated_ranges(known.duration_s, (0.0, known.heat), known.temperatures)
+
+
+def _program(
+    estimator: JointAwareEstimator,
+    precision: Precision,
+    interval: float,
+) -> Contents:
+    from estimator.joint_aware.program import contents
+
+    if isinstance(estimator, AgeingJointAware):
+        raise InputError("export: ageing stays with 'thermojoint estimate'; leave it out")
+    return contents(estimator, precision)
+
+
+KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
+    name="a joint-aware model",
+    read=read_observer,
+    fingerprint=fingerprint,
+    start=_start,
+    options=frozenset({"reading_noise", "ageing"}),
+    warm_state=_warm_state,
+    carried=_ageing,
+    resumed=_resumed,
+    intake=_intake,
+    log=_log,
+    response=_response,
+    sensors=_sensors,
+    ranges=_ranges,
+    program=_program,
+)

@@ -1,0 +1,152 @@
+"""An estimator of any kind against responses: it sees temperatures, the displacement judges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from estimator.interface import Estimate, Estimator, follow
+from estimator.noise import with_noise
+from estimator.rows import Row, figures_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from thermojoint.models.baselines import Baselines
+
+#: Name of a table to its rows, ready for a JSON file; ``rows`` are the errors.
+Figures = dict[str, list[Row]]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is asked of a validation.
+
+    Attributes
+    ----------
+    noise_pp : float, optional
+        Noise on every temperature, K peak to peak.
+    seed : int
+        Of the noise.
+    reference : xarray.Dataset, optional
+        Response to the reference step, which makes the nonlinear part exact.
+    baselines : Baselines, optional
+        What is judged beside the model.
+    """
+
+    noise_pp: float | None = None
+    seed: int = 0
+    reference: xr.Dataset | None = None
+    baselines: Baselines | None = None
+
+    def only_noise(self, name: str) -> None:
+        """Refuse what an estimator called `name` has no use for: all but noise."""
+        for option, value in (("reference", self.reference), ("baselines", self.baselines)):
+            if value is not None:
+                raise InputError(f"{option}: not for {name}; leave it out")
+
+    def nothing(self, name: str) -> None:
+        """Refuse all conditions."""
+        self.only_noise(name)
+        if self.noise_pp is not None:
+            raise InputError(f"noise: not for {name}; leave it out")
+
+    def named(self, case: str) -> str:
+        """Return a case's name with the noise."""
+        # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.
+        return case if self.noise_pp is None else f"{case}, {self.noise_pp:g} K noise"
+
+    def noisy(self, response: xr.Dataset, probes: Sequence[str]) -> xr.Dataset:
+        """Return a response with the noise on some probes."""
+        if self.noise_pp is None:
+            return response
+        return with_noise(response, probes, self.noise_pp, self.seed)
+
+
+def judge_responses(
+    estimators: Sequence[Estimator],
+    responses: Mapping[str, xr.Dataset],
+    samples: Callable[[xr.Dataset], Sequence[Sequence[float]]],
+    sensors: Callable[[xr.Dataset], Sequence[str]],
+    conditions: Conditions,
+) -> Figures:
+    """Judge estimators that read the same by responses.
+
+    Parameters
+    ----------
+    estimators : sequence of Estimator
+        Start at rest.
+    responses : mapping
+        Name to response.
+    samples, sensors : callable
+        Of a response, for the estimators: samples, and the probes they come from.
+    conditions : Conditions
+        The noise.
+    """
+    rows: list[Row] = []
+    for name, response in responses.items():
+        seen = samples(conditions.noisy(response, sensors(response)))
+        for one in estimators:
+            rows += judge(conditions.named(name), response, one, seen)[0]
+    return {"rows": rows}
+
+
+def judge(
+    case: str,
+    response: xr.Dataset,
+    estimator: Estimator,
+    samples: Iterable[Sequence[float]],
+    state: Array | None = None,
+    settled_s: float = 0.0,
+) -> tuple[list[dict[str, str | float]], list[Estimate]]:
+    """Run an estimator and judge it by the displacement of a response.
+
+    Parameters
+    ----------
+    case : str
+        Name for the rows.
+    response : xarray.Dataset
+        With the displacement.
+    estimator : Estimator
+        Of any kind.
+    samples : iterable of sequences
+        Time (s) and the channels, of every sample of the response.
+    state : ndarray, optional
+        Where it starts; default at rest.
+    settled_s : float
+        The rows count samples from this long after the first one on, s.
+
+    Returns
+    -------
+    rows : list of dict
+        For each axis: case, estimator, axis, peak_total_um, and `estimator.rows.figures_of`.
+    estimates : list of Estimate
+        The whole run.
+
+    Raises
+    ------
+    InputError
+        The response lacks an axis.
+    """
+    start = estimator.initial_state() if state is None else state
+    run = [estimate for _, estimate in follow(estimator, samples, start)]
+    times = response["time"].to_numpy()
+    counted = times >= times[0] + settled_s
+    actual = columns_of(response, "displacement", estimator.axes)[counted]
+    error = np.array([one.displacement for one in run])[counted] - actual
+    band = np.array([one.band for one in run])[counted]
+    known = None if np.isnan(band).all() else band
+    figures = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA} | figures_of(error, known)
+    rows: list[dict[str, str | float]] = [
+        {"case": case, "estimator": estimator.kind, "axis": axis}
+        | {name: float(values[k]) for name, values in figures.items()}
+        for k, axis in enumerate(estimator.axes)
+    ]
+    return rows, run

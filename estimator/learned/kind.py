@@ -1,0 +1,102 @@
+"""Learned models as a kind, baselines that were learned from a log among them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from estimator.columns import samples_of
+from estimator.intake import Intake, of_columns
+from estimator.judging import Figures
+from estimator.kind import Kind, OnFirst, Options, at_once
+from estimator.learned.estimator import Learned
+from estimator.ranges import Range, duration
+from estimator.rows import Row
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.artefacts.tables.pieces import pieces_in
+from thermojoint.models.learned import LearnedModel, read_learned
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from estimator.export.program import Contents, Precision
+
+
+def _start(model: LearnedModel, options: Options) -> Learned:
+    return Learned(model, options.noise)
+
+
+def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
+    if above_ambient:
+        raise InputError(
+            'reads = "above-ambient": a learned model reads what its log had; leave the key out'
+        )
+    axes = [one.name for one in model.channels]
+    return of_columns([*model.columns, *axes], len(model.columns))
+
+
+def _log(
+    model: LearnedModel,
+    lines: TextIO,
+    where: str,
+    on_first: OnFirst | None,
+) -> Iterator[tuple[float, ...]]:
+    renamed = model.renamed_in(model.columns)
+    return samples_of(model.columns, pieces_in(lines, where, renamed, at_once(where)))
+
+
+def _response(model: LearnedModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
+    raise InputError("a response; a learned model takes a log (CSV)")
+
+
+def _ranges(model: LearnedModel) -> tuple[Range, ...]:
+    return (duration(model.duration_s), *(_seen(*one) for one in model.spans.items()))
+
+
+def _seen(name: str, span: tuple[float, float]) -> Range:
+    """The range of a column of a log, in the column's own unit."""
+    column = column_named(name)
+    if column is None:
+        return Range(name, *span, "1")
+    low, high = column.from_si(np.array(span)).tolist()
+    return Range(column.base, low, high, column.unit)
+
+
+def _judge_logs(model: LearnedModel, logs: Mapping[str, Path]) -> Figures:
+    from estimator.learned.judging import judge
+
+    estimator = _start(model, Options())
+    renamed = model.renamed_in(model.columns)
+    rows: list[Row] = [
+        row
+        for name, path in logs.items()
+        for row in judge(name, estimator, read_log([path], renamed))
+    ]
+    return {"rows": rows}
+
+
+def _program(estimator: Learned, precision: Precision, interval: float) -> Contents:
+    from estimator.learned.program import contents
+
+    return contents(estimator, interval)
+
+
+KIND: Kind[LearnedModel, Learned] = Kind(
+    name="a learned model",
+    read=read_learned,
+    fingerprint=lambda model: model.digest,
+    start=_start,
+    options=frozenset({"reading_noise"}),
+    intake=_intake,
+    log=_log,
+    response=_response,
+    ranges=_ranges,
+    judge=None,
+    judge_logs=_judge_logs,
+    program=_program,
+)

@@ -1,0 +1,41 @@
+"""What a model was calibrated for, as a person reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class Range(NamedTuple):
+    """Where a calibration has been.
+
+    Attributes
+    ----------
+    name : str
+        Of what.
+    low, high : float
+        In `unit`.
+    unit : str
+        Of both; ``1`` if it has none.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str
+
+
+def duration(seconds: float) -> Range:
+    """Return the range of the time since the start of a run, min."""
+    return Range("time since the start", 0.0, seconds / 60.0, "min")
+
+
+def calibrated_ranges(
+    seconds: float, heat: tuple[float, float], temperatures: Mapping[str, tuple[float, float]]
+) -> tuple[Range, ...]:
+    """Return the ranges of a calibration: its duration (s), heat input, and temperatures (K)."""
+    return (
+        duration(seconds),
+        Range("heat", *heat, "of the reference"),
+        *(Range(name, *span, "K") for name, span in temperatures.items()),
+    )

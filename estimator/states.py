@@ -1,0 +1,140 @@
+"""Where an estimator stands, as a file or as bytes: versioned, fingerprinted, with a checksum.
+
+Both are read back bit for bit, on any processor: JSON has a double with as many digits as bring it
+back exactly. The fingerprint is that of the model: a state means nothing to any other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import JsonKind, read_json
+
+FILE = JsonKind(
+    "thermojoint-estimator-state",
+    3,
+    "state",
+    "saved by 'thermojoint estimate --save-state'",
+    "start afresh",
+)
+#: Begins the bytes of a state; the digit is their version.
+_MAGIC = b"TJS2"
+_DIGEST = hashlib.sha256().digest_size
+
+
+class SavedState(NamedTuple):
+    """A state with what it belongs to.
+
+    Attributes
+    ----------
+    schema : str
+        Of the model file: the kind of the estimator.
+    fingerprint : str
+        Of the model.
+    carried : object
+        What the kind keeps with its states, as JSON has it; None for nothing.
+    values : ndarray
+        The state.
+    """
+
+    schema: str
+    fingerprint: str
+    carried: Any
+    values: Array
+
+
+def write_state(saved: SavedState, path: Path | str) -> None:
+    """Write a state as JSON, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        A value is infinite: a sample before was too large to be a measurement.
+    """
+    if np.isinf(saved.values).any():
+        raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
+    body = {
+        "model_schema": saved.schema,
+        "fingerprint": saved.fingerprint,
+        "carried": saved.carried,
+        # What is not known yet is NaN, which JSON does not have.
+        "state": [None if math.isnan(value) else value for value in saved.values.tolist()],
+    }
+    content = FILE.header | body | {"checksum": _checksum(body)}
+    write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
+
+
+def read_state(path: Path | str) -> SavedState:
+    """Read a state that `write_state` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, no state, of another version, or was changed.
+    """
+    content = read_json(path, FILE)
+    stated = content.pop("checksum", None)
+    if stated != _checksum(content):
+        raise InputError(f"{path}: the state's values are damaged; start afresh")
+    try:
+        values = [math.nan if one is None else float(one) for one in content["state"]]
+        return SavedState(
+            str(content["model_schema"]),
+            str(content["fingerprint"]),
+            content["carried"],
+            np.array(values),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: the state's values are damaged; start afresh") from error
+
+
+def as_bytes(fingerprint: str, values: Array) -> bytes:
+    """Return a state as bytes: what begins them, digests of model and numbers, the numbers."""
+    numbers = np.asarray(values).astype("<f8").tobytes()
+    return _MAGIC + _digest(fingerprint.encode()) + _digest(numbers) + numbers
+
+
+def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
+    """Return the state that `as_bytes` made bytes of.
+
+    Parameters
+    ----------
+    data : bytes
+    fingerprint : str
+        Of the model that is to go on.
+    where : str
+        For the error message.
+
+    Raises
+    ------
+    InputError
+        The bytes are damaged, of another version, or of another model.
+    """
+    model, numbers = len(_MAGIC), len(_MAGIC) + _DIGEST
+    own, stated, content = (
+        data[model:numbers],
+        data[numbers : numbers + _DIGEST],
+        data[numbers + _DIGEST :],
+    )
+    if not data.startswith(_MAGIC) or stated != _digest(content) or len(content) % 8:
+        raise InputError(f"{where}: the state that is kept is damaged; give another folder")
+    if own != _digest(fingerprint.encode()):
+        raise InputError(f"{where}: the state that is kept is of another model; give its folder")
+    return np.frombuffer(content, dtype="<f8").copy()
+
+
+def _checksum(body: dict[str, Any]) -> str:
+    return _digest(json.dumps(body, sort_keys=True).encode()).hex()
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()
