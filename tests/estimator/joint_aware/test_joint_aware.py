@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from observed import SENSORS, errors, estimates, observed_data, observer, run, step
 from typer.testing import CliRunner
+from written_estimates import assert_compensate_reads_what_is_written
 
 from calibrate.joint_aware import open_band as open_band_module
 from calibrate.joint_aware.assembling import make_observer
@@ -295,6 +296,11 @@ def test_a_model_file_gives_the_same_estimates(estimator, response, tmp_path):
     assert np.array_equal(
         estimates(read, samples)[0], estimates(estimator, samples)[0], equal_nan=True
     )
+
+
+def test_what_estimate_writes_is_what_compensate_reads(estimator, tmp_path):
+    write_observer(estimator.model, tmp_path / "model.h5")
+    assert_compensate_reads_what_is_written(tmp_path / "model.h5", tmp_path, "joint-aware")
 
 
 def test_foreign_and_damaged_files_are_refused_in_one_line(estimator, tmp_path):
