@@ -67,7 +67,7 @@ images: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,excel,gmsh,dask,control,serve,docs,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,excel,gmsh,batch,dask,control,serve,docs,dev]'
 	touch $@
 
 clean:

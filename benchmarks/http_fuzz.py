@@ -297,7 +297,7 @@ def serve(folder: Path) -> None:
     from estimator.interface import Channel
     from estimator.quality import Quality
     from thermojoint.live.archive import Archive
-    from thermojoint.live.http import server
+    from thermojoint.live.http import patience
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
     from thermojoint.live.hub import Hub
@@ -305,7 +305,7 @@ def serve(folder: Path) -> None:
     from thermojoint.live.settings import HttpServer, Secret
     from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
 
-    server.REQUEST_S = REQUEST_S
+    patience.REQUEST_S = REQUEST_S
     layout = Layout(("x", "y"), (), (Channel("heat_input", "1"),), ("T1_degC",))
     now = time.time()
     run = [

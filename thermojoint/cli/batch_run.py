@@ -23,6 +23,7 @@ from rich.text import Text
 
 from fesim.batch.study import Study, StudyCase, brief, read_study, shown
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.extras import require
 from thermojoint.console import warn
 from thermojoint.plausibility import of_cases
 
@@ -37,6 +38,7 @@ SHOWN_WORKERS = 8
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
     """Run a study file's batch and show how it goes."""
     study = read_study(path)
+    require("batch", "batch", "zarr", "pyarrow")
     warn(of_cases((one.case for one in study.cases), str(path)))
     # Here, not above: what is wrong with a study is said before Zarr and Arrow are loaded.
     from fesim.batch import run

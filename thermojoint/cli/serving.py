@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.extras import require
 
 
 class Role(StrEnum):
@@ -58,17 +59,22 @@ def serve(
             loop.add_signal_handler(number, stop.set)
         await run(given, stop)
 
-    _check_installed()
+    require(
+        "serve",
+        "serve",
+        *(
+            "prometheus_client",
+            "asyncua",
+            "aiomqtt",
+            "starlette",
+            "uvicorn",
+            "h11",
+            "anyio",
+            "plotly",
+        ),
+    )
     log_to()
     asyncio.run(until_stopped())
-
-
-def _check_installed() -> None:
-    from importlib.util import find_spec
-
-    for name in ("prometheus_client", "asyncua", "aiomqtt", "starlette", "uvicorn"):
-        if find_spec(name) is None:
-            raise InputError(f"serve: needs {name}; pip install 'thermojoint[serve]'")
 
 
 def _add_user(base: Path, users: str | None, name: str, role: Role) -> None:

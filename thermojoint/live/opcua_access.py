@@ -13,21 +13,16 @@ from typing import Any
 
 from asyncua import ua
 from asyncua.common.connection import TransportLimits
-from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
 from asyncua.server import Server
 from asyncua.server.user_managers import UserManager
 
 from thermojoint.live.log_lines import EventLog
+from thermojoint.live.opcua_internals import limit
 from thermojoint.live.users import Gate, Role
 
-#: A session without a sign of life ends after this time, ms; a subscription publishes at most so
-#: often, ms.
-_SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
-#: No request is larger, bytes; of one item no more values wait.
-_LARGEST, _QUEUE = 1 << 20, 100
-#: Who has not logged in by then is sent away, s.
-_LOGIN_S = 10.0
+#: No request is larger, bytes.
+_LARGEST = 1 << 20
 
 _WRITES = {ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary)}
 _NEVER = {ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)}
@@ -134,39 +129,4 @@ def restrict(
         max_chunk_count=_LARGEST // 65535 + 1,
         max_message_size=_LARGEST,
     )
-    inner = server.iserver
-    inner.max_connections = sessions
-    inner.max_pending_activation_seconds = _LOGIN_S
-    inner.max_session_timeout_ms = _SESSION_MS
-    inner.max_subscriptions = subscriptions
-    inner.max_monitored_item_queue_size = _QUEUE
-    inner.max_unacked_messages_per_subscription = _QUEUE
-    inner.max_pending_messages_per_connection = _QUEUE
-    _cap_items(inner, items)
-
-
-def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
-    """Refuse more monitored items than there may be, and publishing that is too fast."""
-    service = inner.subscription_service
-    create, subscribe = service.create_monitored_items, service.create_subscription
-
-    async def create_capped(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
-        there = sum(
-            len(one.monitored_item_srv._monitored_items) for one in service.subscriptions.values()
-        )
-        if there + len(params.ItemsToCreate) > most:
-            raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
-        return await create(params)
-
-    async def subscribe_slower(
-        params: ua.CreateSubscriptionParameters,
-        *rest: Any,  # noqa: ANN401
-        **named: Any,  # noqa: ANN401
-    ) -> Any:  # noqa: ANN401
-        wanted = params.RequestedPublishingInterval
-        # Not even NaN is faster.
-        params.RequestedPublishingInterval = wanted if wanted >= _FASTEST_MS else _FASTEST_MS
-        return await subscribe(params, *rest, **named)
-
-    service.create_monitored_items = create_capped
-    service.create_subscription = subscribe_slower
+    limit(server, sessions, subscriptions, items)

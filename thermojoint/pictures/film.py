@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.extras import require
 from thermojoint.artefacts.files import whole_file
 from thermojoint.pictures.renderer import Pixels, painted, rendered
 from thermojoint.pictures.scenes import Scene, finished
@@ -34,11 +34,7 @@ def check_film(path: Path) -> None:
     """
     if path.suffix.lower() not in HEIGHTS:
         raise InputError(f"{path}: a film is MP4 or GIF; name it {path.stem}.mp4")
-    if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
-        raise InputError(
-            f"{path}: a film needs imageio with ffmpeg; install the extra 'view': "
-            "pip install 'thermojoint[view]'"
-        )
+    require(f"{path}: a film", "view", "imageio", "imageio_ffmpeg")
 
 
 def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:

@@ -27,7 +27,7 @@ from repository import ROOT
 from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.http import gate, server
+from thermojoint.live.http import gate, patience
 from thermojoint.live.http.access import SHORTEST_TOKEN, access_by
 from thermojoint.live.http.bodies import Words, summary
 from thermojoint.live.http.certificate import GOOD_FOR, own_certificate
@@ -359,7 +359,7 @@ def test_streams_are_counted_and_given_back(floor, ask):
 
 
 def test_whoever_sends_half_a_request_is_not_waited_for(floor, monkeypatch):
-    monkeypatch.setattr(server, "REQUEST_S", 0.2)
+    monkeypatch.setattr(patience, "REQUEST_S", 0.2)
     host, port = floor.url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))) as slow:
         slow.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from thermojoint.artefacts.errors import InputError, UnreadableError
+from thermojoint.artefacts.extras import require
 
 #: Bytes by which a file is recognised.
 _HEAD = 4096
@@ -118,12 +119,9 @@ def _text_lines(text: io.TextIOWrapper, where: str) -> Iterator[str]:
 
 def _sheet_lines(file: BinaryIO, where: str) -> Iterator[str]:
     """Yield the first sheet with two rows or more as lines of CSV."""
-    try:
-        import openpyxl
-    except ImportError as error:
-        raise InputError(
-            f"{where}: reading .xlsx needs openpyxl; install thermojoint[excel], or save as CSV"
-        ) from error
+    require(f"{where}: .xlsx", "excel", "openpyxl")
+    import openpyxl
+
     try:
         book = openpyxl.load_workbook(file, read_only=True, data_only=True)
         sheet = next((one for one in book.worksheets if (one.max_row or 2) > 1), None)
@@ -136,11 +134,10 @@ def _sheet_lines(file: BinaryIO, where: str) -> Iterator[str]:
 
 
 def _parquet_lines(file: BinaryIO, where: str) -> Iterator[str]:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise InputError(f"{where}: reading Parquet needs pyarrow; install it") from error
+    require(f"{where}: Parquet", "batch", "pyarrow")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         table = pq.ParquetFile(file)
         yield _line(table.schema_arrow.names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.extras import require
 
 
 def python_control() -> ModuleType:
@@ -15,10 +15,7 @@ def python_control() -> ModuleType:
     InputError
         It is not installed.
     """
-    try:
-        import control
-    except ImportError as error:
-        raise InputError(
-            "heater: its transfer functions need python-control; pip install 'thermojoint[control]'"
-        ) from error
+    require("heater: its transfer functions", "control", "control")
+    import control
+
     return control

@@ -25,6 +25,7 @@ from thermojoint.live.certificates import APPLICATION, certificates_in, own_iden
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
+from thermojoint.live.opcua_internals import value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
@@ -108,11 +109,10 @@ async def add_machines(
                 k = layout.readings.index(one.name)
                 take = _taken_by(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
-            attribute = space._nodes[nodeid].attributes[ua.AttributeIds.Value]
             space.set_attribute_value_callback(
                 nodeid, ua.AttributeIds.Value, _told_by(hub, machine, one)
             )
-            of[machine].append((one, attribute))
+            of[machine].append((one, value_of(server, nodeid)))
     return Nodes(of)
 
 

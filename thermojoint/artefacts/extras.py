@@ -1,0 +1,29 @@
+"""What only one feature needs is installed by an extra; without it the feature says so."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from thermojoint.artefacts.errors import InputError
+
+
+def require(feature: str, extra: str, *packages: str) -> None:
+    """Refuse a feature whose extra is not installed, before any work.
+
+    Parameters
+    ----------
+    feature : str
+        What needs it, e.g. ``"serve"``.
+    extra : str
+        What installs it, e.g. ``"serve"``.
+    *packages : str
+        Names under which they are imported.
+
+    Raises
+    ------
+    InputError
+        One of the packages is not there.
+    """
+    for name in packages:
+        if find_spec(name) is None:
+            raise InputError(f"{feature}: needs {name}; pip install 'thermojoint[{extra}]'")

@@ -1,0 +1,72 @@
+"""asyncua's private parts: what its server does not offer in public, and nothing else.
+
+What is relied on is in tests/project/test_private_parts.py; `pyproject.toml` bounds the version.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.server import Server
+
+#: A session without a sign of life ends after this time, ms; a subscription publishes at most so
+#: often, ms.
+_SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
+#: Of one item no more values wait.
+_QUEUE = 100
+#: Who has not logged in by then is sent away, s.
+_LOGIN_S = 10.0
+
+
+def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
+    """Return the value attribute of a variable of a server, with its callback."""
+    return server.iserver.aspace._nodes[nodeid].attributes[ua.AttributeIds.Value]
+
+
+def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None:
+    """Bound what a server gives away, before it starts.
+
+    Parameters
+    ----------
+    server : Server
+    sessions, subscriptions, items : int
+        How many there may be at once.
+    """
+    inner = server.iserver
+    inner.max_connections = sessions
+    inner.max_pending_activation_seconds = _LOGIN_S
+    inner.max_session_timeout_ms = _SESSION_MS
+    inner.max_subscriptions = subscriptions
+    inner.max_monitored_item_queue_size = _QUEUE
+    inner.max_unacked_messages_per_subscription = _QUEUE
+    inner.max_pending_messages_per_connection = _QUEUE
+    _cap_items(inner, items)
+
+
+def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
+    """Refuse more monitored items than there may be, and publishing that is too fast."""
+    service = inner.subscription_service
+    create, subscribe = service.create_monitored_items, service.create_subscription
+
+    async def create_capped(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
+        there = sum(
+            len(one.monitored_item_srv._monitored_items) for one in service.subscriptions.values()
+        )
+        if there + len(params.ItemsToCreate) > most:
+            raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
+        return await create(params)
+
+    async def subscribe_slower(
+        params: ua.CreateSubscriptionParameters,
+        *rest: Any,  # noqa: ANN401
+        **named: Any,  # noqa: ANN401
+    ) -> Any:  # noqa: ANN401
+        wanted = params.RequestedPublishingInterval
+        # Not even NaN is faster.
+        params.RequestedPublishingInterval = wanted if wanted >= _FASTEST_MS else _FASTEST_MS
+        return await subscribe(params, *rest, **named)
+
+    service.create_monitored_items = create_capped
+    service.create_subscription = subscribe_slower
