@@ -4,8 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
+# What a user may install beside the program; the rest are for those who work on it.
+EXTRAS := pardiso view excel gmsh batch dask control serve
+empty :=
+comma := ,
 
-.PHONY: install reproduce test portable lint types docs wheel check bench plants images clean
+.PHONY: install reproduce test portable lint types docs constraints sbom wheel check bench plants images clean
 
 install: $(INSTALLED)
 
@@ -45,10 +49,26 @@ types: $(INSTALLED)
 docs: $(INSTALLED)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-# The wheel in dist/, and the whole chain run from it alone.
+# The versions in this environment, with the hashes of their files for every platform. Run it when the
+# tests have passed with them.
+constraints: $(INSTALLED)
+	$(BIN)/python -m pip freeze --exclude-editable > $(VENV)/tested.txt
+	$(BIN)/uv pip compile pyproject.toml $(EXTRAS:%=--extra %) --universal --generate-hashes --no-annotate \
+		--custom-compile-command 'make constraints' --constraints $(VENV)/tested.txt --quiet \
+		--output-file constraints.txt
+
+# What this environment is made of: names, versions, licences and what needs what (CycloneDX).
+sbom: $(INSTALLED)
+	mkdir -p dist
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --of JSON \
+		--output-file dist/thermojoint.cdx.json $(BIN)/python
+
+# A release in dist/: wheel, sources, tested versions and SBOM; and the whole chain run from the wheel alone.
 wheel: $(INSTALLED)
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist
+	cp constraints.txt dist
+	$(MAKE) sbom
 	.ci/wheel_alone dist/*.whl
 
 check: lint types docs test
@@ -67,7 +87,8 @@ images: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pardiso,view,excel,gmsh,batch,dask,control,serve,docs,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip setuptools
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(subst $(empty) ,$(comma),$(EXTRAS) docs dev)]'
 	touch $@
 
 clean:
