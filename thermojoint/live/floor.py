@@ -52,6 +52,8 @@ class Place:
         No sample has come since the service began.
     told : tuple of Quality and str
         Quality and status as last published.
+    mode : str
+        What the offsets did then.
     rows : list of (ndarray, str)
         Samples since the last checkpoint.
     unkept : list of callable
@@ -65,6 +67,7 @@ class Place:
     heard: float
     fresh: bool = True
     told: tuple[Quality, str] = (Quality.BAD, "no-sample")
+    mode: str = ""
     rows: list[tuple[Any, str]] = field(default_factory=list)
     unkept: list[Callable[[], None]] = field(default_factory=list)
 
@@ -155,7 +158,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             outcome.kept += place.unkept
             place.unkept = []
             last = outcome.taken[-1]
-            rest = rest_of(place.machine, place.position)
+            rest = rest_of(place.served, place.machine, place.position)
             outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
     return outcome
 
@@ -189,7 +192,7 @@ def _sample(
     place.rows.append((row, said.status))
     outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
     published = shown(place.machine)
-    place.told = published.quality, published.status
+    place.told, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
 
@@ -216,7 +219,11 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             place.served, place.machine, age, now, limits.uncertain_s, limits.bad_s
         )
         place.machine, after = machine, machine.output
-        moved = before and after and not np.array_equal(before.steps, after.steps)
+        moved = said.offset_mode != place.mode or (
+            before is not None
+            and after is not None
+            and not np.array_equal(before.steps, after.steps)
+        )
         if (said.quality, said.status) != place.told:
             floor.log.say(
                 now,
@@ -226,7 +233,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             )
         elif not moved:
             continue
-        place.told = said.quality, said.status
+        place.told, place.mode = (said.quality, said.status), said.offset_mode
         changed.append(said)
     return changed
 
@@ -240,7 +247,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
         place.era,
         place.machine.said.number,
         state_bytes(place.served, place.machine),
-        rest_of(place.machine, place.position),
+        rest_of(place.served, place.machine, place.position),
         rows,
         status,
     )

@@ -16,12 +16,15 @@ from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.compensation.offsets.output import (
     OutputState,
     at_zero,
+    content_of,
     cycle,
     followed,
+    mode_of,
     offsets_of,
 )
+from thermojoint.compensation.offsets.output import restored as output_restored
 from thermojoint.compensation.offsets.usable import usable
-from thermojoint.live.publication import Publication, from_row
+from thermojoint.live.publication import Layout, Publication, from_row
 from thermojoint.live.samples import Waiting
 from thermojoint.live.served import Served
 from thermojoint.live.store import Kept
@@ -124,6 +127,7 @@ def taken(
             details=np.full(len(served.layout.details), np.nan),
             readings=told,
             status=REFUSED,
+            offset_mode=_mode(served, output),
         )
         return replace(machine, cold=cold, output=output, said=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
@@ -147,6 +151,7 @@ def taken(
         estimate.details,
         told,
         words,
+        _mode(served, output),
     )
     return Machine(machine.name, state, cold, output, machine.waiting, said, said), ""
 
@@ -167,7 +172,7 @@ def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
 def shown(machine: Machine) -> Publication:
     """Return what is said of a machine now: after a refused sample, the last estimate."""
     said, last = machine.said, machine.usable
-    if said is last or last.number == 0:
+    if said.number == last.number or last.number == 0:
         return said
     return replace(
         said, displacement=last.displacement, band=last.band, details=last.details, time=last.time
@@ -189,7 +194,8 @@ def silent(
         and told
         and age > served.output.trust.oldest
     ):
-        output = _cycled(served, output, machine.said.time + age, None)
+        # The age is that of the last estimate: refused samples since then have times of their own.
+        output = _cycled(served, output, machine.usable.time + age, None)
     before = shown(machine)
     quality = quality_at(age, uncertain, bad) if before.number else Quality.BAD
     said = replace(
@@ -197,6 +203,7 @@ def silent(
         published=now,
         quality=max(before.quality, quality),
         offsets=_offsets(served, output),
+        offset_mode=_mode(served, output),
         status=silenced(before.status, quality) if before.number else before.status,
     )
     return replace(machine, output=output), said
@@ -218,12 +225,18 @@ def _offsets(served: Served, output: OutputState | None) -> Array:
     return offsets_of(served.output.output, output)
 
 
+def _mode(served: Served, output: OutputState | None) -> str:
+    if served.output is None or output is None:
+        return ""
+    return mode_of(served.output.output, output).value
+
+
 def state_bytes(served: Served, machine: Machine) -> bytes:
     """Return what the estimator needs, as the store keeps it."""
     return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
 
 
-def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
+def rest_of(served: Served, machine: Machine, position: Any) -> str:  # noqa: ANN401
     """Return what else the next sample depends on, as the store keeps it: JSON.
 
     Parameters
@@ -234,16 +247,8 @@ def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
     """
     output = machine.output
     content: dict[str, Any] = {"at": position, "waiting": machine.waiting}
-    if output is not None:
-        content["output"] = [
-            output.time,
-            output.steps.tolist(),
-            output.filtered.tolist(),
-            output.wanted.tolist(),
-            output.credit,
-            output.unusable_since,
-            output.frozen.tolist(),
-        ]
+    if served.output is not None and output is not None:
+        content["output"] = content_of(served.output.output, output)
     return json.dumps(content)
 
 
@@ -252,14 +257,16 @@ def restored(
 ) -> tuple[Machine, Any]:
     """Return a machine as it was when its last sample was kept, and where its source stood.
 
-    Samples since the last checkpoint run through the estimator again.
+    Samples since the last checkpoint run through the estimator again. The offsets go on from what
+    the control received last, whatever the settings were then; for as long as nothing came they
+    have frozen and decayed, as they would have in a service that ran.
 
     Parameters
     ----------
     name : str
     served : Served
     kept : Kept
-        What the store has of it.
+        What the store has of it; the axes of the control may have been others.
     last : Publication or None
         The sample of the checkpoint.
     now : float
@@ -279,16 +286,34 @@ def restored(
             machine,
             cold=float(found[0]),
             state=found[1:],
-            said=last,
-            usable=last,
-            output=_output(served, kept.rest),
+            said=_laid_out(last, served.layout),
+            usable=_laid_out(last, served.layout),
+            output=_output(served, json.loads(kept.rest).get("output")),
         )
     for one in kept.later:
-        row = from_row(name, one.number, served.layout, np.frombuffer(one.row), one.status)
+        row = from_row(name, one.number, kept.layout, np.frombuffer(one.row), one.status)
         readings = tuple(row.readings.tolist())
         machine, _ = taken(served, machine, row.time, readings, row.published)
     rest = json.loads(kept.later[-1].rest if kept.later else kept.rest)
-    return replace(machine, waiting=_waiting(rest.get("waiting"))), rest.get("at")
+    # Not what the samples would lead to under settings that have changed since.
+    output = _output(served, rest.get("output"))
+    if served.output is not None and output is not None and machine.said.number:
+        settings = replace(served.output.output, longest_cycle=math.inf)
+        noticed = machine.usable.time + served.output.trust.oldest
+        for time in (noticed, now) if now > noticed else ():
+            output = cycle(settings, output, max(time, output.time), None)
+    said = replace(
+        machine.said, offsets=_offsets(served, output), offset_mode=_mode(served, output)
+    )
+    waiting = _waiting(rest.get("waiting"))
+    return replace(machine, output=output, waiting=waiting, said=said), rest.get("at")
+
+
+def _laid_out(last: Publication, layout: Layout) -> Publication:
+    """Return a publication for axes of the control that are others since; they have no offset."""
+    if last.layout == layout:
+        return last
+    return replace(last, layout=layout, offsets=np.zeros(len(layout.controls)))
 
 
 def _waiting(content: list[Any] | None) -> Waiting:
@@ -305,19 +330,9 @@ def _waiting(content: list[Any] | None) -> Waiting:
     )
 
 
-def _output(served: Served, rest: str) -> OutputState | None:
+def _output(served: Served, content: dict[str, Any] | None) -> OutputState | None:
+    """Return the compensation output that goes on from what the control received last."""
     if served.output is None:
         return None
-    content = json.loads(rest).get("output")
-    if content is None or len(content[1]) != len(served.output.output.names):
-        return at_zero(served.output.output)
-    time, steps, filtered, wanted, credit, since, frozen = content
-    return OutputState(
-        time,
-        np.array(steps, dtype=np.int64),
-        np.array(filtered),
-        np.array(wanted),
-        credit,
-        since,
-        np.array(frozen, dtype=np.int64),
-    )
+    settings = served.output.output
+    return at_zero(settings) if content is None else output_restored(settings, content)

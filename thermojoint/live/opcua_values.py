@@ -12,6 +12,7 @@ from asyncua import ua
 
 from estimator.quality import Quality, reasons_of
 from thermojoint.artefacts.units import MEGA
+from thermojoint.compensation.offsets.output import Mode
 from thermojoint.live.publication import Layout, Publication, detail_name
 from thermojoint.live.watchdog import REFUSED, SILENT
 
@@ -64,6 +65,18 @@ def status_of(publication: Publication) -> int:
     if "unsettled" in reasons:
         return int(_CODES.UncertainInitialValue)
     return int(_CODES.UncertainEngineeringUnitsExceeded)
+
+
+def offset_status_of(publication: Publication) -> int:
+    """Return the status code of an offset: good only while a usable estimate stands behind it.
+
+    Its value is always what the control should have: it freezes and decays by its own rules.
+    """
+    if publication.offset_mode == Mode.FOLLOW.value:
+        return int(_CODES.Good)
+    if publication.offset_mode == Mode.WAIT.value or publication.number == 0:
+        return int(_CODES.UncertainInitialValue)
+    return int(_CODES.UncertainLastUsableValue)
 
 
 def reading_status_of(publication: Publication) -> int:
@@ -134,8 +147,7 @@ def _scaled(part: str, k: int, scale: float) -> Value:
 
 
 def _offset(k: int) -> Value:
-    # What the control should do is always known: it freezes and decays by its own rules.
-    return lambda said: (MEGA * float(said.offsets[k]), int(_CODES.Good))
+    return lambda said: (MEGA * float(said.offsets[k]), offset_status_of(said))
 
 
 def _reading(k: int) -> Value:

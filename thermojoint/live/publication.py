@@ -80,6 +80,9 @@ class Publication:
         In the units of their names; NaN for what is missing.
     status : str
         ``ok``, or the reasons in words, with the channels they are of.
+    offset_mode : str
+        What the offsets do (`thermojoint.compensation.offsets.output.Mode`); empty where there are
+        none, and in the history.
     """
 
     machine: str
@@ -94,6 +97,7 @@ class Publication:
     details: Array
     readings: Array
     status: str
+    offset_mode: str = ""
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -140,6 +144,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "displacement_um": _micrometres(layout.axes, publication.displacement),
         "band_um": _micrometres(layout.axes, publication.band),
         "offsets_um": _micrometres(layout.controls, publication.offsets),
+        "offset_mode": publication.offset_mode or None,
         "details": {
             detail_name(channel): _number(_shown(channel, value))
             for channel, value in zip(layout.details, publication.details.tolist(), strict=True)

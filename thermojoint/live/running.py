@@ -19,11 +19,21 @@ from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import restored, shown
+from thermojoint.live.machine import Machine, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
-from thermojoint.live.store import Batch, commit, cut_log, era_of, kept_of, open_store
+from thermojoint.live.store import (
+    Batch,
+    Checkpoint,
+    Kept,
+    commit,
+    cut_log,
+    era_before,
+    era_of,
+    kept_of,
+    open_store,
+)
 
 #: Blocks of arrivals that may wait; then readers wait, too.
 _MOST_BLOCKS = 2_000
@@ -111,8 +121,11 @@ async def opened(
         )
         now = time.time()
         log.say(now, "start", f"store {path}")
-        running.hub.publish([shown(place.machine) for place in places.values()])
-        running.hub.publish(floors.watch(floor, now, time.monotonic()))
+        # First what silence has done: no control receives an offset of before it.
+        silent = {one.machine: one for one in floors.watch(floor, now, time.monotonic())}
+        running.hub.publish(
+            [silent.get(name) or shown(place.machine) for name, place in places.items()]
+        )
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         await running.kept(commit, Batch(events=log.fetched()))
@@ -134,14 +147,42 @@ def _places(
     store.execute("BEGIN IMMEDIATE")
     eras = {name: era_of(store, name, one.digest, one.layout, now) for name, one in of.items()}
     store.execute("COMMIT")
-    kept = kept_of(store, eras.values())
-    found = {}
+    before = {name: era_before(store, era) for name, era in eras.items()}
+    every = kept_of(store, [*eras.values(), *(one for one in before.values() if one)])
+    found: dict[str, Place] = {}
+    moved: list[Checkpoint] = []
     for name, model in of.items():
-        last = archive.checkpointed(name, eras[name])
-        machine, position = restored(name, model, kept[eras[name]], last, now)
+        earlier, kept = before[name], every[eras[name]]
+        last = archive.checkpointed(name, kept.era)
+        if last is None and earlier is not None:
+            last = archive.checkpointed(name, earlier)
+            if kept.state is None and not kept.later:
+                kept = every[earlier]
+        machine, position = restored(name, model, kept, last, now)
+        if kept.era != eras[name]:
+            moved += _moved(model, machine, position, kept, eras[name])
+            log.say(now, "moved", "other axes of the control; the estimator goes on", name)
         heard = floors.since_heard(machine.usable, now, clock)
-        rows = [(np.frombuffer(one.row), one.status) for one in kept[eras[name]].later]
+        # Those of another layout stay where they are kept.
+        rows = [(np.frombuffer(one.row), one.status) for one in every[eras[name]].later]
         found[name] = Place(model, eras[name], machine, position, heard, rows=rows)
         if machine.said.number:
             log.say(now, "restored", f"{machine.said.number} samples, {len(rows)} again", name)
+    if moved:
+        commit(store, Batch(checkpoints=moved))
     return found
+
+
+def _moved(
+    model: Served, machine: Machine, position: object, kept: Kept, now: int
+) -> tuple[Checkpoint, Checkpoint]:
+    """Return the end of an era, and the beginning of the one that goes on from it."""
+    number, state = machine.said.number, state_bytes(model, machine)
+    rest = rest_of(model, machine, position)
+    rows = np.array([np.frombuffer(one.row) for one in kept.later])
+    words = tuple(one.status for one in kept.later)
+    none = np.empty((0, model.layout.width))
+    return (
+        Checkpoint(kept.era, number, state, rest, rows.reshape(-1, kept.layout.width), words),
+        Checkpoint(now, number, state, rest, none, ()),
+    )

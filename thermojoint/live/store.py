@@ -14,7 +14,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +143,8 @@ class Kept:
     ----------
     era : int
         Its number.
+    layout : Layout
+        What is kept of each sample.
     number : int
         Samples at the last checkpoint.
     state : bytes, optional
@@ -154,6 +156,7 @@ class Kept:
     """
 
     era: int
+    layout: Layout
     number: int
     state: bytes | None
     rest: str
@@ -230,6 +233,24 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
     return int(made.lastrowid or 0)
 
 
+def era_before(store: sqlite3.Connection, era: int) -> int | None:
+    """Return the era before one of the same machine and model, if its estimator's state goes on.
+
+    It does where nothing but the axes of the control has changed: the state knows nothing of them.
+    """
+    machine, model, content = store.execute(
+        "SELECT machine, model, layout FROM eras WHERE id = ?", (era,)
+    ).fetchone()
+    last = store.execute(
+        "SELECT id, model, layout FROM eras WHERE machine = ? AND id < ? ORDER BY id DESC LIMIT 1",
+        (machine, era),
+    ).fetchone()
+    if last is None or last[1] != model:
+        return None
+    before, now = layout_from(last[2]), layout_from(content)
+    return int(last[0]) if replace(before, controls=now.controls) == now else None
+
+
 def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
     """Return what each era left behind."""
     states = {
@@ -241,8 +262,15 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
         taken = Taken(*one)
         if taken.number > states.get(taken.era, (0,))[0]:
             later.setdefault(taken.era, []).append(taken)
+    layouts = dict(store.execute("SELECT id, layout FROM eras"))
     return {
-        era: Kept(era, *states.get(era, (0, None, "{}")), tuple(later.get(era, ()))) for era in eras
+        era: Kept(
+            era,
+            layout_from(layouts[era]),
+            *states.get(era, (0, None, "{}")),
+            tuple(later.get(era, ())),
+        )
+        for era in eras
     }
 
 

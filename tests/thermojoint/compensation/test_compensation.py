@@ -1,6 +1,7 @@
 """The compensation output: laws of what a control receives, its settings, its preview."""
 
 import csv
+import json
 import math
 import re
 from dataclasses import replace
@@ -17,11 +18,15 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings import toml
 from thermojoint.cli.app import app
 from thermojoint.compensation.offsets.output import (
+    Mode,
     OutputSettings,
     at_zero,
+    content_of,
     cycle,
     followed,
+    mode_of,
     offsets_of,
+    restored,
 )
 from thermojoint.compensation.offsets.preview import preview
 from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
@@ -39,6 +44,8 @@ PLAIN = OutputSettings(
     largest=1.0,
     freeze_time=0.0,
     decay_time=100.0,
+    recover_time=0.0,
+    longest_cycle=math.inf,
 )
 
 sizes = st.floats(1e-8, 1e-3)
@@ -53,6 +60,8 @@ settings = st.builds(
     largest=sizes,
     freeze_time=st.just(0.0) | times,
     decay_time=times,
+    recover_time=st.just(0.0) | times,
+    longest_cycle=times,
 )
 targets = st.none() | st.lists(
     st.floats(-1e-2, 1e-2) | st.just(math.nan), min_size=2, max_size=2
@@ -127,6 +136,56 @@ def test_what_was_done_is_not_undone_by_running_it_again(settings, course):
     assert all((one.steps == other.steps).all() for one, other in zip(first, second, strict=True))
 
 
+@given(settings, st.lists(st.tuples(settings, courses), min_size=1, max_size=4), courses)
+def test_no_change_of_the_settings_moves_an_offset_faster_than_the_rate(first, changes, course):
+    """Whatever is changed between two cycles, axis by axis, by name; through JSON as it is kept."""
+    state = run(first, course)[-1]
+    before = dict(zip(first.names, as_row(first, state), strict=True))
+    content = content_of(first, state)
+    for used, later in changes:
+        state = restored(used, json.loads(json.dumps(content)))
+        for name, offset in zip(used.names, as_row(used, state), strict=True):
+            assert abs(offset - before[name]) <= 0.5 * used.resolution * (1.0 + 1e-6)
+        start = state.time if math.isfinite(state.time) else 0.0
+        for length, target in later:
+            start, last = start + length, as_row(used, state)
+            state = cycle(used, state, start, target)
+            allowed = used.rate * min(length, used.longest_cycle) + used.resolution
+            moved = np.abs(as_row(used, state) - last)
+            assert (moved <= allowed * (1.0 + 1e-6)).all()
+            # A limit that was lowered is reached at the rate, and never passed from within.
+            most = np.maximum(np.abs(last), used.most_steps * used.resolution)
+            assert (np.abs(as_row(used, state)) <= most * (1.0 + 1e-9)).all()
+        before = dict(zip(used.names, as_row(used, state), strict=True))
+        content = content_of(used, state)
+
+
+def test_an_axis_keeps_its_offset_by_its_name_and_a_new_one_begins_at_zero():
+    state = run(PLAIN, [(1.0, np.array([27.2 * MICRO]))] * 2)[-1]
+    content = content_of(PLAIN, state)
+    coarse = replace(PLAIN, resolution=MICRO, names=("Y", "X"), estimated=("y", "x"), signs=(1, -1))
+    found = offsets_of(coarse, restored(coarse, content))
+    assert found == pytest.approx([0.0, 27.0 * MICRO], abs=1e-12)
+
+
+def test_a_status_that_comes_and_goes_moves_nothing_until_it_stays():
+    settings = replace(PLAIN, freeze_time=1e9, recover_time=10.0)
+    wanted = np.array([20.0 * MICRO])
+    calm = run(settings, [(1.0, np.array([5.0 * MICRO]))] * 3)[-1]
+    flapping = run(settings, [(1.0, None), (5.0, wanted)] * 20, calm)[1:]
+    assert {offsets_of(settings, state)[0] for state in flapping} == {offsets_of(settings, calm)[0]}
+    assert {mode_of(settings, state) for state in flapping} == {Mode.FREEZE}
+    stays = run(settings, [(5.0, wanted)] * 3, flapping[-1])[1:]
+    assert [mode_of(settings, state) for state in stays] == [Mode.FREEZE, Mode.FOLLOW, Mode.FOLLOW]
+
+
+def test_after_a_pause_an_offset_begins_where_it_was():
+    settings = replace(PLAIN, rate=MICRO, longest_cycle=30.0)
+    state = run(settings, [(1.0, np.array([0.0]))] * 2)[-1]
+    later = cycle(settings, state, state.time + 36_000.0, np.array([100.0 * MICRO]))
+    assert offsets_of(settings, later) == pytest.approx([30.0 * MICRO])
+
+
 def test_signs_and_axes_are_mapped():
     crossed = replace(PLAIN, names=("U", "V"), estimated=("y", "x"), signs=(1, -1))
     assert followed(crossed, ("x", "y"), np.array([2.0, 3.0])) == pytest.approx([3.0, -2.0])
@@ -178,6 +237,7 @@ dead_band_um = 0.0
 oldest_s = 5.0
 freeze_s = 10.0
 decay_s = 20.0
+recover_s = 0.0
 
 [axes.X]
 follows = "x"
@@ -224,7 +284,8 @@ def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
 
 
 def test_an_old_estimate_is_no_estimate():
-    settings = settings_from_data({"oldest_s": 5.0, "axes": {"X": {"follows": "x"}}}, "s.toml")
+    given = {"oldest_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
+    settings = settings_from_data(given, "s.toml")
     rows = [Row(time, np.array([1e-6]), np.array([math.nan]), "ok") for time in (0.0, 20.0)]
     found = [one.state for one in preview(settings, ("x",), rows)]
     assert found[:6] == ["follow"] * 6

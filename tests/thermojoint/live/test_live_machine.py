@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.quality import Quality
+from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
@@ -22,6 +23,7 @@ from thermojoint.live.store import (
     Batch,
     commit,
     cut_log,
+    era_before,
     era_of,
     forget,
     kept_of,
@@ -196,7 +198,8 @@ def test_another_model_begins_anew(model, tmp_path):
 def test_a_row_of_the_history_is_the_publication(model):
     said = after(model, 20).said
     back = from_row("mill", said.number, model.layout, as_row(said), said.status)
-    assert as_json(back) == as_json(said)
+    # What the offsets do is said of the present alone.
+    assert as_json(back) == as_json(said) | {"offset_mode": None}
 
 
 def test_nothing_is_acknowledged_before_its_sample_is_kept(model, tmp_path):
@@ -229,3 +232,82 @@ def test_a_flood_of_events_is_a_few_lines():
     assert told == 5
     assert log.say(START + 100.0, "malformed", "x", "mill")
     assert "9995 more" in log.pending[-1].text
+
+
+# --- what a control receives ---------------------------------------------------------------------
+
+
+def with_offsets(model, text, folder):
+    """The model with other settings of its compensation output."""
+    (folder / "other.toml").write_text(text)
+    output = read_settings(folder / "other.toml")
+    layout = replace(model.layout, controls=output.output.names)
+    return replace(model, output=output, layout=layout)
+
+
+def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
+    """The clock of the output follows the time since the last estimate, not twice of it."""
+    machine = after(model, 60)
+    for k in range(60, 110):
+        broken = (math.nan, *readings(k)[1:])
+        machine, refusal = taken(model, machine, START + k, broken, START + k)
+        assert refusal
+    alone = after(model, 60)
+    for age in (20.0, 50.0, 51.0, 60.0, 100.0):
+        refused, said = silent(model, machine, age, START + 59 + age, 10.0, 60.0)
+        quiet, expected = silent(model, alone, age, START + 59 + age, 10.0, 60.0)
+        if age > 50.0:
+            assert refused.output.time == START + 59 + age
+            assert quiet.output.time == refused.output.time
+            # The refused ones froze it at their first, the silence only when it was noticed.
+            assert abs(said.offsets[0]) <= abs(expected.offsets[0])
+
+
+@pytest.mark.parametrize("resolution", [0.1, 1.0, 10.0])
+def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, resolution):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 40)
+    before = floor.places["mill"].machine.said.offsets[0]
+    assert abs(before) > 1e-6
+    other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
+    kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
+    machine, _ = restored("mill", other, kept, None, START + 40)
+    assert machine.said.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
+
+
+def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 40)
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    feed(floor, store, 40, 50)
+    place = floor.places["mill"]
+    other = with_offsets(model, OFFSETS + '\n[axes.Z]\nfollows = "y"\n', tmp_path)
+    era = era_of(store, "mill", other.digest, other.layout, START + 50)
+    assert era != place.era
+    assert era_before(store, era) == place.era
+    kept = kept_of(store, [place.era])[place.era]
+    last = Archive(path).checkpointed("mill", place.era)
+    machine, _ = restored("mill", other, kept, last, START + 50)
+    np.testing.assert_array_equal(machine.state, place.machine.state)
+    assert machine.said.number == 50
+    assert machine.said.offsets.tolist() == [place.machine.said.offsets[0], 0.0]
+    another = era_of(store, "mill", "another model", other.layout, START + 50)
+    assert era_before(store, another) is None
+
+
+def test_while_the_service_is_down_an_offset_decays_as_if_it_ran(model, tmp_path):
+    store = open_store(tmp_path / "history.sqlite")
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 40)
+    place = floor.places["mill"]
+    kept = kept_of(store, [place.era])[place.era]
+    running = place.machine
+    for age in range(1, 121):
+        running, said = silent(model, running, float(age), START + 39 + age, 10.0, 60.0)
+    machine, _ = restored("mill", model, kept, None, START + 39 + 120)
+    assert machine.said.offsets == pytest.approx(said.offsets, abs=3e-7)
+    assert machine.said.offset_mode == "decay"

@@ -3,15 +3,22 @@
 What is wanted is sign times the estimated displacement, filtered by a first-order low-pass, held
 within a dead band, limited to a largest total; what comes out goes there no faster than a rate, in
 whole steps of the control's resolution. An estimate that cannot be used freezes the offsets, and
-after a while they decay to zero. The offsets are counted in whole steps, so that none is between.
+after a while they decay to zero; they follow again once estimates have been usable for some time,
+so that a status that comes and goes does not drive an axis to and fro. The offsets are counted in
+whole steps, so that none is between.
+
+A state outlives its settings (`content_of`, `restored`): it is kept in metres by the names of the
+axes, so after a change of the resolution, the limits or the axes each axis goes on from the offset
+that the control received last.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +52,11 @@ class OutputSettings:
         How long offsets stay where they are without a usable estimate, s.
     decay_time : float
         Time constant with which they go to zero then, s.
+    recover_time : float
+        How long estimates must have been usable again before offsets follow them, s.
+    longest_cycle : float
+        A longer time between two cycles counts as this long for how far offsets may move, s: after
+        a pause they begin where they were.
     """
 
     names: tuple[str, ...]
@@ -57,12 +69,23 @@ class OutputSettings:
     largest: float
     freeze_time: float
     decay_time: float
+    recover_time: float
+    longest_cycle: float
 
     @property
     def most_steps(self) -> int:
         """Largest offset in whole steps."""
         # A limit that is a number of steps, but for its rounding, is that number.
         return math.floor(self.largest / self.resolution + 1e-9)
+
+
+class Mode(Enum):
+    """What the offsets do."""
+
+    WAIT = "wait"
+    FOLLOW = "follow"
+    FREEZE = "freeze"
+    DECAY = "decay"
 
 
 class OutputState(NamedTuple):
@@ -79,9 +102,11 @@ class OutputState(NamedTuple):
     credit : float
         How far an offset may move beyond what the time of a cycle allows, m: less than a step.
     unusable_since : float
-        When the estimates became unusable, s; NaN if they are usable.
+        When the offsets ceased to follow, s; NaN while they follow.
     frozen : ndarray of int, shape (axes,)
         The offsets at that time.
+    usable_since : float
+        When estimates became usable again since then, s; NaN if they have not.
     """
 
     time: float
@@ -91,13 +116,19 @@ class OutputState(NamedTuple):
     credit: float
     unusable_since: float
     frozen: NDArray[np.int64]
+    usable_since: float
+
+    @property
+    def used(self) -> bool:
+        """Whether any estimate has moved the offsets yet."""
+        return bool(self.frozen.any() or self.steps.any() or np.isfinite(self.wanted).any())
 
 
 def at_zero(settings: OutputSettings) -> OutputState:
     """Return the state of a control that has received nothing yet."""
     count = len(settings.names)
     unseen, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
-    return OutputState(math.nan, none, unseen, unseen, 0.0, math.nan, none)
+    return OutputState(math.nan, none, unseen, unseen, 0.0, math.nan, none, math.nan)
 
 
 def offsets_of(settings: OutputSettings, state: OutputState) -> Array:
@@ -137,25 +168,104 @@ def cycle(
         usable estimate.
     """
     passed = 0.0 if math.isnan(state.time) else time - state.time
-    if target is None or not np.isfinite(target).all():
+    usable = target is not None and bool(np.isfinite(target).all())
+    usable_since = state.usable_since
+    if usable and math.isnan(usable_since):
+        usable_since = time
+    frozen = state.frozen
+    if target is not None and usable and _recovered(settings, state, time - usable_since):
+        since = usable_since = math.nan
+        filtered = _filtered(settings, state.filtered, target, passed)
+        wanted = _beyond_dead_band(settings, state.wanted, filtered)
+        goal = np.rint(wanted / settings.resolution)
+    else:
+        if not usable:
+            usable_since = math.nan
         since = time if math.isnan(state.unusable_since) else state.unusable_since
         frozen = state.steps if math.isnan(state.unusable_since) else state.frozen
         left = _left(settings, time - since)
-        # Towards zero, so that what decays never grows.
-        goal = np.trunc(left * frozen).astype(np.int64)
+        # Towards zero, so that what decays never grows; nor beyond what another resolution left.
+        goal = np.sign(state.steps) * np.minimum(np.trunc(left * np.abs(frozen)), abs(state.steps))
         filtered = wanted = np.full(len(settings.names), np.nan)
-    else:
-        since, frozen = math.nan, state.frozen
-        filtered = _filtered(settings, state.filtered, target, passed)
-        wanted = _beyond_dead_band(settings, state.wanted, filtered)
-        most = settings.most_steps
-        goal = np.clip(np.rint(wanted / settings.resolution), -most, most).astype(np.int64)
-    allowed, credit = _allowed(settings, state.credit, passed)
-    moved = np.clip(goal - state.steps, -allowed, allowed)
-    used = int(np.abs(moved).max(initial=0)) * settings.resolution
+    most = settings.most_steps
+    allowed, credit = _allowed(settings, state.credit, min(passed, settings.longest_cycle))
+    way = np.clip(goal, -most, most).astype(np.int64) - state.steps
+    moved = np.clip(way, -allowed, allowed)
+    left_over = max(credit - int(np.abs(moved).max(initial=0)) * settings.resolution, 0.0)
     return OutputState(
-        time, state.steps + moved, filtered, wanted, max(credit - used, 0.0), since, frozen
+        time, state.steps + moved, filtered, wanted, left_over, since, frozen, usable_since
     )
+
+
+def mode_of(settings: OutputSettings, state: OutputState) -> Mode:
+    """Return what the offsets of a state do; they wait until an estimate has moved them."""
+    if math.isnan(state.unusable_since):
+        return Mode.FOLLOW if np.isfinite(state.wanted).any() else Mode.WAIT
+    if not state.used:
+        return Mode.WAIT
+    frozen = state.time - state.unusable_since <= settings.freeze_time
+    return Mode.FREEZE if frozen else Mode.DECAY
+
+
+def content_of(settings: OutputSettings, state: OutputState) -> dict[str, Any]:
+    """Return a state as JSON values that do not depend on the settings: `restored`."""
+    return {
+        "time": state.time,
+        "credit": state.credit,
+        "unusable_since": state.unusable_since,
+        "usable_since": state.usable_since,
+        "axes": {
+            name: {
+                "follows": settings.estimated[k],
+                "sign": settings.signs[k],
+                "offset": settings.resolution * int(state.steps[k]),
+                "frozen": settings.resolution * int(state.frozen[k]),
+                "filtered": float(state.filtered[k]),
+                "wanted": float(state.wanted[k]),
+            }
+            for k, name in enumerate(settings.names)
+        },
+    }
+
+
+def restored(settings: OutputSettings, content: Mapping[str, Any]) -> OutputState:
+    """Return the state that goes on, under these settings, from one that others have left.
+
+    An axis of the same name begins at the offset that it had, to half a step of the resolution; an
+    axis that is new, at zero. What was filtered counts only where the same estimate is followed.
+
+    Parameters
+    ----------
+    settings : OutputSettings
+    content : mapping
+        `content_of` the state, by whatever settings.
+    """
+    state, axes = at_zero(settings), content["axes"]
+    steps, frozen = state.steps.copy(), state.frozen.copy()
+    filtered, wanted = state.filtered.copy(), state.wanted.copy()
+    for k, name in enumerate(settings.names):
+        if (found := axes.get(name)) is None:
+            continue
+        steps[k], frozen[k] = (
+            round(found[key] / settings.resolution) for key in ("offset", "frozen")
+        )
+        if (found["follows"], found["sign"]) == (settings.estimated[k], settings.signs[k]):
+            filtered[k], wanted[k] = found["filtered"], found["wanted"]
+    return OutputState(
+        content["time"],
+        steps,
+        filtered,
+        wanted,
+        content["credit"],
+        content["unusable_since"],
+        frozen,
+        content["usable_since"],
+    )
+
+
+def _recovered(settings: OutputSettings, state: OutputState, usable: float) -> bool:
+    """Whether offsets follow an estimate that is usable, and has been for a time (s)."""
+    return math.isnan(state.unusable_since) or usable >= settings.recover_time
 
 
 def _left(settings: OutputSettings, unusable: float) -> float:
@@ -165,9 +275,10 @@ def _left(settings: OutputSettings, unusable: float) -> float:
 
 def _filtered(settings: OutputSettings, before: Array, target: Array, passed: float) -> Array:
     """The low-pass; it begins where the first usable estimate is, and the rate does the rest."""
-    if np.isnan(before).any() or settings.filter_time <= 0.0:
+    if settings.filter_time <= 0.0:
         return target
-    return np.asarray(target + math.exp(-passed / settings.filter_time) * (before - target))
+    filtered = target + math.exp(-passed / settings.filter_time) * (before - target)
+    return np.where(np.isnan(before), target, filtered)
 
 
 def _beyond_dead_band(settings: OutputSettings, before: Array, filtered: Array) -> Array:

@@ -12,7 +12,13 @@ from estimator.estimate_table import Row
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.units import MICRO
-from thermojoint.compensation.offsets.output import at_zero, cycle, followed, offsets_of
+from thermojoint.compensation.offsets.output import (
+    at_zero,
+    cycle,
+    followed,
+    mode_of,
+    offsets_of,
+)
 from thermojoint.compensation.offsets.settings import Settings
 from thermojoint.compensation.offsets.usable import usable
 
@@ -59,18 +65,16 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     state = at_zero(settings.output)
     # The last cycle may come after the last estimate by a rounding, not before it.
     count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
-    used_before = False
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
         row = rows[int(np.searchsorted(times, time * (1.0 + 1e-12), side="right")) - 1]
         used = usable(settings.trust, time - row.time, row.band, row.status)
         target = followed(settings.output, axes, row.displacement) if used else None
         state = cycle(settings.output, state, time, target)
-        used_before |= math.isnan(state.unusable_since)
         yield Cycle(
             time,
             offsets_of(settings.output, state),
-            _named(settings, state.unusable_since, time) if used_before else "wait",
+            mode_of(settings.output, state).value,
         )
 
 
@@ -84,9 +88,3 @@ def row_of(settings: Settings, one: Cycle) -> list[str]:
     digits = max(0, -math.floor(math.log10(settings.output.resolution / MICRO) + 1e-9))
     values = (f"{value / MICRO:.{digits + 2}f}" for value in one.offsets)
     return [f"{one.time:.9g}", *values, one.state]
-
-
-def _named(settings: Settings, since: float, time: float) -> str:
-    if math.isnan(since):
-        return "follow"
-    return "freeze" if time - since <= settings.output.freeze_time else "decay"

@@ -40,6 +40,7 @@ class SettingsFile(Section):
     oldest_s: Positive = 30.0
     freeze_s: NotNegative = 60.0
     decay_s: Positive = 600.0
+    recover_s: NotNegative = 10.0
     unusable: Texts = UNUSABLE
     widest_band_um: Positive | None = None
     axes: Annotated[dict[str, AxisSection], Field(min_length=1)]
@@ -105,6 +106,8 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
             largest=MICRO * given.largest_um,
             freeze_time=given.freeze_s,
             decay_time=given.decay_s,
+            recover_time=given.recover_s,
+            longest_cycle=max(given.oldest_s, given.cycle_s),
         ),
         Trust(given.unusable, math.inf if widest is None else MICRO * widest, given.oldest_s),
         given.cycle_s,
