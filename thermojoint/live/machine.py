@@ -241,6 +241,8 @@ def rest_of(served: Served, machine: Machine, position: Any) -> str:  # noqa: AN
 
     Parameters
     ----------
+    served : Served
+        Its model.
     machine : Machine
     position : JSON value
         How far its source was read.
