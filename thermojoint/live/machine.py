@@ -300,10 +300,12 @@ def restored(
     # Not what the samples would lead to under settings that have changed since.
     output = _output(served, rest.get("output"))
     if served.output is not None and output is not None and machine.said.number:
-        settings = replace(served.output.output, longest_cycle=math.inf)
-        noticed = machine.usable.time + served.output.trust.oldest
-        for time in (noticed, now) if now > noticed else ():
-            output = cycle(settings, output, max(time, output.time), None)
+        settings, oldest = served.output.output, served.output.trust.oldest
+        # By the clock of the service: the source's own may stand elsewhere.
+        silence = now - machine.usable.published
+        for age in (oldest, silence) if silence > oldest else ():
+            time = max(machine.usable.time + age, output.time)
+            output = cycle(replace(settings, longest_cycle=math.inf), output, time, None)
     said = replace(
         machine.said, offsets=_offsets(served, output), offset_mode=_mode(served, output)
     )
