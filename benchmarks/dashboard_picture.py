@@ -4,7 +4,7 @@ Reads the joint-aware model and the day that `thermojoint reproduce` leaves in i
 them as a service would at the last moment of the day at which the estimate is good, and takes a
 picture of the page. The server is the one of the tests. Needs Chromium; from the root of a clone:
 
-    PYTHONPATH=tests python -m benchmarks.dashboard_picture results    # about ten seconds
+    PYTHONPATH=tests/helpers python -m benchmarks.dashboard_picture results    # about ten seconds
 """
 
 from __future__ import annotations

@@ -60,10 +60,11 @@ GROUPS: tuple[Group, ...] = (
     Group(
         "Two bars in series through a joint",
         series.checks,
-        "$q = A\\,\\Delta T / (L_1/k_1 + 1/h_c(p) + L_2/k_2)$: held temperatures at both ends, one "
-        "step of the march so long that it ends in the steady state. The preload is the pressure; "
-        "the exact CMY model gives the conductance. The last rows have the conductances beside "
-        "Eq. 11: a fixed one, air and radiation across a joint that starts 30 µm open.",
+        "$q = A\\,\\Delta T / (L_1/k_1 + 1/h_c(p) + L_2/k_2)$: the temperatures of both ends "
+        "are prescribed, and one time step is so long that it reaches the steady state. The "
+        "pressure is the preload; the exact CMY model gives the conductance. The last rows "
+        "have conductances other than Eq. 11: a fixed one, and air with radiation across a "
+        "joint that starts 30 µm open.",
     ),
     Group(
         "Patch tests",
@@ -92,11 +93,11 @@ GROUPS: tuple[Group, ...] = (
     Group(
         "NAFEMS LE11: cylinder, taper and sphere",
         le11.checks,
-        "From a case file: a body of revolution starts at the temperature $r + z$ (m, K), with "
-        "$E$ = 210 GPa, $\\nu$ = 0.3 and $\\alpha = 2.3 \\cdot 10^{-4}$/K; top and bottom stay in "
-        "their planes. Compared is the axial stress at A = (1 m, 0) on the inside, that of the "
-        "cell there and not smoothed, with the benchmark's value, which has three digits. A "
-        "quarter in curved hexahedra of second order: 4 through the wall, 5 around and 3 along "
+        "From a case file: a body of revolution starts at the temperature $r + z$ (m, K), "
+        "with $E$ = 210 GPa, $\\nu$ = 0.3 and $\\alpha = 2.3 \\cdot 10^{-4}$/K; top and bottom "
+        "remain in their planes. The axial stress at A = (1 m, 0) on the inside, unsmoothed, "
+        "from the cell there, is compared with the benchmark's value, which has three digits. "
+        "A quarter in curved second-order hexahedra: 4 through the wall, 5 around and 3 along "
         "each of four parts of the section, and 6, 6 and 4.",
     ),
     Group(
@@ -143,57 +144,58 @@ GROUPS: tuple[Group, ...] = (
     Group(
         "Barber's rod from a case file",
         bistable.checks,
-        "The same through the public interface: a rod of aluminium, cold 20 µm off a rigid wall "
-        "of 24 K, with air between (conductance $k_g/(Y + M)$ in parallel with Eq. 11) and "
-        "no preload. Three steady states by the rod's balance in closed form; all three are found "
-        "with the machine's own response to a given conductance. A cold rod comes to rest in the "
-        "open one. A rod whose temperatures at the start are those of the middle one stays there "
-        "for a while; off by 1 %, it comes to rest in one of the other two.",
+        "The same through the public interface: an aluminium rod, 20 µm away from a rigid "
+        "wall of 24 K when cold, with air between (conductance $k_g/(Y + M)$ in parallel with "
+        "Eq. 11) and no preload. The rod's balance in closed form has three steady states; "
+        "all three are found with the machine's own response to a given conductance. A cold "
+        "rod settles in the open state. A rod that starts at the temperatures of the middle "
+        "state stays there for a while; perturbed by 1 %, it settles in one of the other two.",
     ),
     Group(
         "Mechanical loads",
         loaded.checks,
-        "From case files, bars without lateral contraction: a column sinks under its weight by "
-        "$\\rho g L^2/2E$; on a joint without preload, against a rigid wall, its feet press by "
-        "its weight; a force on two preloaded bars in series, risen with a history, changes their "
-        "joint's pressure by $F/A$, and the law of rough surfaces says by how much it gives way.",
+        "From case files, bars without lateral contraction: a column shortens under its "
+        "weight by $\\rho g L^2/2E$; on a joint without preload, against a rigid wall, its "
+        "foot presses with its weight; a force on two preloaded bars in series, applied by a "
+        "history, changes the pressure of their joint by $F/A$, and the law of rough surfaces "
+        "gives its approach.",
     ),
     Group(
         "Forces and stresses",
         bearing.checks,
-        "From case files: what a column of two bodies bears at its foot and in its joint under its "
-        "weight, a force from above and one from the side; the stress of a column under pressure; "
-        "the stresses of Lamé in a thick ring under pressure from within, at mid radius and at "
-        "nodes of a snapshot, and the force in its cut. 20 × 32 elements with straight edges over "
-        "a quarter of the ring.",
+        "From case files: the reaction and the joint force of a column of two bodies under "
+        "its weight, a force from above and one from the side; the stress of a column under "
+        "pressure; Lamé's stresses in a thick ring under internal pressure, at mid radius and "
+        "at nodes of a snapshot, and the force in its section. 20 × 32 elements with straight "
+        "edges over a quarter of the ring.",
     ),
     Group(
         "Bolts",
         bolted.checks,
-        "From case files: bars without lateral contraction that a bolt clamps between their ends. "
-        "The contact force is the bolt's. A force that parts what is clamped changes the bolt's by "
-        "$F k_b/(k_b + k_c)$ where all of it is linear (one bar); in two bars the joint between "
-        "them, which the bolt alone presses, is a spring by the law of rough surfaces. A steel "
-        "bolt through an aluminium sleeve, both warmed, gains $(\\alpha_s - \\alpha_b) L T / "
-        "(1/k_b + 1/k_s)$.",
+        "From case files: bars without lateral contraction, clamped by a bolt between their "
+        "ends. The contact force equals that of the bolt. A separating force $F$ changes the "
+        "bolt's by $F k_b/(k_b + k_c)$ where everything is linear (one bar); in two bars, the "
+        "joint between them, which only the bolt presses, is a spring by the law of rough "
+        "surfaces. A steel bolt through an aluminium sleeve, both heated, gains $(\\alpha_s - "
+        "\\alpha_b) L T / (1/k_b + 1/k_s)$.",
     ),
     Group(
         "Thermal fields",
         thermal_fields.checks,
-        "From case files: a cosine along a bar, left alone, decays at the rate of its mode "
-        "(1000 steps, 40 elements; full and reduced); warm bars between walls press on their "
-        "joint from the start; heat in proportion to $x$; an edge of a plate held at a sine (32 "
-        "× 32 elements).",
+        "From case files: the free decay of a cosine along a bar at the rate of its mode "
+        "(1000 steps, 40 elements; full and reduced); warm bars between walls, which press on "
+        "their joint from the start; heat proportional to $x$; a plate with a sine prescribed "
+        "on one edge (32 × 32 elements).",
     ),
     Group(
         "Properties that depend on temperature",
         temperature_dependence.checks,
-        "From case files, in closed form: Kirchhoff's transform for a conductivity that changes "
-        "by half between the ends of a bar; heat that leaves by radiation, "
-        "$\\varepsilon\\sigma(T^4 - T_a^4) = q$, or by a film that depends on temperature; a bar "
-        "that grows by the integral of its expansion; a thin plate that cools through such a "
-        "film (1000 steps); two bars that face each other across enclosed air. *Last secant "
-        "step*: the change of temperature that is left, relative to the largest.",
+        "From case files, in closed form: Kirchhoff's transform for a conductivity that "
+        "changes by half between the ends of a bar; heat loss by radiation, "
+        "$\\varepsilon\\sigma(T^4 - T_a^4) = q$, or by temperature-dependent convection; a bar "
+        "that expands by the integral of its coefficient; a thin plate that cools by such "
+        "convection (1000 steps); two bars that face each other across enclosed air. *Last "
+        "secant step*: the last change of temperature, relative to the largest temperature.",
     ),
     Group(
         "Two dissimilar rods",
