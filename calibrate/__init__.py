@@ -1,1 +1,1 @@
-"""Fits the generalised models to responses, simulated or measured; knows no finite elements."""
+"""Calibration of models from responses, simulated or measured."""

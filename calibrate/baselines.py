@@ -1,4 +1,4 @@
-"""The baselines, from the responses that calibrate the generalised models.
+"""Calibration of the baselines from the responses of the generalised models.
 
 Multiple linear regression is plain least squares. Ridge and ARX take every temperature as uncertain
 by `DEVIATION_UNCERTAINTY`, as the fit of Eq. 18 does: errors of that size are what their penalty

@@ -1,4 +1,4 @@
-"""The chain of a calibration: place the sensors, fit Tables 1-3, make the inverse stable."""
+"""Calibration chain: sensor placement, fits of Tables 1-3, a stable inverse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Eq. 18 for sources whose strengths are known functions of time, not steps.
+"""Fit of Eq. 18 to sources with known, time-dependent strengths instead of steps.
 
 The paper takes the fictitious sources as steps because the contact pressures of its structure reach
 most of their final value within a minute. Where they do not, the strengths that the inverse filters

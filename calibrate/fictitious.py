@@ -1,4 +1,4 @@
-"""Tables 2 and 3: the fictitious contact heat sources, from steps at other heat inputs.
+"""Calibration of the fictitious contact heat sources from further steps (Tables 2 and 3).
 
 What a structure does at heat input Q̄ beyond Q̄ times what it does at the reference input is put down
 to fictitious sources on the joint, switched on as steps together with the main one (Attia & Fraser,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Deviations:
-    """What further step inputs do beyond proportionality to the reference.
+    """Deviations of further step responses from proportionality to the reference.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is to be known of a fit: values, standard errors, correlations, what is at a bound."""
+"""Result of a fit: values, standard errors, correlations, parameters at a bound."""
 
 from __future__ import annotations
 

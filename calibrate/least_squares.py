@@ -1,4 +1,4 @@
-"""Separable least squares: search the rates only, solve for the linear coefficients exactly.
+"""Separable least squares by variable projection: nonlinear search over the rates only.
 
 The generalised models are linear in some parameters and not in others: y ≈ Φ(θ) c. For given θ the
 best c is a linear least-squares problem; put back, it leaves a problem in θ alone (variable

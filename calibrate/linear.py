@@ -1,4 +1,4 @@
-"""Table 1: the linear models, from the response at the reference input.
+"""Calibration of the linear models from the reference response (Table 1).
 
 - Heat input to ΔT = T_a - T_b: Eq. 2 (K linear; a, alpha and r searched; r0 given).
 - Heat input to displacement: Eq. 8 for each axis (C, D, E linear; c, d, e searched).

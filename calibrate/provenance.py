@@ -1,4 +1,4 @@
-"""What a model file says of its origin, gathered from the calibrations."""
+"""Provenance of a model file, from the calibrations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration takes: responses that belong together, refused before any long work.
+"""Validation of the responses for a calibration, before any long computation.
 
 Every check ends in one line that says what is wrong, where, and what to do.
 """

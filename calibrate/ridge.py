@@ -1,4 +1,4 @@
-"""Weights of a linear combination of features: least squares, plain or with a ridge penalty."""
+"""Linear least squares, ordinary or with a ridge penalty."""
 
 from __future__ import annotations
 

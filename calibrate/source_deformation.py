@@ -1,4 +1,4 @@
-"""Table 3: Eq. 18 for every fictitious source, from the displacement deviations of all inputs.
+"""Fit of Eq. 18 for every fictitious source to the displacement deviations (Table 3).
 
     δ_NL(t) = Σ_i q_i D_i(t),        D_i of Eq. 18 with rates c, d, e, f of its own,
 

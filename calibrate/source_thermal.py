@@ -1,4 +1,4 @@
-"""Table 2's rates and products: Eq. 16 fitted to temperature deviations, two ways.
+"""Fit of Eq. 16 to temperature deviations, jointly and by averaging (Table 2).
 
 With deviations ∂T_j of sensor j and S the unit-gain step response of Eq. 2,
 
@@ -31,7 +31,7 @@ _UPPER = (1e3, 1e-2)
 
 @dataclass(frozen=True)
 class SourceGeometry:
-    """Where the fictitious sources are.
+    """Distances of the fictitious sources.
 
     Attributes
     ----------

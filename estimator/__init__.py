@@ -1,1 +1,1 @@
-"""Estimate displacement from temperatures, sample by sample: every kind behind one interface."""
+"""Estimators of displacement from temperatures, sample by sample, with one interface."""

@@ -1,4 +1,4 @@
-"""What an estimator is: channels in, displacement out, sample by sample, whatever it is made of.
+"""Common interface of estimators: channels in, displacement out, sample by sample.
 
 An estimator never changes: all that a sample leaves behind is in the state, a plain array whose
 first entry is the time of the last sample (NaN before the first). So a state can be kept, copied
@@ -19,7 +19,7 @@ READING_NOISE = 0.5e-6
 
 
 class Status(IntFlag):
-    """What is to be known of an estimate: nothing, or why it is less certain than usual.
+    """Status of an estimate: ``ok``, or reasons for reduced certainty.
 
     Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
     readings that were missing, still count. Distrusted: a sensor is left out, as it contradicts
@@ -63,7 +63,7 @@ class Channel(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What an estimator says at one sample.
+    """Output of an estimator at one sample.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Estimate(NamedTuple):
 
 
 class Estimator(Protocol):
-    """What every kind of estimator offers.
+    """Protocol of estimators.
 
     Attributes
     ----------

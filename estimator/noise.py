@@ -1,4 +1,4 @@
-"""Noise like a thermistor's, put on the temperatures that an estimator sees."""
+"""Thermistor-like noise for the temperatures of an estimator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One line of a table of errors: what was judged, and figures."""
+"""Row of a table of errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which readings of a sample are not to be believed: range, rate, stuck, and contradiction.
+"""Sensor fault detection by range, rate, repetition and innovation.
 
 Start at `judge_sample`: it judges a sample before it is used. A channel is distrusted when it is
 
@@ -108,7 +108,7 @@ class Thresholds(NamedTuple):
 
 
 class Channels(NamedTuple):
-    """What is known of the channels beforehand; arrays of shape (n,), K.
+    """Prior knowledge of the channels; arrays of shape (n,), K.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ def fresh(channels: int, rules: Thresholds) -> Watch:
 
 
 class Verdict(NamedTuple):
-    """What a sample is worth.
+    """Verdict on the readings of a sample.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Whether a sample is where the calibration has been."""
+"""Check of samples against the calibrated range."""
 
 from __future__ import annotations
 

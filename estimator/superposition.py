@@ -1,4 +1,4 @@
-"""What a structure in proportion to its reference response would do under any heat."""
+"""Response of a linear structure to any heat, by superposition of its reference response."""
 
 from __future__ import annotations
 

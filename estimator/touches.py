@@ -1,4 +1,4 @@
-"""Readings of the displacement now and then, a touch probe's, beside a row of samples."""
+"""Occasional readings of the displacement, e.g. by a touch probe, merged with samples."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The simulator: a 3-D thermoelastic structure whose only nonlinearity is its joints."""
+"""Simulator of 3-D thermoelastic structures with nonlinear joints."""

@@ -1,4 +1,4 @@
-"""Condensations kept on disk from one run to the next, each found by all that it follows from.
+"""Disk cache of condensations, keyed by a digest of everything they depend on.
 
 An entry is one file, called after a digest of its ingredients: the case without loads and joint
 laws, the content of its mesh, this program's source and the numerical libraries' versions. What

@@ -1,4 +1,4 @@
-"""Forces and stresses of a march, for its response: supports, joints, points, and their balance."""
+"""Reactions, joint forces, stresses and their balance, for the response."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions compiled to machine code by Numba, kept from run to run where there is a place.
+"""Just-in-time compilation by Numba with a persistent cache.
 
 Left to itself, Numba keeps machine code beside the source or in the user's home, and fails where
 neither can be written: an installation of somebody else's, a service account. Here it goes into a

@@ -1,4 +1,4 @@
-"""Linear algebra by one thread, where more would only be in each other's way."""
+"""Restriction of linear algebra to one thread for small problems."""
 
 from __future__ import annotations
 

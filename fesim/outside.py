@@ -1,4 +1,4 @@
-"""What of a machine can be seen: its outer faces and its contact elements, as triangles."""
+"""Outer faces and contact elements of a machine as triangles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a case to a response: set up once, march, collect."""
+"""Simulation of a case: set-up, time integration, response."""
 
 from __future__ import annotations
 

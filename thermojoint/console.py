@@ -1,4 +1,4 @@
-"""What the user sees: results on standard output, progress and warnings on standard error.
+"""Terminal output: results on standard output, progress and warnings on standard error.
 
 How much of it is asked for by -q and -v, and holds for the process, as its streams do.
 """

@@ -1,4 +1,4 @@
-"""A file of the user's that hides a package of this distribution is named before it does harm."""
+"""Detection of user files that shadow a package of this distribution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values that can be, but hardly are what was meant: one line each, with the unit that was meant.
+"""Warnings about implausible values, with the unit that was probably intended.
 
 Nothing here is an error: the ranges are those of engineering, not of physics. Zero is never
 implausible; where it is not allowed, the schema refuses it.

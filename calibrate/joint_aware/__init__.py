@@ -1,1 +1,1 @@
-"""Responses to a joint-aware model: the fit of its physics, its filter, its bands."""
+"""Calibration of a joint-aware model from responses: physics, filter, confidence band."""

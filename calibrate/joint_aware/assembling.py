@@ -1,4 +1,4 @@
-"""A fitted machine as an observer: modes with the joint at its preload, filter, start, band."""
+"""Observer of a fitted machine: modes at the preload, filter, initial state, band."""
 
 from __future__ import annotations
 

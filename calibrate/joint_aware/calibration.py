@@ -1,4 +1,4 @@
-"""From a case and calibration responses to the observer of the machine, and a report of the fit."""
+"""Calibration of a machine's observer from a case and responses, with a report of the fit."""
 
 from __future__ import annotations
 

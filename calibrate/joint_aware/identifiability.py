@@ -1,4 +1,4 @@
-"""What calibration runs say of a machine's parameters, what they do not, and what would.
+"""Identifiability of a machine's parameters from calibration runs, present and further ones.
 
 Profiles: half the sum of squares with one parameter held beside its fitted value and the others
 fitted anew. Further runs: the covariance of the parameters with the information that a run would
@@ -105,7 +105,7 @@ def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Pro
 
 @dataclass(frozen=True, eq=False)
 class FurtherRun:
-    """What one more run would tell.
+    """Information of one more run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A machine whose joint is linearised at its preload: what a Kalman filter alone can follow.
+"""A machine with its joint linearised at the preload, for a linear Kalman filter.
 
 Every contact element keeps the conductance and the stiffness that it has at its preload, and
 sticks. What is left of the machine is linear, and the joint-aware estimator on it is the Kalman

@@ -1,4 +1,4 @@
-"""Runs of a measured log as responses: what the machine's physics is calibrated with."""
+"""Runs of a measured log as responses for calibration."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _axis(log: Log, name: str) -> str:
 
 
 def _power(log: Log) -> Array:
-    """What all sources give together, W."""
+    """Total heat of all sources, W."""
     names = log.of("power")
     if len(names) != 1:
         found = ", ".join(names) or "none"

@@ -1,4 +1,4 @@
-"""What calibration runs have more than a machine: its temperatures and displacements, whitened.
+"""Whitened residuals of calibration runs: temperatures and displacements minus the machine's.
 
 A sensor's error in a run is that of the physics, f(theta), less what the remainder and a constant
 offset of the sensor explain: both enter linearly, with normal priors, and are eliminated by ridge
@@ -245,7 +245,7 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: A
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """What is linear, fitted at some parameters, and what is left then.
+    """Linear coefficients fitted at some parameters, and the residual.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The part of the band that the calibration leaves open, learnt from machines it cannot tell apart.
+"""Confidence band from parameter uncertainty, learned on machines with the same responses.
 
 Parameters are drawn from what the calibration says of them, and the remainder is fitted to the
 calibration runs beside each draw, so that every drawn machine answers them alike. It then runs
@@ -200,7 +200,7 @@ def _size(gains: Array, sigma: float) -> float:
 
 
 def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float) -> Array:
-    """What the data leave open of gains on `states` with priors like `shape`."""
+    """Posterior covariance factor of gains on `states` with priors like `shape`."""
     root = make_ridge(states, shape).uncertainty(sigma, 1.0)
     return np.asarray(root @ rng.normal(size=root.shape[1]))
 

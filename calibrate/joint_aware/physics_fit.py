@@ -1,4 +1,4 @@
-"""The machine's parameters from its calibration responses: regularised nonlinear least squares.
+"""Regularised nonlinear least-squares fit of a machine's parameters to its responses.
 
 min over theta (logarithms of the factors), the remainder's gains G and the sensors' offsets o of
 
@@ -49,7 +49,7 @@ STARTS, SEED, ROUGHLY = 3, 1, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a search from one start came to.
+    """Result of the search from one start.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ def _starts(parameters: tuple[Parameter, ...], count: int) -> list[Array]:
 def _defect(
     whole: Problem, problem: Problem, parameters: tuple[Parameter, ...], scaled: Array
 ) -> Array:
-    """What the residuals of the machine's own march have more than those of the coarse one."""
+    """Difference between the residuals at full and at coarse time resolution."""
     logarithms = scaled * [one.spread for one in parameters]
     return residuals(whole, parameters, logarithms) - residuals(problem, parameters, logarithms)
 

@@ -1,4 +1,4 @@
-"""Heat of a working day: one level after another, each for some minutes."""
+"""Random heat of a working day: levels that last some minutes each."""
 
 from __future__ import annotations
 

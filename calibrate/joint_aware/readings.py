@@ -1,4 +1,4 @@
-"""Responses as the runs that calibrate a joint-aware model."""
+"""Conversion of responses to calibration runs of a joint-aware model."""
 
 from __future__ import annotations
 

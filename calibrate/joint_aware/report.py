@@ -1,4 +1,4 @@
-"""The report of a calibration: what was found, what the runs say of it, which run would tell more.
+"""Report of a calibration: estimates, uncertainties, value of further runs.
 
 Everything is plain numbers and text, ready for a JSON file.
 """

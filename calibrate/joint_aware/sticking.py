@@ -1,4 +1,4 @@
-"""The displacement of a machine whose joints stick at their preload: linear in the temperature."""
+"""Displacement with joints that stick at their preload, a linear function of temperature."""
 
 from __future__ import annotations
 

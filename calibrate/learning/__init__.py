@@ -1,1 +1,1 @@
-"""From a machine's log to a learned model: cleaning, blocks of time, selection, fit."""
+"""Learning of a model from a machine's log: cleaning, cross-validation, selection, fit."""

@@ -1,4 +1,4 @@
-"""Regressions on all temperatures of a log, fitted with the same care, to compare with.
+"""Baseline regressions on all temperatures of a log, treated like the learned model.
 
 ``linear``: ordinary least squares. ``ridge``: standardised temperatures and their low-passes, the
 penalty by blocks of time. ``arx``: a pole from one-step predictions, then the weights of the

@@ -1,4 +1,4 @@
-"""Least squares with a prior, over blocks of time held out with a margin, from sums of products.
+"""Least squares with a prior and block-wise cross-validation, from sums of products.
 
 All that a fit needs of a log are the products of features and displacements, summed over blocks.
 So a year costs no more than a day once it has been read, and thousands of structures are tried by

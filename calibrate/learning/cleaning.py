@@ -1,4 +1,4 @@
-"""What is wrong with a log: sensors to learn without, and logs that cannot be learned from."""
+"""Data checks of a log: faulty sensors to leave out, and unusable logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a log to a learned model: clean, choose, fit, and judge the whole on blocks held out."""
+"""Learning from a log: cleaning, selection, fit, and validation on held-out blocks."""
 
 from __future__ import annotations
 

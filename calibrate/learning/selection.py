@@ -1,4 +1,4 @@
-"""Which sensors, and which structures: by the error on blocks of time that are held out.
+"""Selection of sensors and model structures by the error on held-out blocks.
 
 A log of a day holds some ten independent errors, and thousands of sets of sensors: the set with the
 least error is mostly luck. So what is fitted on a set is a mean over structures, weighted by their

@@ -1,4 +1,4 @@
-"""What a learned model may be made of: relaxations of temperatures, heats of speed and load."""
+"""Structures of a learned model: relaxed temperatures, heat from speed and load."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _GIVEN_UP = 0.2
 
 @dataclass(frozen=True)
 class Structure:
-    """Which features a fit has.
+    """Features of a fit.
 
     Attributes
     ----------

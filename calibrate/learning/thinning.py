@@ -1,4 +1,4 @@
-"""A log of any length as a table of bounded size: means over equal intervals, spikes left out."""
+"""Averaging of a log over equal intervals to a bounded size, without spikes."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Which probes a calibration or an estimator reads."""
+"""Sensor placement."""

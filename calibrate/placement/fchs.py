@@ -1,4 +1,4 @@
-"""The placement rule: which candidate sensors serve as a, b, T1 and T2, by calibration alone.
+"""Placement rule for the sensors a, b, T1 and T2, from calibration data alone.
 
 It sees the responses to the calibration steps, never a validation case. In every choice a wrong
 displacement is what counts, so both halves of the rule are in micrometres.

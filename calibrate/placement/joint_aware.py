@@ -1,4 +1,4 @@
-"""Where sensors tell most of the displacement: greedy with exchange over candidates.
+"""Sensor placement for the joint-aware estimator: greedy search with exchange.
 
 The family are machines that a calibration cannot tell apart: drawn from what it leaves open of the
 parameters, each with the linear remainder with which it answers the calibration alike. They march,
@@ -57,7 +57,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What `place_sensors` found.
+    """Result of `place_sensors`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Machines that a calibration cannot tell apart, and how they answer a day.
+"""Machines with indistinguishable calibration responses, and their responses to a day.
 
 Parameters are drawn from what steps of `LEVELS` leave open of the priors; each machine has the
 linear remainder with which it answers those steps as the nominal one does. Minutes matter here, no
@@ -43,7 +43,7 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """What the plants of a family answer to a day, more than the nominal machine does.
+    """Responses of a family of plants to a day, relative to the nominal machine.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""What an estimator must beat: nothing, the linear model, and regressions on the same data."""
+"""Baseline estimators: no compensation, the linear model, regressions."""

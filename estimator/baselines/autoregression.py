@@ -1,4 +1,4 @@
-"""ARX, free-running: past estimates in place of past displacements."""
+"""Free-running ARX estimator: past estimates replace past displacements."""
 
 from __future__ import annotations
 

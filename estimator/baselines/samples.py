@@ -1,4 +1,4 @@
-"""What the baselines ask of a sample."""
+"""Checks of samples for the baselines."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""An estimator as the source of a program for a control: C99 that needs nothing but its files."""
+"""Export of estimators as self-contained programs for controls."""

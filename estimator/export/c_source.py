@@ -1,4 +1,4 @@
-"""A program as C99 that needs nothing but its files: exact numbers, tables, templates."""
+"""Export as self-contained C99: exact constants, tables, templates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Banks of exponential states as tables: what an interval does to every mode.
+"""Export of banks of exponential states: propagation over an interval as tables.
 
 The same recursion as `thermojoint.models.filters.bank.over_interval`, mode by mode and complex, in
 a form that keeps its digits in single precision, too:

@@ -91,7 +91,7 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True)
 class Interface:
-    """How a program is called.
+    """Interface of a program.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Contents:
-    """What an estimator gives to a program.
+    """Contents of a program.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Samples for a self-test: recorded ones, or a day of a duty cycle where there are none."""
+"""Samples for the self-test of a program: recorded, or a generated duty cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which block of Figure 5 an error comes from: true signals in place of estimated ones.
+"""Contributions of the blocks of Figure 5 to the error, using true signals.
 
 The difference between two rows is the error of what was replaced.
 """

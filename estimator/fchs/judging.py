@@ -1,4 +1,4 @@
-"""Estimators against a response: they see the temperatures, the displacement is the judge.
+"""Validation of estimators against the displacement of a response.
 
 All that are given are judged by the same samples of the same sensors: FCHS and its linear part
 alone, no compensation, regressions, observers. `estimator.fchs.block_errors` then says which block

@@ -1,4 +1,4 @@
-"""The paper's estimator as a program: the recursion of `estimator.fchs.stream`, mode by mode."""
+"""Export of the paper's estimator: the recursion of `estimator.fchs.stream`, mode by mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A machine that ages: preload, friction and film as slow states beside the observer.
+"""Online learning of preload, friction and convection of an ageing machine.
 
 Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
 runs one copy for each parameter with that parameter a little off, on the same readings. What the

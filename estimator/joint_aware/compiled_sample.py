@@ -1,4 +1,4 @@
-"""The usual sample in machine code: every reading there and believed, one step after the last one.
+"""JIT-compiled processing of an ordinary sample: all readings present and trusted, one step.
 
 The same arithmetic as `observer.Observer`, whose steps take what is unusual: a start or a silence
 that still counts, a reading that is missing, doubted or far from what is expected, a jump that is

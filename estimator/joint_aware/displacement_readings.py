@@ -1,4 +1,4 @@
-"""A reading of the displacement itself, a touch probe's, as one more measurement.
+"""Readings of the displacement itself, e.g. by a touch probe, as measurements.
 
 What the temperatures leave open in the displacement has two parts: what the state is not known to
 (the columns L, which a reading corrects like any other measurement), and what the model is wrong
@@ -40,7 +40,7 @@ class Touch:
 
 
 class ModelError(NamedTuple):
-    """What is known of beta; arrays of shape (axes,).
+    """Estimate of beta; arrays of shape (axes,).
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def later(known: ModelError, elapsed: float, memory: float) -> ModelError:
 
 
 class Correction(NamedTuple):
-    """What a reading of the displacement changes.
+    """Correction by a reading of the displacement.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The joint-aware estimator behind the common interface: expect, trust, correct, settle, read."""
+"""Joint-aware estimator with the common interface: predict, gate, correct, solve, evaluate."""
 
 from __future__ import annotations
 
@@ -373,7 +373,7 @@ class JointAware:
     def _beyond(
         self, elapsed: float, inputs: Array, readings: Array, believed: sensor_faults.Flags
     ) -> Status:
-        """Where the calibration has not been."""
+        """Status bits for values outside the calibrated range."""
         known, status = self.model.calibrated, Status.OK
         if elapsed > (1.0 + SLACK) * known.duration_s:
             status |= Status.BEYOND_TIME

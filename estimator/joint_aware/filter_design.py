@@ -1,4 +1,4 @@
-"""The steady filter of the linear part, and what departs from it as a few columns.
+"""Steady Kalman filter of the linear part, and low-rank deviations of its covariance.
 
 State: amplitudes of the modes, relaxations of the remainder, heat of the sources and ambient. With
 the joint at its preload one step is x' = F x + w, where F is diagonal but for the columns of the

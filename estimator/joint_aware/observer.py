@@ -1,4 +1,4 @@
-"""The observer's linear state and joint from sample to sample: expect, correct, settle, read."""
+"""Observer of the linear state and the joint: predict, correct, solve, evaluate."""
 
 from __future__ import annotations
 

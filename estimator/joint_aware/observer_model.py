@@ -1,4 +1,4 @@
-"""All that a joint-aware estimator runs on: no mesh, no calibration data, nothing to be fitted."""
+"""Complete model of a joint-aware estimator, without mesh and calibration data."""
 
 from __future__ import annotations
 

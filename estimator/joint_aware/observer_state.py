@@ -1,4 +1,4 @@
-"""The observer's state as one flat array, and what its parts are called."""
+"""State of the observer as one flat array with named parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The joint-aware estimator as a program: its usual path, few Newton steps.
+"""Export of the joint-aware estimator: its usual path with a bounded number of Newton steps.
 
 Expect, correct, settle, read, as `estimator.joint_aware.estimator` does where every reading is
 there and none lies. What is left out stands in the header of the program.

@@ -1,4 +1,4 @@
-"""What can age, how it wanders, and the Kalman filter that learns it."""
+"""Slowly varying parameters as random processes, and the Kalman filter that estimates them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 
 @dataclass(frozen=True)
 class Slow:
-    """How the logarithm of a parameter's factor wanders: dx = -x dt / lasts + noise.
+    """Random process of the logarithm of a parameter's factor: dx = -x dt / lasts + noise.
 
     Attributes
     ----------

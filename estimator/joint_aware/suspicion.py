@@ -1,4 +1,4 @@
-"""A reading that jumps as if the heat had: taken for heat, and taken back if it was not.
+"""Fault isolation of jumps: heat or a faulty sensor, decided by the samples that follow.
 
 A thermometer on a source that is suddenly off by some kelvin, and a source that is switched on,
 look alike in one sample. The reading is used; beside the state a second one is marched without it.
@@ -47,7 +47,7 @@ class Suspicion(NamedTuple):
 
 
 class Judgement(Enum):
-    """What a jump was."""
+    """Cause of a jump."""
 
     OPEN = auto()
     HEAT = auto()

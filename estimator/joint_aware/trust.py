@@ -1,4 +1,4 @@
-"""Which readings of a sample an observer uses, and what it takes to be known where some are not.
+"""Innovation gate: readings used by the observer, and the knowledge left without the others.
 
 Start at `trusted`, the only judge of a sample. It takes three steps:
 
@@ -33,7 +33,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 @dataclass(frozen=True, eq=False)
 class Trusted:
-    """What is used of a sample.
+    """Readings used of a sample.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""The estimator of a learned model: readings in, displacement out, a probing now and then."""
+"""Estimator of a learned model, with occasional readings of the displacement."""

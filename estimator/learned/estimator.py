@@ -1,4 +1,4 @@
-"""A learned model, run sample by sample, and corrected by displacements that are read now and then.
+"""Recursion of a learned model, corrected by occasional readings of the displacement.
 
 For each displacement a small Kalman filter whose state is (zero, drift, weights):
 

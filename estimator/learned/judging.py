@@ -1,4 +1,4 @@
-"""A learned estimator against a log that it has not seen: it sees no displacement."""
+"""Validation of a learned estimator on an unseen log."""
 
 from __future__ import annotations
 

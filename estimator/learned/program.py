@@ -1,4 +1,4 @@
-"""A learned model as a program: relaxations of what is measured, weighted.
+"""Export of a learned model: weighted relaxations of the inputs.
 
 As `estimator.learned.estimator` where no displacement is read: zero and weights are then those that
 were learned, and the band is theirs. With x = dt/τ a relaxation gains, of the straight line from u0

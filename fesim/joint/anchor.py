@@ -1,4 +1,4 @@
-"""A tangent of the gap equations whose inverse is kept, and corrected for what has changed since.
+"""Frozen tangent of the gap equations, with exact low-rank corrections (Woodbury).
 
 A Newton step solves (I - dT F) y = what is lacking, with dT = T + k0 nonzero only in the pressures
 and in the shears of contact elements that slide (`fesim.joint.compiled_gap`). The inverse is made

@@ -1,4 +1,4 @@
-"""Contact elements in blocks that hardly feel each other, for the gap equations of large machines.
+"""Weakly coupled blocks of contact elements, for the gap equations of large machines.
 
 Where bodies stand one on the other, the blocks of F between their joints are small: a joint carries
 what equilibrium asks of it, however the others slide. An inverse for each block costs a small part

@@ -1,4 +1,4 @@
-"""The gap equations in machine code: the method of `fesim.joint.gap` for laws known by name.
+"""JIT-compiled solution of the gap equations for built-in laws (`fesim.joint.gap`).
 
 Same residual, tangent, line search and tolerance. What differs is the linear algebra of a Newton
 step. The tangent of the residual is J = I - F dT with dT = T + k0: as the springs k0 are as stiff

@@ -1,4 +1,4 @@
-"""Conductances beside Eq. 11: a fixed value, a table of pressure and temperature, an open gap.
+"""Thermal conductances other than Eq. 11: fixed, tabulated, open gap.
 
 All of them are smooth (C1) in what they depend on, so that an in-step iteration settles.
 """
@@ -134,7 +134,7 @@ class ConductanceTable:
 
 @dataclass(frozen=True, eq=False)
 class GapConductance:
-    """What passes heat beside the contact: the gas in the gap, and radiation.
+    """Heat transfer in parallel with the contact: gas in the gap, and radiation.
 
     h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at which
     the surfaces touch, and the opening from there on. The mean planes of a pressed joint are nearer

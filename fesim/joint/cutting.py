@@ -1,4 +1,4 @@
-"""A step of the gap equations cut into pieces, where no way leads through the whole of it.
+"""Subdivision of a step of the gap equations that has no continuous solution path.
 
 The thermal gap of a long step may pass over states that friction remembers: an element that would
 close, stick and open again sees only the ends. So the way from the last equilibrium is taken in

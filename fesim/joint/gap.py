@@ -1,4 +1,4 @@
-"""Mechanical equilibrium of the joint: Newton's method in the gap, with a backtracking line search.
+"""Mechanical equilibrium of the joint by Newton's method in the gap with line search.
 
 Unknown: the gaps g (opening, two tangential) of all contact elements. The condensation gives
 g = g_T + C A [z(g) + k g], with the law's traction z, the thermal gap g_T and the reference springs

@@ -1,4 +1,4 @@
-"""Rigid motions that joints set free on the way: contact elements open, or slide all together.
+"""Detection of bodies that come loose when contact elements open or slide.
 
 What a contact element still holds is read from the law's tangent: along its normal while it is
 pressed, along its tangents while it sticks, across its slip while it slides. A body that slides as

@@ -1,4 +1,4 @@
-"""The gap equations by a modified Newton method: one factor serves many iterations and steps.
+"""Modified Newton method for the gap equations with a frozen tangent over many steps.
 
 Unknown: the tractions w = z(g) + k0 g that the springs lack, with g = J0^-1 g_T + F w. A Newton
 step solves (I - dT F) y = z(g) + k0 g - w by the inverse of an anchor (`fesim.joint.anchor`), which

@@ -1,4 +1,4 @@
-"""Joints that start open, or that only touch: a normal law counted from where its surfaces touch.
+"""Normal laws of joints without preload, with openings counted from first contact.
 
 Rough surfaces have no first touch in the surface model: its pressure fades without end. They touch
 here at `TOUCHING` of the hardness, 4.75 roughnesses apart; from there on a pressure of less than

@@ -1,4 +1,4 @@
-"""The way to another equilibrium where a joint snaps: viscous relaxation of the gap equations.
+"""Snap-through to another equilibrium by viscous relaxation of the gap equations.
 
 Friction can end a branch of equilibria: a contact element begins to slide, its neighbours cannot
 take what it lets go, and no equilibrium is near any more. Newton's method then has nowhere to go,

@@ -1,1 +1,1 @@
-"""The march: heat and contact stepped in time on the condensed structure."""
+"""Time integration of heat and contact on the condensed structure ("the march")."""

@@ -1,4 +1,4 @@
-"""A march of staggered steps in machine code, with inverses that are kept from step to step.
+"""JIT-compiled time integration with staggered steps and frozen tangents.
 
 Nothing is factorised anew in a step as long as what is kept serves: for the gap equations that of
 `fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.

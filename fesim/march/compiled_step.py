@@ -1,4 +1,4 @@
-"""A step of heat and joint on modes that do not know of each other, in machine code.
+"""JIT-compiled time step of heat and joint on uncoupled modes.
 
 The arithmetic of `fesim.march.stepping.staggered` for what it knows by name: implicit Euler on
 modes, Eq. 11 or a fixed value for what joints conduct, the laws of `fesim.joint.compiled_gap`.

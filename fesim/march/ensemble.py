@@ -1,4 +1,4 @@
-"""Many marches on one condensation: joint laws and inputs differ, only displacements are kept."""
+"""Many simulations on one condensation with different laws and inputs; displacements only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The joint heat flows of a step: (I + diag(c) S) j = diag(c) jump, by an inverse that is kept.
+"""Joint heat flows of a step, (I + diag(c) S) j = diag(c) jump, with a frozen inverse.
 
 S are the temperature jumps per W of each contact element, c the conductances times areas. The
 inverse was made at other conductances; GMRES (Saad & Schultz 1986) takes it as its preconditioner,

@@ -1,4 +1,4 @@
-"""A condensed machine as machine code marches it (`fesim.march.compiled_march`), where it can.
+"""Data of a condensed machine for the JIT-compiled march, if it supports the machine.
 
 It can where the thermal model is a reduced one, the joint laws are those of
 `fesim.joint.compiled_gap`, and every joint conducts by Eq. 11 or by a fixed value.

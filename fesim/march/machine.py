@@ -1,4 +1,4 @@
-"""A machine ready to march, where its march stands, and what one of its steps says."""
+"""Condensed machine, its state, and the result of a step."""
 
 from __future__ import annotations
 

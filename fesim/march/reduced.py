@@ -1,4 +1,4 @@
-"""The condensed machine on the modes of the reduced thermal model: same equations, fewer unknowns.
+"""Condensed machine on the modes of the reduced thermal model.
 
 T = V a + E u: V the modes on the unknowns that are free, E the held surfaces, whose temperatures
 are inputs. Every operator of the march is multiplied by [V, E] once; the march does not change.

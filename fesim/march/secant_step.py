@@ -1,4 +1,4 @@
-"""A heat step whose conduction, film or radiation depends on temperature: secant steps to the end.
+"""Heat step with temperature-dependent conduction, convection or radiation, by iteration.
 
 Each of them is the step of the constant operators with what they lacked at the last temperatures,
 so that nothing is factorised. Anderson's method (1965) makes the next temperatures of the last few.

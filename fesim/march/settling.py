@@ -1,4 +1,4 @@
-"""Where a machine comes to rest: under loads and temperatures of its start, and in every step."""
+"""Equilibrium of the joints, at the start and in every step."""
 
 from __future__ import annotations
 

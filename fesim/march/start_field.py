@@ -1,4 +1,4 @@
-"""The temperatures that a march starts from, if these are not the ambient's."""
+"""Initial temperature field of a simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many steps of a march at once: arrays for a run of steps, taken in machine code where it can be.
+"""Arrays of the results of many steps, JIT-compiled where possible.
 
 What a `Step` says of one step a `Track` says of several.
 """

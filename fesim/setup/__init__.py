@@ -1,1 +1,1 @@
-"""From a case to a machine ready to march: the only place where its units become SI."""
+"""Set-up of a machine from a case; the only place where its units are converted to SI."""

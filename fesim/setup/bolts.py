@@ -1,4 +1,4 @@
-"""The bolts that a case asks for, in SI: their ends, springs and forces."""
+"""Bolts of a case in SI: ends, springs and forces."""
 
 from __future__ import annotations
 

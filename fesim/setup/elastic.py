@@ -1,4 +1,4 @@
-"""The elastic structure of a case: factorised once if it is needed again, else piece by piece."""
+"""Elastic structure of a case, factorised as a whole if needed again, else piece by piece."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What holds the bodies of a case, checked before anything is factorised."""
+"""Constraints of the bodies of a case, checked before anything is factorised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The temperatures that a case starts from: a value, a formula, a table or a snapshot, at nodes."""
+"""Initial nodal temperatures of a case: a value, a formula, a table or a snapshot."""
 
 from __future__ import annotations
 

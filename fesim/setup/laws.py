@@ -1,4 +1,4 @@
-"""The joint laws that a case asks for, in SI."""
+"""Joint laws of a case in SI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case loads its structure with, in SI: heat, temperatures, forces; and its springs."""
+"""Thermal and mechanical loads and springs of a case in SI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a case to a machine ready to march."""
+"""Set-up of the condensed machine of a case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case asks for beside temperatures and one displacement: forces and stresses."""
+"""Optional outputs of a case: forces and stresses."""
 
 from __future__ import annotations
 

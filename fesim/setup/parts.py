@@ -1,4 +1,4 @@
-"""What a case is made of before any finite element, checked: quick, and finds most slips."""
+"""Structure, materials, laws and loads of a case, checked before any finite-element work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case says of position, by formula or table, as functions that are checked where used."""
+"""Functions of position in a case, from formulas and tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What in a structure or its names would make a march give a wrong answer: refused before it."""
+"""Checks that refuse structures and names which would give wrong results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a case depends on temperature: the constant part for the operators, and the rest."""
+"""Temperature-dependent terms of a case: constant part of the operators, and corrections."""
 
 from __future__ import annotations
 

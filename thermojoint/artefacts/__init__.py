@@ -1,4 +1,4 @@
-"""What crosses the borders between packages: the response file, whole-or-nothing files, errors.
+"""Files and errors shared by all packages: responses, tables, atomic writing.
 
 Every other package may import this one; it imports none of them.
 """

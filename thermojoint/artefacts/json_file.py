@@ -1,4 +1,4 @@
-"""JSON files that say what they are: read, recognised and versioned in one place."""
+"""JSON files with a kind and a version: reading and recognition."""
 
 from __future__ import annotations
 

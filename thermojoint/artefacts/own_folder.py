@@ -1,4 +1,4 @@
-"""Folders for what may be lost: below this user's cache, or below the system's temporary folder.
+"""Private cache folders, below the user's cache or the system's temporary folder.
 
 A service account may have no home, or one that it cannot write; a folder in a common place may
 belong to somebody else. What is read back from a folder of `own_folder` was written by this user.

@@ -1,4 +1,4 @@
-"""Step responses out of response datasets: levels, times, single signals."""
+"""Extraction of step levels, times and signals from responses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an interrupted process must not leave behind: temporary files and folders, child processes.
+"""Clean-up after an interruption: temporary files and folders, child processes.
 
 The command line ends at a signal without raising an exception (`thermojoint.cli.main`), because a
 finaliser or a library written in C may lose one. No `finally` runs then; what is registered here

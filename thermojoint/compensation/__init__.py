@@ -1,1 +1,1 @@
-"""What is done about the displacement that was estimated: offsets of the axes, and heat."""
+"""Compensation of an estimated displacement by axis offsets or heat."""

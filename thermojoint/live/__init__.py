@@ -1,1 +1,1 @@
-"""The service beside the control: readings in, displacement out, as long as the machine stands."""
+"""Service beside the control: readings in, estimated displacement out, continuously."""

@@ -1,4 +1,4 @@
-"""What the store holds, for those who only look: short reads, a connection each."""
+"""Read-only access to the store, with a separate connection for each short read."""
 
 from __future__ import annotations
 

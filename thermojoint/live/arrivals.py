@@ -1,4 +1,4 @@
-"""What a reader hands on: readings of one machine at one time."""
+"""Readings of one machine at one time, as delivered by a reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The doors that estimates go out by: MQTT, OPC UA, HTTP; each is loaded if it is opened."""
+"""Output interfaces (MQTT, OPC UA, HTTP), imported only if configured."""
 
 from __future__ import annotations
 

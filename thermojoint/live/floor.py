@@ -1,4 +1,4 @@
-"""All machines of a service: arrivals in, what is to be kept and published out."""
+"""All machines of a service: arrivals in, records and publications out."""
 
 from __future__ import annotations
 

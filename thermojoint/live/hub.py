@@ -1,4 +1,4 @@
-"""The newest publication of every machine, and who waits for new ones.
+"""Newest publication of every machine, and subscriptions to new ones.
 
 Nobody who reads slowly makes anything grow: a reader that has not come back yet finds which
 machines have changed since, not everything that was said.

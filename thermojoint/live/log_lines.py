@@ -1,4 +1,4 @@
-"""One line an event, as key=value to the log and to the store; never many of a kind at once."""
+"""Event log, one key=value line per event, rate-limited by kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One machine: a state and a sample to a state and what is published; nothing else changes."""
+"""One machine: (state, sample) to (state, publication), as a pure function."""
 
 from __future__ import annotations
 

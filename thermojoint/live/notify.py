@@ -1,4 +1,4 @@
-"""A word to systemd: ready, alive, stopping (sd_notify); silent where nobody listens."""
+"""Notification of systemd (sd_notify): ready, alive, stopping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an OPC UA server lets in: encrypted channels, known users, a bounded number of all things.
+"""Access control of the OPC UA server: encryption, users, limits.
 
 asyncua's own defaults offer unencrypted channels, and take ``admin`` without a password for an
 administrator. None of that is left here: nobody is an administrator, and nobody is let in whom the

@@ -1,4 +1,4 @@
-"""What the OPC UA server says: variables of a machine, their units, OPC UA's own status codes."""
+"""Variables of the OPC UA server with units and status codes."""
 
 from __future__ import annotations
 

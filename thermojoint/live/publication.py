@@ -1,4 +1,4 @@
-"""What the service says of one machine at one instant, in the one form that all doors share."""
+"""Publication of one machine at one instant, common to all interfaces."""
 
 from __future__ import annotations
 

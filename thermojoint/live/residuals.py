@@ -1,4 +1,4 @@
-"""What readings say beyond the estimate: reading minus model, for every sensor, used or not.
+"""Residuals, reading minus prediction, of every sensor.
 
 A sensor that lies shows here before and after it is left out; what all sensors show together is the
 model's error.

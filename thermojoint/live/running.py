@@ -1,4 +1,4 @@
-"""A service that runs: its machines as the store has them, and the thread that keeps them."""
+"""Running service: its machines as restored from the store, and the storing thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From readings as they arrive to whole samples at the estimator's instants, in order.
+"""Assembly of arriving readings into samples at the estimator's instants, in order.
 
 Instants lie an interval apart, beginning where the first reading was told (to a sixteenth of the
 interval), so that a source whose moments waver misses none. A reading belongs to the nearest one. A

@@ -1,4 +1,4 @@
-"""A secret from where it is kept; no message ever shows it."""
+"""Reading of secrets, which no message ever shows."""
 
 from __future__ import annotations
 

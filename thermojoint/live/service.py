@@ -1,4 +1,4 @@
-"""The service as a whole: readers, the floor, the store, writers, each a task of one event loop."""
+"""The service as tasks of one event loop: readers, floor, store, writers."""
 
 from __future__ import annotations
 

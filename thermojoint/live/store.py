@@ -1,4 +1,4 @@
-"""What survives a kill: samples, states and where the sources stand, in one SQLite file (WAL).
+"""Persistent store in one SQLite file (WAL): samples, states, read positions of the sources.
 
 One transaction holds the samples of a moment, what they say, and how far each source was read with
 them. So after a kill a source goes on behind the last sample that is kept, and no sample counts

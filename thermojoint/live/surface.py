@@ -1,4 +1,4 @@
-"""The surface of the machine that a joint-aware model is of: temperatures and pressures to look at.
+"""Surface of a joint-aware model's machine with temperatures and pressures, for display.
 
 A model has no mesh. A surface file keeps what a picture needs of the mesh: the outer faces, what
 the model's amplitudes say of the temperature at their corners, and the contact elements:

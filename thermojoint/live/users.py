@@ -1,4 +1,4 @@
-"""Who may read, and who may write: names with hashed passwords in a file of the service alone.
+"""Users with roles and hashed passwords, in a file private to the service.
 
 A line each: ``name:reads:scrypt$N$r$p$salt$hash``, the last two in hexadecimal.
 """

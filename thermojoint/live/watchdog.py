@@ -1,4 +1,4 @@
-"""How far a value can be used: by what the estimator says of it, and by its age."""
+"""Quality of a value, from the estimator's status and its age."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zeros in the right half plane, which make an inverse unstable, by the argument principle."""
+"""Count of right-half-plane zeros by the argument principle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the calibrated model to the seven blocks of Figure 5, each a bank of exponential states.
+"""Assembly of the seven blocks of Figure 5 as banks of exponential states.
 
 The poles of the inverse blocks are fitted, and a fit depends on the processor in its last digits:
 an assembly is therefore made once, kept (`thermojoint.models.assembly_file`) and read back, not

@@ -1,4 +1,4 @@
-"""A model learned from a log: displacement as a bounded linear filter of what is measured.
+"""Learned model: displacement as a bounded linear filter of measured inputs.
 
     δ_c = zero_c + Σ_f w_cf φ_f,   φ_f = relaxation with τ_f of u_f,
 

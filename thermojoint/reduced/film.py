@@ -1,4 +1,4 @@
-"""The film that a machine has beyond the calibrated one, on its modes.
+"""Change of convection relative to the calibrated machine, on its modes.
 
 Convection is a matrix on the modes, with directions of its own: along each the excess decays over a
 step by an exponential, whatever the step. A field at the ambient's temperature does not decay.

@@ -1,4 +1,4 @@
-"""A machine without its mesh: every operator of the march on the modes of its reduced model.
+"""Mesh-free machine: all operators of the simulator on the modes of its reduced model.
 
 Conduction, convection and the heat inputs stay apart, so that other values of the machine's
 parameters cost a small eigenvalue problem and no finite element (`parameters`).

@@ -1,4 +1,4 @@
-"""What is uncertain about a machine, and the machine with other values of it, free of the mesh.
+"""Uncertain parameters of a machine, their priors, and the machine with other values.
 
 Every parameter is a factor on what the case says; its logarithm has a normal prior. All of them
 reuse one condensation:

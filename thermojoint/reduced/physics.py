@@ -1,4 +1,4 @@
-"""One step of the machine's physics on its modes: heat with the joint of the last step, then gaps.
+"""One time step on the modes: heat with the last conductance, then the gap equations.
 
 The same equations as `fesim.march.stepping.staggered`, in two halves: between them the observer
 corrects the temperatures. The conductance that the joint has at its preload belongs to the modes'

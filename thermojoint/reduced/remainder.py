@@ -1,4 +1,4 @@
-"""The linear remainder: what a machine's response lacks of its model's, as bounded relaxations.
+"""Model discrepancy: difference between machine and model as bounded relaxations.
 
 y_plant - y_model = sum_ij G_ij z_ij with dz_ij/dt = rho_j (Q_i - z_ij), Q_i the heat of source i
 relative to its reference. Every z is a mean over the heat's past: whatever the run, none exceeds

@@ -1,1 +1,1 @@
-"""From estimates to the offsets that a control receives."""
+"""Axis offsets for a control, from estimates."""

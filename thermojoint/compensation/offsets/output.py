@@ -1,4 +1,4 @@
-"""One cycle of a control: from an estimate to the offset of each of its axes.
+"""Axis offsets in one control cycle, from an estimate.
 
 What is wanted is sign times the estimated displacement, filtered by a first-order low-pass, held
 within a dead band, limited to a largest total; what comes out goes there no faster than a rate, in
@@ -28,7 +28,7 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """How offsets are made.
+    """Settings of the output stage.
 
     Attributes
     ----------

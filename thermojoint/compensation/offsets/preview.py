@@ -1,4 +1,4 @@
-"""What a control will receive: offsets in every cycle, from an estimate that stands in a file."""
+"""Preview of the offsets in every control cycle, from a table of estimates."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from thermojoint.compensation.offsets.usable import usable
 
 
 class Cycle(NamedTuple):
-    """What a control receives in one cycle.
+    """Offsets of one cycle.
 
     Attributes
     ----------

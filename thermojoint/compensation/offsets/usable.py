@@ -1,4 +1,4 @@
-"""Which estimates may move an axis."""
+"""Rules for usable estimates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNUSABLE = ("beyond-temperature", "unsettled")
 
 @dataclass(frozen=True)
 class Trust:
-    """When an estimate is used.
+    """Conditions for using an estimate.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Who may pass: one token, compared in constant time, and the tickets that browsers get for it.
+"""Authentication by one token, compared in constant time, and browser sessions.
 
 A ticket is the time at which it ends and a keyed digest of that time. The key is made from the
 token: another token ends every ticket, a restart of the service none.

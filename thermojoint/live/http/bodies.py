@@ -1,4 +1,4 @@
-"""What answers say, as JSON: units in the keys, null for what is unknown."""
+"""JSON bodies of responses: units in the keys, null for unknown values."""
 
 from __future__ import annotations
 

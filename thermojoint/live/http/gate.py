@@ -1,4 +1,4 @@
-"""What every request passes before anything answers it: limits, then who it is, then headers."""
+"""Middleware for all requests: limits, authentication, headers."""
 
 from __future__ import annotations
 

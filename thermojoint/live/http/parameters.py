@@ -1,4 +1,4 @@
-"""What stands behind the ``?`` of an address: known names, once each, in range, or refused."""
+"""Validation of query parameters."""
 
 from __future__ import annotations
 

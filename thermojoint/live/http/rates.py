@@ -1,4 +1,4 @@
-"""How much each client may ask for: buckets that fill with time, never more than so many."""
+"""Rate limits per client by token buckets."""
 
 from __future__ import annotations
 

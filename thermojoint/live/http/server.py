@@ -1,4 +1,4 @@
-"""The server: TLS unless on the loopback and told otherwise."""
+"""HTTP server with TLS, optional on the loopback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages and programs are told of: where the server takes it from."""
+"""Data sources of the HTTP server."""
 
 from __future__ import annotations
 

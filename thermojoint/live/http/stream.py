@@ -1,4 +1,4 @@
-"""Server-sent events: the newest of every machine that has changed, to whoever keeps up.
+"""Server-sent events with the newest sample of every changed machine.
 
 A reader holds nothing but the names of the machines that have changed since it was last sent
 something. One that reads slowly gets fewer events with the newest values, never a queue of old.

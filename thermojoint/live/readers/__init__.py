@@ -1,1 +1,1 @@
-"""Where readings come from: a pipe of CSV lines, an MQTT broker, an OPC UA server."""
+"""Readers of measurements: CSV lines, MQTT, OPC UA."""

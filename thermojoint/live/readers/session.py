@@ -1,4 +1,4 @@
-"""A connection that is kept beside what reads from it."""
+"""A persistent connection shared with its reader."""
 
 from __future__ import annotations
 

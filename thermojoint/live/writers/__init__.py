@@ -1,1 +1,1 @@
-"""Where publications go: nodes of an OPC UA server, topics of an MQTT broker."""
+"""Writers of publications: OPC UA nodes, MQTT topics."""
