@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from fesim.case.schema import Case, parse_case
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
 from fesim.setup.loads import heat_sources
@@ -72,7 +73,7 @@ def case_of(mesh: str, contacts: int) -> Case:
 
 def reduced(case: Case, full: Setup) -> tuple[Setup, ThermalModes, float]:
     """Reduce a set-up of the full order; return it, its modes and how long that took, s."""
-    structure, thermal, elastic = full.structure, full.machine.thermal, full.machine.elastic
+    structure, thermal, elastic = full.structure, full.machine.thermal, full.machine.contact.elastic
     heat = heat_operators(
         structure,
         full.spaces.heat,
@@ -85,8 +86,7 @@ def reduced(case: Case, full: Setup) -> tuple[Setup, ThermalModes, float]:
     modes = thermal_modes(heat, operators, elastic, full.probe_rows, thermal.step)
     machine = CondensedMachine(
         project_heat(heat, operators, thermal.step, modes),
-        project_elasticity(elastic, modes),
-        full.machine.laws,
+        ContactProblem(project_elasticity(elastic, modes), full.machine.contact.laws),
     )
     rows = full.probe_rows @ modes.basis
     took = time.perf_counter() - begun
@@ -138,7 +138,7 @@ def row(mesh: str, contacts: int) -> list[str]:
     worst = {name: max(getattr(d, name) for d in found) for name in vars(found[0])}
     return [
         mesh,
-        str(full.machine.contacts),
+        str(full.machine.contact.count),
         str(full.spaces.heat.N),
         str(modes.rates.size),
         f"{modes.error:.2f}",

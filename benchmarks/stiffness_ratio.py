@@ -47,20 +47,22 @@ def machine(ratio: float) -> tuple[CondensedMachine, Inputs]:
 
 def bound(machine: CondensedMachine, before: Step, step: Step) -> tuple[float, float]:
     """Return the largest errors of a gap (m) and of a pressure (1, of its preload)."""
-    traction = machine.traction(step.state.gap, before.state.slip)
-    jacobian = machine.gap_problem.jacobian(traction)
+    traction = machine.contact.traction(step.state.gap, before.state.slip)
+    jacobian = machine.contact.gap_problem.jacobian(traction)
     gap = np.abs(np.linalg.inv(jacobian)).sum(axis=1) * TOLERANCE
-    pressure = np.abs(traction.tangent[0, 0]) * gap[: machine.contacts] / machine.preload
+    pressure = (
+        np.abs(traction.tangent[0, 0]) * gap[: machine.contact.count] / machine.contact.preload
+    )
     return float(gap.max()), float(pressure.max())
 
 
 def row(ratio: float) -> tuple[str, ...]:
     """Return one row of the table as text."""
     usual, inputs = machine(ratio)
-    strict = replace(usual, gap_tolerance=STRICT)
+    strict = replace(usual, contact=replace(usual.contact, gap_tolerance=STRICT))
     ours, theirs = (list(islice(march(one, inputs, staggered), STEPS)) for one in (usual, strict))
     off = max(
-        float((np.abs(a.state.pressure - b.state.pressure) / usual.preload).max())
+        float((np.abs(a.state.pressure - b.state.pressure) / usual.contact.preload).max())
         for a, b in zip(ours, theirs, strict=True)
     )
     moved = max(

@@ -134,8 +134,8 @@ def force_balance(reaction: Array, load: Array) -> Array:
 
 
 def _joint_values(setup: Setup, steps: Sequence[Step]) -> dict[str, np.ndarray]:
-    contacts = setup.machine.contacts
-    springs = setup.machine.elastic.reference
+    contacts = setup.machine.contact.count
+    springs = setup.machine.contact.elastic.reference
     # z = remainder - k g: the shear on the gap.
     shear = np.array(
         [(step.remainder - springs * step.state.gap.ravel())[contacts:] for step in steps]

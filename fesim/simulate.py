@@ -210,7 +210,7 @@ def _check_forces(case: Case, ready: Setup) -> None:
 
 
 def _check_pressures(ready: Setup, track: Track) -> None:
-    laws = ready.machine.laws
+    laws = ready.machine.contact.laws
     limit = np.repeat([law.pressure_limit for law, _ in laws], [count for _, count in laws])
     beyond = track.pressure > limit
     if beyond.any():
@@ -262,7 +262,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "axis": list(DIRECTIONS),
         "space": list(DIRECTIONS),
         "tangent": ["along", "across"],
-        "contact": np.arange(1, machine.contacts + 1),
+        "contact": np.arange(1, machine.contact.count + 1),
     }
     if case.loads:
         coords["load"] = list(case.loads)
@@ -285,7 +285,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "covered_area_m2": json.dumps(
             covered_areas(setup.structure, surfaces_with_films(case), setup.joints)
         ),
-        "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.laws),
+        "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.contact.laws),
     }
     return make_response(values, coords, attrs)
 

@@ -43,5 +43,5 @@ def exponential(law: JointLaw) -> JointLaw:
 
 def with_law(machine: CondensedMachine, law: JointLaw) -> CondensedMachine:
     """Return the machine with `law` at its one joint."""
-    ((_, count),) = machine.laws
-    return replace(machine, laws=[(law, count)])
+    ((_, count),) = machine.contact.laws
+    return machine.with_laws([(law, count)])

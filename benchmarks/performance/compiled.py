@@ -23,12 +23,12 @@ REPEATS = 3
 
 def plain_solver(setup: Setup) -> Setup:
     """Return the same set-up, its steps taken plainly with `fesim.joint.gap.solve_gap`."""
-    machine = replace(setup.machine)
+    contact = replace(setup.machine.contact)
     # Where a cached property keeps its value.
-    vars(machine)["settle"] = partial(
-        solve_gap, machine.gap_problem, tolerance=machine.gap_tolerance
+    vars(contact)["settle"] = partial(
+        solve_gap, contact.gap_problem, tolerance=contact.gap_tolerance
     )
-    return replace(setup, machine=machine)
+    return replace(setup, machine=replace(setup.machine, contact=contact))
 
 
 def rows() -> Iterator[Row]:
@@ -44,7 +44,7 @@ def compared(case: Case, repeats: int) -> Row:
     first = simulate(case, setup=compiled).response
     second = plainly(case, plain)
     difference = np.abs(first["displacement"] - second["displacement"]).max().item()
-    contacts = compiled.machine.contacts
+    contacts = compiled.machine.contact.count
     times = paired(lambda: simulate(case, setup=compiled), lambda: plainly(case, plain), repeats)
     return Row(
         f"compiled-vs-plain-{contacts}",

@@ -107,17 +107,23 @@ def made(along: int, across: int) -> Program:
     """Return the programs of the first steps of the reference machine with a linear joint."""
     case = with_contacts(reference_case(), along, across)
     setup = set_up(case)
-    preload = setup.machine.preload[0]
-    stiffness = setup.machine.gap_problem.springs[0]
+    preload = setup.machine.contact.preload[0]
+    stiffness = setup.machine.contact.gap_problem.springs[0]
     # The stiffness of the machine's own law at its preload: c p = p / stiffness.
     normal = BackBurdekinLaw(1.0 / stiffness, 1.0, preload)
-    law = setup.machine.laws[0][0]
+    law = setup.machine.contact.laws[0][0]
     linear = JointLaw(normal, Friction(0.0, law.friction.stiffness), law.conductance)
-    machine = replace(setup.machine, laws=[(linear, setup.machine.contacts)], holds=None)
+    contact = setup.machine.contact
+    contact = replace(contact, laws=[(linear, contact.count)], holds=None)
+    machine = replace(setup.machine, contact=contact)
     inputs = driven(case)[1 : STEPS + 1]
     start = initial_state(machine, inputs[0])
     track = joined(list(march_along(machine, inputs, staggered, start)))
-    problem, elastic, count = machine.gap_problem, machine.elastic, machine.contacts
+    problem, elastic, count = (
+        machine.contact.gap_problem,
+        machine.contact.elastic,
+        machine.contact.count,
+    )
     free_gaps = track.temperature @ (problem.exchange @ elastic.thermal_gap).T
     # Without the joint's own springs: g = G + K z.
     bare = np.linalg.inv(np.eye(3 * count) - problem.compliance * problem.springs)
@@ -158,8 +164,8 @@ def newton(program: Program) -> Solve:
 
 
 def _gap_equations(program: Program, kept: bool) -> Solve:
-    machine, count = program.machine, program.machine.contacts
-    joint = joint_kernel(machine, np.asarray(machine.thermal.jump), np.zeros(count))
+    machine, count = program.machine, program.machine.contact.count
+    joint = joint_kernel(machine.contact, np.asarray(machine.thermal.jump), np.zeros(count))
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
     blocks = one_block(joint.springs, joint.compliance, joint.columns)

@@ -13,7 +13,7 @@ from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 from benchmarks.performance.cases import reference_case
 from benchmarks.performance.timing import Row, Skipped, seconds
 from fesim.case.schema import Case
-from fesim.march.machine import CondensedMachine
+from fesim.march.contact import ContactProblem
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
 from fesim.setup.structure import body_materials, build_structure
@@ -68,7 +68,7 @@ class Refactoring:
         stiffness = csr_array(self.elastic.stiffness[free][:, free])
         area, area3 = self.operators.area, np.tile(self.operators.area, 3)
         # Only its laws are used: nothing of the condensation.
-        law = CondensedMachine(None, None, self.laws)  # type: ignore[arg-type]
+        law = ContactProblem(None, self.laws)  # type: ignore[arg-type]
         contacts = area.size
         rate = csr_array(heat.capacity / self.step)
         temperature, pressure = np.zeros(heat.inputs.shape[0]), law.preload

@@ -64,8 +64,8 @@ def march_row(case: Case, setup: Setup) -> Row:
         "march-1050",
         *paired(lambda: simulate(case, setup=setup), lambda: plainly(case, setup), REPEATS),
         "s",
-        f"{step_count(case.march)} steps with {setup.machine.contacts} contact elements, set up "
-        f"before, response made; displacements differ by {off:.1e} m; median of {REPEATS}",
+        f"{step_count(case.march)} steps with {setup.machine.contact.count} contact elements, "
+        f"set up before, response made; displacements differ by {off:.1e} m; median of {REPEATS}",
     )
 
 
@@ -91,7 +91,7 @@ def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:
     cases = ensemble(case)
 
     def laws() -> list[Sequence[tuple[JointLaw, int]]]:
-        return [with_laws(setup, one).machine.laws for one in cases]
+        return [with_laws(setup, one).machine.contact.laws for one in cases]
 
     def many() -> Array:
         return march_many(setup.machine, laws(), np.array([driven(one) for one in cases]))
@@ -152,7 +152,7 @@ def _steps_row(name: str, what: str, case: Case, inputs: Array, first: int) -> R
     mine, theirs = between - begun, perf_counter() - between
     slides = np.abs(np.diff(ours.slip, axis=0)).max(axis=1) > SLIDES_ABOVE
     off = float(np.abs(ours.displacement - other.displacement).max())
-    count = machine.contacts
+    count = machine.contact.count
     return Row(
         name.format(count),
         1e3 / len(inputs) * mine,

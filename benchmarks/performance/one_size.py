@@ -76,12 +76,12 @@ def sizes(case: Case, plainly: bool) -> dict[str, float]:
     peak = peak_memory()
     (setup,) = found
     steps = step_count(case.march)
-    repeats = 3 if setup.machine.contacts < FEW else 1
+    repeats = 3 if setup.machine.contact.count < FEW else 1
     march = median(seconds(lambda: simulate(case, setup=setup)) for _ in range(repeats))
     return {
         "unknowns": setup.spaces.displacement_size,
         "temperatures": int(setup.spaces.heat.N),
-        "contacts": setup.machine.contacts,
+        "contacts": setup.machine.contact.count,
         "modes": 0 if setup.modes is None else int(setup.modes.rates.size),
         "setup": taken,
         "memory": peak,

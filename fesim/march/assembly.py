@@ -57,12 +57,13 @@ def tightened(
     ConvergenceError
         Joints and supports find no equilibrium under these forces.
     """
-    loads, elastic = loose.loads, loose.elastic
+    loads, elastic = loose.contact.loads, loose.contact.elastic
     assert loads is not None
     given = loads.gap.shape[1] - len(forces)
-    free = replace(loose, loads=None, start=None)
+    contact = replace(loose.contact, loads=None)
+    free = replace(loose, contact=contact, start=None)
     try:
-        found, _ = settle_along(free, initial_state(free), loads.gap[:, given:] @ forces)
+        found, _ = settle_along(contact, initial_state(free), loads.gap[:, given:] @ forces)
     except ConvergenceError as error:
         raise ConvergenceError(f"tightening the bolts: {error}") from error
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
@@ -72,12 +73,11 @@ def tightened(
     factors = np.concatenate([np.zeros(given), forces, [1.0]])
     machine = replace(
         loose,
-        elastic=bolted,
-        loads=influence,
+        contact=replace(loose.contact, elastic=bolted, loads=influence),
         assembly=Assembly(
             gap=found.gap,
             slip=found.traction.slip,
-            pressure=loose.preload + found.traction.value[0],
+            pressure=contact.preload + found.traction.value[0],
             remainder=remainder,
             factors=factors,
         ),

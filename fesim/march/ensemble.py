@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from fesim.joint.law import JointLaw
+from fesim.march.contact import Laws
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import at_rest
 from fesim.march.stepping import Advance, march_along, staggered
 from fesim.one_thread import one_thread
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-
-Laws = Sequence[tuple[JointLaw, int]]
 
 
 def march_many(
@@ -57,10 +54,10 @@ def march_many(
         raise InputError(
             f"march_many: {len(laws)} laws for {len(inputs)} inputs; give one for each"
         )
-    found = np.empty((*inputs.shape[:2], len(machine.elastic.probe_thermal)))
+    found = np.empty((*inputs.shape[:2], len(machine.contact.elastic.probe_thermal)))
     with one_thread():
         for own, driven, displacement in zip(laws, inputs, found, strict=True):
-            one = replace(machine, laws=own)
+            one = machine.with_laws(own)
             rest = at_rest(one, driven[0])
             displacement[0] = rest.displacement
             for track in march_along(one, driven[1:], advance, rest.state):

@@ -19,6 +19,7 @@ from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED, Watched
 from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel
+from fesim.march.contact import ContactProblem
 from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
 from thermojoint.artefacts.arrays import Array
@@ -134,9 +135,9 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
 def step_kernel(machine: CondensedMachine) -> StepKernel | None:
     """Return what marches a machine, or None if it is to be marched plainly."""
     thermal = machine.thermal
-    if not machine.contacts or thermal.factor.solver != "diagonal":
+    if not machine.contact.count or thermal.factor.solver != "diagonal":
         return None
-    joint = joint_kernel(machine, np.asarray(thermal.jump), np.zeros(machine.contacts))
+    joint = joint_kernel(machine.contact, np.asarray(thermal.jump), np.zeros(machine.contact.count))
     if joint is None:
         return None
     diagonal = thermal.factor.matrix.diagonal()
@@ -146,28 +147,28 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
         influence=_own(thermal.influence),
         joint_influence=_own(thermal.joint_influence),
     )
-    watched = UNWATCHED if machine.watch is None else machine.watch.watched
-    return StepKernel(heat, joint, _blocks(machine, joint), watched)
+    watched = UNWATCHED if machine.contact.watch is None else machine.contact.watch.watched
+    return StepKernel(heat, joint, _blocks(machine.contact, joint), watched)
 
 
-def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKernel | None:
+def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:
     """Return what the kernels need of a machine, or None if a law of it is none they know.
 
     Parameters
     ----------
-    machine : CondensedMachine
-        Its gap equations; what it says of heat is not asked.
+    contact : ContactProblem
+        The joints of a machine.
     jump : ndarray, shape (m, r)
         Temperature jump at every contact element, K.
     held : ndarray, shape (m,)
         Conductance times area that the modes hold, W/K.
     """
-    elastic = machine.elastic
-    solver = compile_gap(machine.gap_problem, machine.laws)
-    conductance = _conductance_table(machine.laws, elastic.area)
+    elastic = contact.elastic
+    solver = compile_gap(contact.gap_problem, contact.laws)
+    conductance = _conductance_table(contact.laws, elastic.area)
     if solver is None or conductance is None:
         return None
-    problem, loads = solver.problem, machine.loads
+    problem, loads = solver.problem, contact.loads
     unloaded = np.zeros((len(problem.springs), 0)), np.zeros((len(elastic.probe_thermal), 0))
     loaded_gap, loaded = unloaded if loads is None else (loads.gap, loads.probes)
     return JointKernel(
@@ -180,21 +181,21 @@ def joint_kernel(machine: CondensedMachine, jump: Array, held: Array) -> JointKe
         columns=_own(problem.compliance.T),
         gap=_own(problem.exchange @ elastic.thermal_gap),
         loaded_gap=_own(problem.exchange @ loaded_gap),
-        preload=_own(machine.preload),
+        preload=_own(contact.preload),
         reference=_own(elastic.reference),
         moved=_own(elastic.probe_compliance * elastic.area),
         free=_own(elastic.probe_thermal),
         loaded=_own(loaded),
-        tolerance=machine.gap_tolerance,
+        tolerance=contact.gap_tolerance,
     )
 
 
-def _blocks(machine: CondensedMachine, joint: JointKernel) -> Blocks:
+def _blocks(contact: ContactProblem, joint: JointKernel) -> Blocks:
     """What of the contact elements hardly feels each other; all is one where no holds are known."""
-    linear, holds = (joint.springs, joint.compliance, joint.columns), machine.holds
+    linear, holds = (joint.springs, joint.compliance, joint.columns), contact.holds
     if holds is None:
         return one_block(*linear)
-    counts = [count for _, count in machine.laws]
+    counts = [count for _, count in contact.laws]
     return blocks_of(*linear, counts, holds.share, holds.supports)
 
 

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
-from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
-from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
-from fesim.solid.rigid_motions import Holds
+from fesim.march.contact import ContactProblem, Laws
+from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
-    from fesim.joint.loosening import Watch
     from fesim.march.start_field import StartField
     from fesim.solid.temperature_factor import ThermalGrowth
     from fesim.solid.variable_heat import VariableHeat
-
-#: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
-Settle = Callable[[Array, Array, Array], Equilibrium]
 
 
 @dataclass(frozen=True)
@@ -58,16 +50,8 @@ class CondensedMachine:
     ----------
     thermal : ThermalCondensation
         One heat step.
-    elastic : ElasticCondensation
-        Gaps and probes.
-    laws : sequence of (JointLaw, int)
-        The law of each joint and how many contact elements it has, in their order.
-    gap_tolerance : float
-        Largest residual of the gap equations, m.
-    holds : Holds, optional
-        What holds the bodies; with it, a step in which one comes loose is an error.
-    loads : LoadInfluence, optional
-        Mechanical loads; their factors stand behind the other inputs of a step.
+    contact : ContactProblem
+        Gaps, probes and joint laws.
     assembly : Assembly, optional
         Where a machine with bolts starts (`fesim.march.assembly`).
     start : StartField, optional
@@ -79,110 +63,30 @@ class CondensedMachine:
     """
 
     thermal: ThermalCondensation
-    elastic: ElasticCondensation
-    laws: Sequence[tuple[JointLaw, int]]
-    gap_tolerance: float = TOLERANCE
-    holds: Holds | None = None
-    loads: LoadInfluence | None = None
+    contact: ContactProblem
     assembly: Assembly | None = None
     start: StartField | None = None
     variable: VariableHeat | None = None
     growth: ThermalGrowth | None = None
 
-    @property
-    def contacts(self) -> int:
-        """Number of contact elements."""
-        return sum(count for _, count in self.laws)
-
-    @cached_property
-    def gap_problem(self) -> GapProblem:
-        """The gap equations of this machine."""
-        elastic = self.elastic
-        return gap_problem(
-            elastic.compliance * elastic.area,
-            elastic.reference,
-            stiffness_at_rest(self.laws),
-            self.traction,
-        )
-
-    @cached_property
-    def settle(self) -> Settle:
-        """What solves them."""
-        return gap_solver(self.gap_problem, self.laws, self.gap_tolerance)
-
-    @cached_property
-    def watch(self) -> Watch | None:
-        """What sees a body come loose."""
-        # Here, not above, as in `gap_solver`.
-        from fesim.joint.loosening import watch_of
-
-        return None if self.holds is None else watch_of(self.holds, self.laws)
-
-    def _slices(self) -> Iterator[tuple[JointLaw, slice]]:
-        start = 0
-        for law, count in self.laws:
-            yield law, slice(start, start + count)
-            start += count
-
-    def traction(self, gap: Array, slip: Array) -> Traction:
-        """Evaluate every joint's law; shapes as in `fesim.joint.law.evaluate`."""
-        parts = [evaluate(law, gap[:, at], slip[:, at]) for law, at in self._slices()]
-        if len(parts) == 1:
-            return parts[0]
-        return Traction(
-            np.concatenate([part.value for part in parts], axis=-1),
-            np.concatenate([part.tangent for part in parts], axis=-1),
-            np.concatenate([part.slip for part in parts], axis=-1),
-        )
-
-    def conductance(self, pressure: Array) -> Array:
-        """Eq. 11 at every contact element, W/(m2 K)."""
-        parts = [law.conductance(pressure[at]) for law, at in self._slices()]
-        return np.concatenate([np.empty(0), *parts])
-
-    @cached_property
-    def conducts_by_pressure(self) -> bool:
-        """Whether pressures alone decide what the joints conduct."""
-        return all(law.conducts_by_pressure for law, _ in self.laws)
+    def with_laws(self, laws: Laws) -> CondensedMachine:
+        """Return the machine with other joint laws: none of them enters a condensation."""
+        return replace(self, contact=replace(self.contact, laws=laws))
 
     def conductance_in(self, state: State) -> Array:
         """What every contact element conducts in a state, by contact and gap, W/(m2 K)."""
-        if self.conducts_by_pressure:
-            return self.conductance(state.pressure)
+        if self.contact.conducts_by_pressure:
+            return self.contact.conductance(state.pressure)
         rise = self.thermal.mean @ state.temperature
         parts = [
             law.conducts(state.pressure[at], state.gap[0, at], rise[at])
-            for law, at in self._slices()
+            for law, at in self.contact.slices()
         ]
         return np.concatenate(parts)
 
     def strained(self, temperature: Array) -> Array:
         """Return what temperature unknowns count as in S_T: others where `growth` says so."""
         return temperature if self.growth is None else self.growth.strained(temperature)
-
-    @cached_property
-    def reference_pressure(self) -> Array:
-        """Preload of every contact element, or what stands for it where there is none, Pa."""
-        parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
-        return np.concatenate([np.empty(0), *parts])
-
-    @cached_property
-    def preload(self) -> Array:
-        """Preload of every contact element, Pa."""
-        parts = [np.full(count, law.preload) for law, count in self.laws]
-        return np.concatenate([np.empty(0), *parts])
-
-
-def gap_solver(
-    problem: GapProblem, laws: Sequence[tuple[JointLaw, int]], tolerance: float = TOLERANCE
-) -> Settle:
-    """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
-    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
-    from fesim.joint.compiled_gap import compile_gap
-
-    compiled = compile_gap(problem, laws)
-    solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
-    return partial(solve, tolerance=tolerance)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from fesim.joint.cutting import cut
 from fesim.joint.gap import Equilibrium
 from fesim.joint.relaxation import relax
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -55,7 +56,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     ConvergenceError
         There is no equilibrium.
     """
-    count, start = machine.contacts, machine.start
+    count, start = machine.contact.count, machine.start
     inputs = undriven(machine) if inputs is None else inputs
     ambient = np.zeros(machine.thermal.inputs.shape[0])
     state = State(
@@ -63,7 +64,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         temperature=ambient if start is None else start.temperature(inputs),
         gap=np.zeros((3, count)),
         slip=np.zeros((2, count)),
-        pressure=machine.preload.copy(),
+        pressure=machine.contact.preload.copy(),
         change=np.zeros((3, count)),
         model=machine.thermal.model,
         anchor=np.zeros((7, count)),
@@ -71,12 +72,12 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     if machine.assembly is not None:
         tight = machine.assembly
         state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
-    elif machine.preload.all() and machine.loads is None and start is None:
+    elif machine.contact.preload.all() and machine.contact.loads is None and start is None:
         return state
     # A joint without preload is at rest by itself only where it is open.
-    grown = machine.elastic.thermal_gap @ machine.strained(state.temperature)
-    found, _ = settle_along(machine, state, loaded_gap(machine, grown, inputs))
-    pressure = machine.preload + found.traction.value[0]
+    grown = machine.contact.elastic.thermal_gap @ machine.strained(state.temperature)
+    found, _ = settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
+    pressure = machine.contact.preload + found.traction.value[0]
     return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
 
 
@@ -91,25 +92,25 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
         At time zero; as for `initial_state`. Default: those of an `undriven` machine.
     """
     inputs = undriven(machine) if inputs is None else inputs
-    state, elastic = initial_state(machine, inputs), machine.elastic
+    state, elastic = initial_state(machine, inputs), machine.contact.elastic
     displacement = elastic.probe_thermal @ machine.strained(state.temperature)
-    remainder = np.zeros(3 * machine.contacts)
+    remainder = np.zeros(3 * machine.contact.count)
     if state.gap.any():
-        value = machine.traction(state.gap, state.slip).value
+        value = machine.contact.traction(state.gap, state.slip).value
         remainder = value.ravel() + elastic.reference * state.gap.ravel()
         displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
-    if machine.loads is not None:
+    if machine.contact.loads is not None:
         factors = load_factors(machine, inputs)
         driven[machine.thermal.inputs.shape[1] :] = factors
-        displacement = displacement + machine.loads.probes @ factors
+        displacement = displacement + machine.contact.loads.probes @ factors
     conductance = machine.conductance_in(state)
     jump = machine.thermal.jump @ state.temperature
     return Step(
         state=state,
         inputs=driven,
         conductance=conductance,
-        heat_flow=conductance * elastic.area[: machine.contacts] * jump,
+        heat_flow=conductance * elastic.area[: machine.contact.count] * jump,
         displacement=displacement,
         remainder=remainder,
         residual=0.0,
@@ -121,20 +122,20 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
 
 def undriven(machine: CondensedMachine) -> Array:
     """Return the inputs (k + l,) of a machine that has no heat and no loads but its bolts."""
-    loads = 0 if machine.loads is None else machine.loads.gap.shape[1]
+    loads = 0 if machine.contact.loads is None else machine.contact.loads.gap.shape[1]
     factors = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
     return np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), factors])
 
 
 def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> Array:
     """Return what heat and loads together open, (3 m,), m."""
-    if machine.loads is None:
+    if machine.contact.loads is None:
         return thermal_gap
-    return thermal_gap + machine.loads.gap @ load_factors(machine, inputs)
+    return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)
 
 
 def settle_along(
-    machine: CondensedMachine, state: JointState, thermal_gap: Array
+    contact: ContactProblem, state: JointState, thermal_gap: Array
 ) -> tuple[Equilibrium, int]:
     """Find the equilibrium that the state comes to, and how many viscous steps it took.
 
@@ -144,7 +145,7 @@ def settle_along(
 
     Parameters
     ----------
-    machine : CondensedMachine
+    contact : ContactProblem
         Whose joints they are.
     state : JointState
         Of the joint at the start of the step: a march's `State` is one.
@@ -158,10 +159,10 @@ def settle_along(
     """
     for guess in (state.gap + state.change, state.gap):
         with suppress(ConvergenceError):
-            return machine.settle(thermal_gap, state.slip, guess), 0
-    step = machine.gap_problem, thermal_gap, state.slip, state.gap, machine.gap_tolerance
+            return contact.settle(thermal_gap, state.slip, guess), 0
+    step = contact.gap_problem, thermal_gap, state.slip, state.gap, contact.gap_tolerance
     with suppress(ConvergenceError):
         return relax(*step)
-    if machine.watch is not None:
-        machine.watch.explain(machine.traction(state.gap, state.slip))
+    if contact.watch is not None:
+        contact.watch.explain(contact.traction(state.gap, state.slip))
     return cut(*step)

@@ -212,9 +212,9 @@ class _Carried:
 
 def _carried(machine: CondensedMachine, state: State) -> _Carried:
     """Pressures; or conductances, where openings or temperatures are in them as well."""
-    if machine.conducts_by_pressure:
-        pressures = machine.reference_pressure
-        return _Carried(lambda found: found.pressure, machine.conductance, pressures)
+    if machine.contact.conducts_by_pressure:
+        pressures = machine.contact.reference_pressure
+        return _Carried(lambda found: found.pressure, machine.contact.conductance, pressures)
     given = machine.conductance_in(state)
     scale = np.where(given > 0.0, given, 1.0)
     return _Carried(machine.conductance_in, lambda values: values, scale)
@@ -222,8 +222,8 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
 
 def _left_open(machine: CondensedMachine) -> float:
     """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
-    stiffness = machine.gap_problem.springs[: machine.contacts]
-    left = 10.0 * machine.gap_tolerance * stiffness / machine.reference_pressure
+    stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
+    left = 10.0 * machine.contact.gap_tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 
@@ -239,23 +239,23 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
 
 
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
-    count = machine.contacts
-    elastic = machine.elastic
-    thermal = inputs if machine.loads is None else inputs[: machine.thermal.inputs.shape[1]]
+    count = machine.contact.count
+    elastic = machine.contact.elastic
+    thermal = inputs if machine.contact.loads is None else inputs[: machine.thermal.inputs.shape[1]]
     joint = conductance * elastic.area[:count]
     heat = step_heat(machine.thermal, machine.variable, state.temperature, thermal, joint)
     strained = machine.strained(heat.temperature)
     thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
-    found, cuts = settle_along(machine, state, thermal_gap)
-    pressure = machine.preload + found.traction.value[0]
-    if machine.watch is not None:
-        machine.watch.check(pressure, found.traction.tangent)
+    found, cuts = settle_along(machine.contact, state, thermal_gap)
+    pressure = machine.contact.preload + found.traction.value[0]
+    if machine.contact.watch is not None:
+        machine.contact.watch.check(pressure, found.traction.tangent)
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
     displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
         elastic.area * remainder
     )
-    if machine.loads is not None:
-        displacement = displacement + machine.loads.probes @ load_factors(machine, inputs)
+    if machine.contact.loads is not None:
+        displacement = displacement + machine.contact.loads.probes @ load_factors(machine, inputs)
     return Step(
         state=State(
             index=state.index + 1,

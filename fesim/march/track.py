@@ -117,7 +117,7 @@ def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | 
     What comes back takes a state and inputs (n, k + l) and gives the steps up to where a joint
     snaps or a body comes loose, None if that is the first of them.
     """
-    if not machine.contacts:
+    if not machine.contact.count:
         return None
     # Here, not above: a compiler is loaded with it, which no structure without joints needs.
     from fesim.march.kernel import new_kept, step_kernel
@@ -143,7 +143,7 @@ def _kernel_track(
     return Track(
         index=state.index + 1 + np.arange(taken),
         inputs=inputs,
-        conductance=record.conducted / machine.elastic.area[: machine.contacts],
+        conductance=record.conducted / machine.contact.elastic.area[: machine.contact.count],
         heat_flow=record.heat_flow,
         displacement=record.displacement,
         remainder=record.remainder,
@@ -164,11 +164,11 @@ def _kernel_track(
 
 def _came_loose(machine: CondensedMachine, slip: Array, record: Record) -> bool:
     """Whether the last step recorded leaves a body loose; `slip` (2, m) is that at its start."""
-    if machine.watch is None:
+    if machine.contact.watch is None:
         return False
-    tangent = machine.traction(record.gap[-1], slip).tangent
+    tangent = machine.contact.traction(record.gap[-1], slip).tangent
     try:
-        machine.watch.check(record.pressure[-1], tangent)
+        machine.contact.watch.check(record.pressure[-1], tangent)
     except ConvergenceError:
         return True
     return False

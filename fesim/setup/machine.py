@@ -20,6 +20,7 @@ from fesim.case.identity import (
 )
 from fesim.case.schema import Case
 from fesim.march.assembly import Bolts, tightened
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.reduced import (
     ThermalModes,
@@ -275,10 +276,7 @@ def set_up(case: Case) -> Setup:
         thermal, elastic = condense_heat(heat, operators, step, solver), condensed
     machine = CondensedMachine(
         thermal,
-        elastic,
-        parts.laws,
-        holds=parts.holds,
-        loads=loads,
+        ContactProblem(elastic, parts.laws, holds=parts.holds, loads=loads),
         start=start_field(heat, warm, modes),
         variable=variable_heat(case, structure, spaces.heat, materials, joints, heat),
         growth=growth(case, structure, spaces.heat),
@@ -318,9 +316,9 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     laws = joint_laws(case, setup.structure, materials, setup.joints)
     check_held(setup.holds, with_friction(case, setup.joints), start_closed(case, setup.joints))
     if setup.bolts is None:
-        return replace(setup, machine=replace(setup.machine, laws=laws))
+        return replace(setup, machine=setup.machine.with_laws(laws))
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs
-    machine, bolts = tightened(names, replace(loose, laws=laws), springs, first_forces(case))
+    machine, bolts = tightened(names, loose.with_laws(laws), springs, first_forces(case))
     return replace(setup, machine=machine, bolts=bolts)
 
 

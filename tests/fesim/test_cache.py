@@ -80,7 +80,7 @@ def test_displacement_fields_are_there_without_their_condensation(folder, reduce
     fresh, stored = set_up(case), set_up(case)
     rng = np.random.default_rng(1)
     temperature = rng.normal(size=fresh.spaces.heat.N)
-    remainder = 1e6 * rng.normal(size=3 * fresh.machine.contacts)
+    remainder = 1e6 * rng.normal(size=3 * fresh.machine.contact.count)
     # Two factorisations of one stiffness, each with its own rounding.
     kept, made = (one.field.solve(temperature, remainder) for one in (stored, fresh))
     np.testing.assert_allclose(kept, made, rtol=0.0, atol=1e-9 * np.abs(made).max())
@@ -180,7 +180,7 @@ def test_another_source_film_and_probe_find_the_elastic_part(folder, reduced, mo
     monkeypatch.setenv(cache.VARIABLE, "off")
     anew = set_up(case_of(elsewhere(reduced)))
     for name in ("compliance", "probe_compliance"):
-        one, other = (getattr(made.machine.elastic, name) for made in (found, anew))
+        one, other = (getattr(made.machine.contact.elastic, name) for made in (found, anew))
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12 * np.abs(other).max())
     one, other = (simulate(case_of(reduced), setup=made).response for made in (found, anew))
     np.testing.assert_allclose(one["displacement"], other["displacement"], rtol=0.0, atol=1e-12)

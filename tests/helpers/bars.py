@@ -1,12 +1,13 @@
 """Two bars end to end with a joint between them: the structures that closed forms exist for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
 from skfem import MeshHex, MeshTet
 
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import (
@@ -157,7 +158,7 @@ def assemble(
     laws = [(law, len(operators.area))]
     reference = springs * reference_springs(structure, by_body, parts.joints)
     condensed, field = condense_elasticity(elastic, operators, reference, probes, solver)
-    machine = CondensedMachine(parts.thermal, condensed, laws)
+    machine = CondensedMachine(parts.thermal, ContactProblem(condensed, laws))
     return Bars(parts, elastic, probes, machine, field)
 
 
@@ -177,3 +178,8 @@ def level(thermal, value):
 def driven(machine, history):
     """Inputs in time: every source follows one history."""
     return lambda time: level(machine.thermal, history(np.array([time]))[0])
+
+
+def with_tolerance(machine, tolerance):
+    """The machine with another largest residual of its gap equations, m."""
+    return replace(machine, contact=replace(machine.contact, gap_tolerance=tolerance))

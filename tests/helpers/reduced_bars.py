@@ -3,6 +3,7 @@
 import numpy as np
 from bars import assemble, surface_law, two_bars
 
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import project_elasticity, project_heat, thermal_modes
 from fesim.solid.spaces import probe_rows
@@ -22,14 +23,14 @@ def bars_of(step=2.0, friction=0.3):
 def modes_of(bars, step=2.0):
     parts = bars.parts
     rows = probe_rows(parts.spaces.heat, parts.structure, parts.structure.probes)
-    return thermal_modes(parts.heat, parts.operators, bars.machine.elastic, rows, step)
+    return thermal_modes(parts.heat, parts.operators, bars.machine.contact.elastic, rows, step)
 
 
 def on_modes(bars, modes, step=2.0):
+    joints = bars.machine.contact
     return CondensedMachine(
         project_heat(bars.parts.heat, bars.parts.operators, step, modes),
-        project_elasticity(bars.machine.elastic, modes),
-        bars.machine.laws,
+        ContactProblem(project_elasticity(joints.elastic, modes), joints.laws),
     )
 
 

@@ -327,4 +327,4 @@ def test_the_set_up_gives_what_the_plain_one_gives():
 def full(case):
     """The elastic condensation of a set-up with the full thermal model."""
     march = case.march.model_copy(update={"thermal": "full"})
-    return machine.set_up(case.model_copy(update={"march": march})).machine.elastic
+    return machine.set_up(case.model_copy(update={"march": march})).machine.contact.elastic

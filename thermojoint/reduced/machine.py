@@ -173,7 +173,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         ambient=driven[:, count],
         jump=np.asarray(setup.machine.thermal.jump),
         sensors=np.asarray(setup.probe_rows)[rows],
-        elastic=setup.machine.elastic,
+        elastic=setup.machine.contact.elastic,
         joints=tuple(
             Joint(case.joints[joint.name], joint_conductivity(setup.structure, materials, joint))
             for joint in setup.joints

@@ -20,8 +20,8 @@ from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import Moving, march_steps
 from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
+from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
-from fesim.march.machine import CondensedMachine
 from fesim.march.settling import settle_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Joint, Modes
@@ -60,19 +60,19 @@ class Physics:
         The law of each joint and its number of contact elements.
     held : ndarray, shape (m,)
         Conductance times area that belongs to the modes, W/K.
-    machine : CondensedMachine
+    contact : ContactProblem
         Its gap equations: they do not see the heat.
     """
 
     modes: Modes
     laws: Sequence[tuple[JointLaw, int]]
     held: Array
-    machine: CondensedMachine
+    contact: ContactProblem
 
     @property
     def preload(self) -> Array:
         """Of every contact element, Pa."""
-        return self.machine.preload
+        return self.contact.preload
 
     @property
     def contacts(self) -> int:
@@ -82,7 +82,7 @@ class Physics:
     @cached_property
     def kernel(self) -> JointKernel | None:
         """What its steps need in machine code; None for laws that are not known there."""
-        return joint_kernel(self.machine, self.modes.jump, self.held) if self.contacts else None
+        return joint_kernel(self.contact, self.modes.jump, self.held) if self.contacts else None
 
     def at_rest(self) -> JointState:
         """Every joint at its preload."""
@@ -107,8 +107,7 @@ class Physics:
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
     """Return the physics of a machine whose modes were made with `held`."""
     laws = [(joint.law, joint.conductivity.size) for joint in joints]
-    machine = CondensedMachine(None, modes.elastic, laws)  # type: ignore[arg-type]
-    return Physics(modes, laws, held, machine)
+    return Physics(modes, laws, held, ContactProblem(modes.elastic, laws))
 
 
 @lru_cache(maxsize=64)
@@ -183,7 +182,7 @@ def settle_plainly(
     if not physics.contacts:
         return joint, free
     thermal_gap = elastic.thermal_gap @ amplitudes
-    found, _ = settle_along(physics.machine, joint, thermal_gap)
+    found, _ = settle_along(physics.contact, joint, thermal_gap)
     value = found.traction.value
     remainder = value.ravel() + elastic.reference * found.gap.ravel()
     after = JointState(

@@ -152,11 +152,11 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
 
     `still` has a time step of `FOREVER`; the state is that whose joint conducts what it is given.
     """
-    [(law, count)], inputs = still.machine.laws, thermal_inputs(case)
+    [(law, count)], inputs = still.machine.contact.laws, thermal_inputs(case)
 
     def state(given: float) -> State:
         fixed = replace(law, conductance=FixedConductance(given), gap=None)
-        machine = replace(still.machine, laws=[(fixed, count)])
+        machine = still.machine.with_laws([(fixed, count)])
         return next(march(machine, inputs, staggered)).state
 
     def lack(logarithm: float) -> float:

@@ -21,7 +21,7 @@ from fesim.joint.law import (
     evaluate,
     stiffness_at_rest,
 )
-from fesim.march.machine import gap_solver
+from fesim.march.contact import gap_solver
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.joint_operators import joint_operators

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array, kron
 
 from fesim.joint.law import Friction, JointLaw
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -114,7 +115,7 @@ def assemble(
     condensed, field = condense_elasticity(elastic, joints, springs, probes)
     laws = [(law, len(joints.area))]
     thermal = condense_heat(heat, joints, step)
-    machine = CondensedMachine(thermal, condensed, laws, RESIDUAL)
+    machine = CondensedMachine(thermal, ContactProblem(condensed, laws, RESIDUAL))
     return Assembled(heat, elastic, joints, probes, thermometer, machine, field)
 
 
@@ -181,14 +182,15 @@ def modes_of(made: Assembled) -> ThermalModes:
     """Return the modes that a case of this structure would march on."""
     machine = made.machine
     step = machine.thermal.step
-    return thermal_modes(made.heat, made.joints, machine.elastic, made.thermometer, step)
+    return thermal_modes(made.heat, made.joints, machine.contact.elastic, made.thermometer, step)
 
 
 def reduced_machine(made: Assembled, modes: ThermalModes) -> CondensedMachine:
     """Return the machine on its modes."""
     machine = made.machine
     thermal = project_heat(made.heat, made.joints, machine.thermal.step, modes)
-    return replace(machine, thermal=thermal, elastic=project_elasticity(machine.elastic, modes))
+    elastic = project_elasticity(machine.contact.elastic, modes)
+    return replace(machine, thermal=thermal, contact=replace(machine.contact, elastic=elastic))
 
 
 def driven(made: Assembled) -> Inputs:

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
-from fesim.march.machine import gap_solver
+from fesim.march.contact import gap_solver
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators

@@ -60,21 +60,21 @@ def plain_march(
     free, step = elastic.free, machine.thermal.step
     jump, gap = joints.jump, csr_array(joints.gap[:, free])
     stiffness = elastic.stiffness[free][:, free]
-    area, area3, count = joints.area, np.tile(joints.area, 3), machine.contacts
+    area, area3, count = joints.area, np.tile(joints.area, 3), machine.contact.count
     rate = heat.capacity / step
-    temperature, pressure = np.zeros(heat.inputs.shape[0]), machine.preload
+    temperature, pressure = np.zeros(heat.inputs.shape[0]), machine.contact.preload
     u, slip = np.zeros(free.size), np.zeros((2, count))
     index = 0
     while True:
         index += 1
-        joint = jump.T @ diags_array(machine.conductance(pressure) * area) @ jump
+        joint = jump.T @ diags_array(machine.contact.conductance(pressure) * area) @ jump
         temperature = _solve(
             rate + heat.conduction + heat.convection + joint,
             rate @ temperature + heat.inputs @ inputs(index * step),
         )
         load = (elastic.thermal_load @ temperature)[free]
         before = slip
-        law = machine.traction((gap @ u).reshape(3, count), before)
+        law = machine.contact.traction((gap @ u).reshape(3, count), before)
         forces = stiffness @ u - load - gap.T @ (area3 * law.value.ravel())
         for _ in range(MAX_ITERATIONS):
             blocks = [[diags_array(area * law.tangent[i, j]) for j in range(3)] for i in range(3)]
@@ -82,7 +82,7 @@ def plain_march(
             length, norm = 1.0, np.linalg.norm(forces)
             while True:
                 trial = u + length * move
-                law = machine.traction((gap @ trial).reshape(3, count), before)
+                law = machine.contact.traction((gap @ trial).reshape(3, count), before)
                 forces = stiffness @ trial - load - gap.T @ (area3 * law.value.ravel())
                 if np.linalg.norm(forces) < norm or length < SHORTEST_STEP:
                     break
@@ -95,7 +95,7 @@ def plain_march(
                 f"plain march: step to t = {index * step:g} s: Newton's last step is still "
                 f"{np.abs(move).max():.1e} m"
             )
-        slip, pressure = law.slip, machine.preload + law.value[0]
+        slip, pressure = law.slip, machine.contact.preload + law.value[0]
         displacement = np.zeros(elastic.stiffness.shape[0])
         displacement[free] = u
         yield PlainStep(temperature, displacement, pressure, slip)

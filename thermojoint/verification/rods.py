@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from scipy.sparse import csr_array
 
 from fesim.joint.law import Friction, JointLaw
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
@@ -55,7 +56,7 @@ class Rods:
     def machine(self, step: float) -> CondensedMachine:
         """Condense for a time step (s)."""
         thermal = condense_heat(self.heat, self.operators, step)
-        return CondensedMachine(thermal, self.elastic, [(self.law, 1)])
+        return CondensedMachine(thermal, ContactProblem(self.elastic, [(self.law, 1)]))
 
 
 def rods(

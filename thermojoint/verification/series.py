@@ -19,6 +19,7 @@ from fesim.joint.law import (
     exact_conductance,
     harmonic_conductivity,
 )
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.stepping import march, staggered
 from fesim.setup.laws import law_of
@@ -74,7 +75,8 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     no_probes = csr_array((0, spaces.displacement_size))
     condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
     thermal = condense_heat(heat, operators, FOREVER)
-    return CondensedMachine(thermal, condensed, [(law_at(PRESSURES[0]), len(joints[0].area))])
+    laws = [(law_at(PRESSURES[0]), len(joints[0].area))]
+    return CondensedMachine(thermal, ContactProblem(condensed, laws))
 
 
 #: Keys of a joint with a conductance other than Eq. 11, and its h, W/(m2 K).
@@ -119,9 +121,9 @@ def other_checks() -> Iterator[Check]:
     for name, (said, conductance) in OTHER_LAWS.items():
         section = JointSection(**surface | said)
         given = section.initial_opening_um
-        opening = None if given is None else np.full(cold.contacts, 1e-6 * float(given))
-        law = law_of(section, np.full(cold.contacts, IRON.conductivity), opening)
-        yield _flow_check(f"two bars, {name}", replace(cold, laws=[(law, 6)]), conductance)
+        opening = None if given is None else np.full(cold.contact.count, 1e-6 * float(given))
+        law = law_of(section, np.full(cold.contact.count, IRON.conductivity), opening)
+        yield _flow_check(f"two bars, {name}", cold.with_laws([(law, 6)]), conductance)
 
 
 def checks() -> Iterator[Check]:
@@ -131,7 +133,7 @@ def checks() -> Iterator[Check]:
         for pressure in PRESSURES:
             law = law_at(pressure)
             contact = float(law.conductance(np.array([pressure]))[0])
-            machine = replace(cold, laws=[(law, cold.contacts)])
+            machine = cold.with_laws([(law, cold.contact.count)])
             yield _flow_check(f"two bars, {mesh}, {1e-6 * pressure:g} MPa", machine, contact)
     yield from other_checks()
 

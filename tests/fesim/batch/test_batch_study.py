@@ -343,15 +343,21 @@ def test_a_condensation_with_other_laws_is_that_of_the_other_case(data):
     del_heat = {path: value for path, value in NOT_CONDENSED.items() if path != "heat_input.level"}
     base, other = made(data, {}), made(data, del_heat)
     shared, own = with_laws(set_up(base), other), set_up(other)
-    thermal, elastic = shared.machine.thermal, shared.machine.elastic
+    joints, own_joints = shared.machine.contact, own.machine.contact
+    thermal, elastic = shared.machine.thermal, joints.elastic
     np.testing.assert_allclose(thermal.inputs, own.machine.thermal.inputs, rtol=1e-12)
-    np.testing.assert_allclose(elastic.compliance, own.machine.elastic.compliance, rtol=1e-10)
-    np.testing.assert_allclose(elastic.reference, own.machine.elastic.reference, rtol=1e-12)
-    gap, slip = np.full((3, shared.machine.contacts), -1e-7), np.zeros((2, shared.machine.contacts))
-    np.testing.assert_allclose(
-        shared.machine.traction(gap, slip).value, own.machine.traction(gap, slip).value, rtol=1e-12
+    np.testing.assert_allclose(elastic.compliance, own_joints.elastic.compliance, rtol=1e-10)
+    np.testing.assert_allclose(elastic.reference, own_joints.elastic.reference, rtol=1e-12)
+    gap, slip = (
+        np.full((3, joints.count), -1e-7),
+        np.zeros((2, joints.count)),
     )
-    assert shared.machine.preload[0] == pytest.approx(3.0e6, rel=1e-12)
+    np.testing.assert_allclose(
+        joints.traction(gap, slip).value,
+        own_joints.traction(gap, slip).value,
+        rtol=1e-12,
+    )
+    assert joints.preload[0] == pytest.approx(3.0e6, rel=1e-12)
 
 
 # Which case a worker gets next.

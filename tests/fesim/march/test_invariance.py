@@ -67,10 +67,10 @@ def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance
         assert step.residual <= 1e-11
         pressure = step.state.pressure
         assert pressure.min() >= 0.0
-        assert (machine.conductance(pressure)[pressure == 0.0] == 0.0).all()
+        assert (machine.contact.conductance(pressure)[pressure == 0.0] == 0.0).all()
         # Heat goes down the jump, and none crosses a joint that was open.
         jump = machine.thermal.jump @ step.state.temperature
-        area = machine.elastic.area[: machine.contacts]
+        area = machine.contact.elastic.area[: machine.contact.count]
         scale = np.abs(step.heat_flow).max()
         expected = step.conductance * area * jump
         np.testing.assert_allclose(step.heat_flow, expected, atol=1e-7 * scale + 1e-9)
@@ -87,8 +87,10 @@ def test_the_compliance_is_reciprocal_and_gives_way_to_every_load(parts):
     compliance = rows @ influence
     largest = np.abs(compliance).max()
     np.testing.assert_allclose(compliance, compliance.T, atol=1e-10 * largest)
-    np.testing.assert_allclose(made.machine.elastic.compliance, compliance, atol=1e-10 * largest)
-    assert np.linalg.eigvalsh(made.machine.elastic.compliance).min() > 0.0
+    np.testing.assert_allclose(
+        made.machine.contact.elastic.compliance, compliance, atol=1e-10 * largest
+    )
+    assert np.linalg.eigvalsh(made.machine.contact.elastic.compliance).min() > 0.0
 
 
 def turned(structure, rotation, shift):

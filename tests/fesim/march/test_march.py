@@ -1,13 +1,12 @@
 """The march: what every step must fulfil, and that it can be cut, stopped and continued."""
 
 import copy
-from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import assemble, driven, surface_law, two_bars
+from bars import assemble, driven, surface_law, two_bars, with_tolerance
 from scipy.spatial import cKDTree
 
 from benchmarks.robustness import STEPS, marches
@@ -54,7 +53,7 @@ def test_every_step_balances_heat_and_closes_its_gaps(hard_run, coarse_setup):
     assert max(step.residual for step in hard_run) <= 1e-11
     assert max(abs(step.heat_balance) for step in hard_run) <= 1e-8
     # ... on a run in which the joint slides and its pressures more than halve and double.
-    preload = coarse_setup.machine.preload[0]
+    preload = coarse_setup.machine.contact.preload[0]
     last = hard_run[-1].state
     assert last.pressure.min() < 0.5 * preload
     assert last.pressure.max() > 2.0 * preload
@@ -66,27 +65,29 @@ def test_no_pressure_pulls_and_no_shear_exceeds_friction(hard_run, coarse_setup)
     for before, step in pairwise(hard_run):
         state = step.state
         assert state.pressure.min() >= 0.0
-        shear = machine.traction(state.gap, before.state.slip).value[1:]
+        shear = machine.contact.traction(state.gap, before.state.slip).value[1:]
         np.testing.assert_array_less(np.hypot(*shear), 0.6 * state.pressure * (1 + 1e-9) + 1e-6)
 
 
 def test_every_joint_has_its_own_law(bars):
     """Contact elements 1-2 lubricated and lightly loaded, 3-6 as before."""
     other = surface_law(friction=0.05, preload=1e6)
-    usual = bars.laws[0][0]
-    machine = replace(bars, laws=[(other, 2), (usual, 4)])
-    np.testing.assert_array_equal(machine.preload, [1e6, 1e6, 4.41e6, 4.41e6, 4.41e6, 4.41e6])
+    usual = bars.contact.laws[0][0]
+    machine = bars.with_laws([(other, 2), (usual, 4)])
+    np.testing.assert_array_equal(
+        machine.contact.preload, [1e6, 1e6, 4.41e6, 4.41e6, 4.41e6, 4.41e6]
+    )
     rng = np.random.default_rng(8)
     gap, slip = rng.uniform(-1e-6, 1e-6, (3, 6)), np.zeros((2, 6))
-    together = machine.traction(gap, slip)
-    pressure = machine.preload + together.value[0]
+    together = machine.contact.traction(gap, slip)
+    pressure = machine.contact.preload + together.value[0]
     for law, at in ((other, slice(0, 2)), (usual, slice(2, 6))):
         alone = evaluate(law, gap[:, at], slip[:, at])
         for ours, theirs in (
             (together.value[:, at], alone.value),
             (together.tangent[..., at], alone.tangent),
             (together.slip[:, at], alone.slip),
-            (machine.conductance(pressure)[at], law.conductance(pressure[at])),
+            (machine.contact.conductance(pressure)[at], law.conductance(pressure[at])),
         ):
             scale = np.abs(theirs).max()
             np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12 * scale)
@@ -104,7 +105,7 @@ def test_heat_flows_from_hot_to_cold_through_every_contact(hard_run, coarse_setu
     machine = coarse_setup.machine
     for step in hard_run[::50]:
         jump = machine.thermal.jump @ step.state.temperature
-        expected = step.conductance * machine.elastic.area[: machine.contacts] * jump
+        expected = step.conductance * machine.contact.elastic.area[: machine.contact.count] * jump
         np.testing.assert_allclose(step.heat_flow, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -120,7 +121,7 @@ def test_at_rest_nothing_happens(bars):
     for step in take(bars, step_history(0.0), 3):
         np.testing.assert_allclose(step.state.temperature, 0.0, atol=1e-12)
         np.testing.assert_allclose(step.displacement, 0.0, atol=1e-20)
-        np.testing.assert_allclose(step.state.pressure, bars.preload, rtol=1e-12)
+        np.testing.assert_allclose(step.state.pressure, bars.contact.preload, rtol=1e-12)
         assert abs(step.heat_balance) <= 1e-12
 
 
@@ -145,22 +146,24 @@ def test_large_inputs_are_not(hard_run, coarse_setup):
 def test_iterated_coupling_agrees_with_itself(bars):
     for step in take(bars, step_history(1.0), 10, iterated):
         np.testing.assert_allclose(
-            step.conductance, bars.conductance(step.state.pressure), rtol=1e-7
+            step.conductance, bars.contact.conductance(step.state.pressure), rtol=1e-7
         )
 
 
 def test_staggered_uses_the_pressure_of_the_last_step(bars):
     steps = take(bars, step_history(1.0), 5)
-    np.testing.assert_allclose(steps[0].conductance, bars.conductance(bars.preload), rtol=1e-12)
+    np.testing.assert_allclose(
+        steps[0].conductance, bars.contact.conductance(bars.contact.preload), rtol=1e-12
+    )
     for before, step in pairwise(steps):
-        expected = bars.conductance(before.state.pressure)
+        expected = bars.contact.conductance(before.state.pressure)
         np.testing.assert_allclose(step.conductance, expected, rtol=1e-12)
 
 
 def test_staggered_and_iterated_come_together_in_proportion_to_the_step():
     difference = []
     for step in (4.0, 2.0, 1.0):
-        machine = replace(heated_bars(step), gap_tolerance=1e-16)
+        machine = with_tolerance(heated_bars(step), 1e-16)
         ends = [
             take(machine, step_history(1.0), round(48.0 / step), advance)[-1].state
             for advance in (staggered, iterated)
@@ -205,7 +208,7 @@ def test_two_marches_of_one_machine_do_not_disturb_each_other(bars):
 @pytest.mark.parametrize("advance", [staggered, iterated])
 def test_a_step_out_of_reach_raises_and_yields_nothing(bars, advance):
     done = take(bars, step_history(1.0), 3, advance)
-    strict = replace(bars, gap_tolerance=0.0)
+    strict = with_tolerance(bars, 0.0)
     marching = march(strict, driven(bars, step_history(1.0)), advance, done[-1].state)
     with pytest.raises(ConvergenceError, match=r"step to t = 8 s: gap equations") as caught:
         done.append(next(marching))
@@ -222,7 +225,7 @@ def test_the_viscous_way_ends_where_newtons_method_does(monkeypatch):
     def never(thermal_gap, slip, guess):
         raise ConvergenceError("no way")
 
-    monkeypatch.setitem(vars(machine), "settle", never)
+    monkeypatch.setitem(vars(machine.contact), "settle", never)
     for ours, theirs in zip(take(machine, step_history(1.0), 3), whole, strict=True):
         assert theirs.cuts == 0
         assert ours.cuts > 0
@@ -269,14 +272,14 @@ def test_half_and_whole_machine_agree(coarse_data, coarse_setup):
     data["structure"]["half"] = False
     data["supports"] = {"fixed": data["supports"]["fixed"]}
     setup = set_up(case_from_data(data, "whole", Path()))
-    assert setup.machine.contacts == 2 * coarse_setup.machine.contacts
+    assert setup.machine.contact.count == 2 * coarse_setup.machine.contact.count
     places = setup.joints[0].centre
     mirrored = np.column_stack([places[:, :2], np.minimum(places[:, 2], 0.5 - places[:, 2])])
     # The contact element of the half model that each one of the whole model is or mirrors.
     apart, twin = cKDTree(coarse_setup.joints[0].centre).query(mirrored)
     assert apart.max() < 1e-9
     halves, wholes = (
-        take(replace(one.machine, gap_tolerance=1e-16), step_history(2.0 * POWER), 60)
+        take(with_tolerance(one.machine, 1e-16), step_history(2.0 * POWER), 60)
         for one in (coarse_setup, setup)
     )
     for half, whole in zip(halves[::10], wholes[::10], strict=True):

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import IRON, assemble, level, surface_law, two_bars
+from bars import IRON, assemble, level, surface_law, two_bars, with_tolerance
 from reduced_bars import bars_of, modes_of, on_modes, warmed
 from repository import ROOT
 
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
+from fesim.march.contact import ContactProblem
 from fesim.march.ensemble import march_many
 from fesim.march.kernel import step_kernel
 from fesim.march.machine import CondensedMachine
@@ -181,17 +182,17 @@ def test_machine_code_takes_the_steps_of_the_plain_march(friction):
     inputs, start = warmed(100), initial_state(machine)
     assert step_kernel(machine) is not None
     ours = joined(list(march_along(machine, inputs, staggered, start)))
-    strict = replace(machine, gap_tolerance=1e-16)
+    strict = with_tolerance(machine, 1e-16)
     theirs = joined(list(march_along(strict, inputs, plainly_staggered, start)))
     for name in ("gap", "slip", "displacement"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-12)
     np.testing.assert_allclose(ours.heat_flow, theirs.heat_flow, rtol=0, atol=1e-6)
     assert np.abs(ours.heat_balance).max() <= 1e-11
     assert not ours.cuts.any()
-    problem, elastic = machine.gap_problem, machine.elastic
-    slip = np.zeros((2, machine.contacts))
+    problem, elastic = machine.contact.gap_problem, machine.contact.elastic
+    slip = np.zeros((2, machine.contact.count))
     for step in (ours.step(at) for at in range(len(ours))):
-        traction = machine.traction(step.state.gap, slip)
+        traction = machine.contact.traction(step.state.gap, slip)
         warm = elastic.thermal_gap @ step.state.temperature
         true = np.abs(problem.residual(step.state.gap, traction, warm)).max()
         assert true <= TOLERANCE
@@ -223,16 +224,16 @@ def test_machine_code_goes_on_bit_for_bit_from_a_state(bars, modes, cut):
 def test_many_marches_are_those_of_one_after_another(bars, modes):
     """Other friction, preload and heat in each; a law of the user's own is marched plainly."""
     machine = on_modes(bars, modes)
-    count = machine.contacts
+    count = machine.contact.count
     own = replace(surface_law(0.3), conductance=lambda pressure: 0.01 * pressure)
     laws = [[(surface_law(0.1), count)], [(surface_law(0.3, 2e6), count)], [(own, count)]]
     rows = np.vstack([np.zeros((1, 2)), warmed(50)])
     inputs = np.array([scale * rows for scale in (1.0, 0.7, 0.5)])
     found = march_many(machine, laws, inputs)
-    assert found.shape == (3, 51, len(machine.elastic.probe_thermal))
+    assert found.shape == (3, 51, len(machine.contact.elastic.probe_thermal))
     np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-20)
     for one, driven, displacement in zip(laws, inputs, found, strict=True):
-        plain = replace(machine, laws=one)
+        plain = machine.with_laws(one)
         steps = march(plain, lambda t, rows=driven: rows[round(t / 2.0)], plainly_staggered)
         expected = np.array([step.displacement for step in islice(steps, 50)])
         np.testing.assert_allclose(displacement[1:], expected, rtol=0.0, atol=1e-12)
@@ -318,10 +319,12 @@ def test_two_joints_of_different_laws():
     laws = [(surface_law(0.05, preload=1e6), 4), (surface_law(0.6), 4)]
     rows = probe_rows(spaces.heat, structure, structure.probes)
     modes = thermal_modes(heat, operators, elastic, rows, 2.0)
-    full = heated(CondensedMachine(condense_heat(heat, operators, 2.0), elastic, laws), 100)
+    thermal = condense_heat(heat, operators, 2.0)
+    full = heated(CondensedMachine(thermal, ContactProblem(elastic, laws)), 100)
     reduced = heated(
         CondensedMachine(
-            project_heat(heat, operators, 2.0, modes), project_elasticity(elastic, modes), laws
+            project_heat(heat, operators, 2.0, modes),
+            ContactProblem(project_elasticity(elastic, modes), laws),
         ),
         100,
     )
@@ -347,7 +350,7 @@ def test_contact_elements_multiply_and_the_modes_do_not(coarse_data, reduced_set
     knee = coarse_data["joints"]["knee"] | {"along": 18, "across": 6}
     case = edited(coarse_data, joints={"knee": knee}, march={"thermal": "reduced"})
     finer = set_up(case)
-    assert finer.machine.contacts == 4 * reduced_setup.machine.contacts == 108
+    assert finer.machine.contact.count == 4 * reduced_setup.machine.contact.count == 108
     assert finer.modes.rates.size < 1.2 * reduced_setup.modes.rates.size
     assert finer.modes.error <= 1.0
 

@@ -176,7 +176,7 @@ def test_source_surface_is_the_cases(edit, coarse_setup):
 
 def test_friction_coefficient_is_the_cases(edit, coarse_case, coarse_setup):
     slippery = edit((("joints", "knee", "friction_coefficient"), 0.05))
-    laws = set_up(slippery).machine.laws
+    laws = set_up(slippery).machine.contact.laws
     assert [law.friction.coefficient for law, _ in laws] == [0.05]
     usual = simulate(coarse_case, setup=coarse_setup).response
     slid = simulate(slippery).response
@@ -250,7 +250,7 @@ def test_contact_elements_cover_the_strip(edit, along):
         )
     )
     (joint,) = setup.joints
-    assert len(joint.area) == setup.machine.contacts == 2 * along
+    assert len(joint.area) == setup.machine.contact.count == 2 * along
     assert joint.area.sum() == pytest.approx(0.40 * 0.075, rel=1e-12, abs=0.0)
     np.testing.assert_allclose(joint.area, joint.area.mean(), rtol=1e-9)
 
@@ -359,7 +359,7 @@ def test_stiff_springs_hold_like_a_support_and_soft_ones_give_way(edit):
             else {"fixed": ["screw_foot"], "springs": springs}
         )
         setup = set_up(edit((("supports",), supports | {"symmetry": {"symmetry": "z"}})))
-        found.append(setup.machine.elastic.compliance)
+        found.append(setup.machine.contact.elastic.compliance)
     held, stiff, soft = found
     np.testing.assert_allclose(stiff, held, rtol=1e-3, atol=1e-4 * np.abs(held).max())
     assert np.linalg.eigvalsh(soft - held).min() > -1e-9 * np.abs(held).max()

@@ -65,17 +65,19 @@ def test_a_bolt_condensed_is_a_bolt_assembled(marched):
     springs = setup.bolts.springs
     stretch = -setup.forces[:, len(setup.machine.assembly.factors) - 3 :].T
     gap = field.gap.toarray()[:, free]
-    reference = setup.machine.elastic.reference
+    reference = setup.machine.contact.elastic.reference
     held = gap.T @ diags_array(field.area * reference) @ gap
     ties = stretch[:, free].T @ diags_array(1.0 / springs.flexibility) @ stretch[:, free]
     whole = elastic.stiffness[free][:, free].toarray() + held + ties
     compliance = gap @ np.linalg.solve(whole, gap.T)
     scale = np.abs(compliance).max()
-    np.testing.assert_allclose(setup.machine.elastic.compliance, compliance, atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        setup.machine.contact.elastic.compliance, compliance, atol=1e-9 * scale
+    )
     pushed = springs.growth.T / springs.flexibility
     load = elastic.thermal_load[free].toarray() + stretch[:, free].T @ pushed.T
     opened = gap @ np.linalg.solve(whole, load)
-    found = setup.machine.elastic.thermal_gap
+    found = setup.machine.contact.elastic.thermal_gap
     np.testing.assert_allclose(found, opened, atol=1e-9 * np.abs(opened).max())
 
 
@@ -84,7 +86,7 @@ def test_bolts_are_tight_before_anything_acts(marched):
     _, setup, _, _ = marched
     rest = at_rest(setup.machine)
     np.testing.assert_allclose(setup.bolt_forces(rest), [12e3, 9e3], rtol=1e-6)
-    area = setup.machine.elastic.area[: setup.machine.contacts]
+    area = setup.machine.contact.elastic.area[: setup.machine.contact.count]
     assert rest.state.pressure @ area == pytest.approx(21e3, rel=1e-6)
     # The stronger bolt presses its side more.
     left = setup.joints[0].centre[:, 0] < 0.025
@@ -159,7 +161,7 @@ def test_bolts_press_beside_a_preload(tmp_path):
     given = {"joints": {"joint": joint(preload_MPa=2.0)}}
     setup = set_up(case_from_data(bolted(tmp_path, True, given), "c", tmp_path))
     rest = at_rest(setup.machine)
-    area = setup.machine.elastic.area[: setup.machine.contacts]
+    area = setup.machine.contact.elastic.area[: setup.machine.contact.count]
     assert rest.state.pressure @ area == pytest.approx(2e6 * AREA + FORCE, rel=1e-7)
     np.testing.assert_allclose(setup.bolt_forces(rest), [FORCE], rtol=1e-7)
 

@@ -2,12 +2,11 @@
 
 import gc
 import weakref
-from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
-from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars
+from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars, with_tolerance
 
 from benchmarks.performance.plain_set_up import plain_condensation
 from fesim.case.history import sampled_history, triangle_history
@@ -36,10 +35,10 @@ def heated_bars(friction, **changes):
 def test_condensed_march_is_the_plain_one(friction):
     """Temperature, displacement and pressure to 1e-9 in every step, heated and then cooled."""
     made = heated_bars(friction)
-    machine = replace(made.machine, gap_tolerance=1e-17)
+    machine = with_tolerance(made.machine, 1e-17)
     history = sampled_history(np.array([0.0, 16.0, 20.0, 50.0]), np.array([0.0, 2.0, -6.0, -6.0]))
     slid = 0.0
-    lowest = highest = made.machine.preload[0]
+    lowest = highest = made.machine.contact.preload[0]
     inputs = driven(made.machine, history)
     operators = made.parts.heat, made.elastic, made.parts.operators
     plain = islice(plain_march(*operators, made.machine, inputs), COUNT)
@@ -62,8 +61,8 @@ def test_condensed_march_is_the_plain_one(friction):
         lowest, highest = min(lowest, whole.pressure.min()), max(highest, whole.pressure.max())
     assert state.index == COUNT
     # The comparison means something: the joint is pressed, relieved and slides.
-    assert highest > 2.0 * made.machine.preload[0]
-    assert lowest < 0.1 * made.machine.preload[0]
+    assert highest > 2.0 * made.machine.contact.preload[0]
+    assert lowest < 0.1 * made.machine.contact.preload[0]
     assert slid > 0.05e-6
 
 
@@ -90,7 +89,7 @@ def test_condensed_matrices_are_what_they_are_called():
     np.testing.assert_allclose(thermal.joint_influence, jump @ influence, rtol=1e-9, atol=1e-12)
     elastic, free = made.elastic, made.elastic.free
     gap = made.parts.operators.gap[:, free].toarray()
-    condensed = made.machine.elastic
+    condensed = made.machine.contact.elastic
     springs = gap.T @ ((condensed.area * condensed.reference)[:, None] * gap)
     whole = np.linalg.inv(elastic.stiffness[free][:, free].toarray() + springs)
     load = elastic.thermal_load[free].toarray()
@@ -108,7 +107,7 @@ def test_both_solvers_condense_to_the_same_machine():
     pytest.importorskip("pypardiso")
     one, other = (heated_bars(0.6, solver=solver) for solver in ("pardiso", "superlu"))
     for name in ("compliance", "thermal_gap", "probe_compliance", "probe_thermal"):
-        first, second = (getattr(made.machine.elastic, name) for made in (one, other))
+        first, second = (getattr(made.machine.contact.elastic, name) for made in (one, other))
         np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-10 * np.abs(first).max())
 
 
@@ -137,7 +136,7 @@ SUPPORTS = {
 def test_pieces_tied_by_springs_are_the_whole_structure(supports, tetrahedra):
     structure = two_bars(left=(2, 3, 1), right=(2, 2, 1), tetrahedra=tetrahedra)
     made = assemble(structure, materials=(IRON, STEEL), **supports)
-    ours, joints = made.machine.elastic, made.parts.operators
+    ours, joints = made.machine.contact.elastic, made.parts.operators
     plain = plain_condensation(made.elastic, joints, ours.reference, made.probes)
     for name in ("compliance", "thermal_gap", "probe_compliance", "probe_thermal"):
         one, other = getattr(ours, name), getattr(plain, name)
@@ -165,9 +164,9 @@ def test_bodies_that_nothing_holds_are_refused():
 
 
 def test_columns_are_solved_a_few_at_a_time(monkeypatch):
-    whole = heated(SUPPORTS["one held by the joint"]).machine.elastic
+    whole = heated(SUPPORTS["one held by the joint"]).machine.contact.elastic
     monkeypatch.setattr(substructures, "AT_ONCE", 2000)
-    parts = heated(SUPPORTS["one held by the joint"]).machine.elastic
+    parts = heated(SUPPORTS["one held by the joint"]).machine.contact.elastic
     for name in ("compliance", "thermal_gap", "probe_thermal"):
         one, other = getattr(parts, name), getattr(whole, name)
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-11 * np.abs(other).max())
@@ -185,11 +184,14 @@ def test_a_factor_is_gone_before_the_next_one_is_made(monkeypatch):
         return factor
 
     monkeypatch.setattr(substructures, "factorise_upper", factorise)
-    gap, springs = made.field.gap, made.machine.elastic.area * made.machine.elastic.reference
+    gap, springs = (
+        made.field.gap,
+        made.machine.contact.elastic.area * made.machine.contact.elastic.reference,
+    )
     each = substructures.substructures(made.elastic.pieces(), gap, springs)
     heat = made.parts.spaces.heat.N
     found = substructures.condense_ties(each, gap, springs, made.probes, heat)
     assert most == [1, 1]
     np.testing.assert_allclose(
-        found.compliance, made.machine.elastic.compliance, rtol=0.0, atol=1e-20
+        found.compliance, made.machine.contact.elastic.compliance, rtol=0.0, atol=1e-20
     )

@@ -152,14 +152,14 @@ def test_a_cantilever_one_element_thick_does_not_lock(slenderness, tetrahedra, w
 def test_reciprocity(mesh):
     """What a unit traction at i does at j, it does at i from j (Betti)."""
     made = assemble(MESHES[mesh], fixed=["left_end", "right_end"])
-    count = 3 * made.machine.contacts
+    count = 3 * made.machine.contact.count
     area, gap = made.field.area, made.field.gap
     cold = np.zeros(made.parts.spaces.heat.N)
     columns = [gap @ made.field.solve(cold, unit / area) for unit in np.eye(count)]
     response = np.array(columns).T
     scale = np.abs(response).max()
     np.testing.assert_allclose(response, response.T, rtol=0.0, atol=1e-10 * scale)
-    compliance = made.machine.elastic.compliance
+    compliance = made.machine.contact.elastic.compliance
     np.testing.assert_allclose(compliance, response, rtol=0.0, atol=1e-10 * scale)
     assert np.linalg.eigvalsh(compliance).min() > 0.0
 
@@ -185,9 +185,11 @@ def test_gaps_are_openings_and_slips_along_and_across(mesh):
 def settle(made, temperature):
     """Equilibrium of the joint at a temperature field, and the displacement field there."""
     machine = made.machine
-    elastic = machine.elastic
-    zero = np.zeros((3, machine.contacts))
-    found = solve_gap(machine.gap_problem, elastic.thermal_gap @ temperature, zero[1:], zero, 1e-16)
+    elastic = machine.contact.elastic
+    zero = np.zeros((3, machine.contact.count))
+    found = solve_gap(
+        machine.contact.gap_problem, elastic.thermal_gap @ temperature, zero[1:], zero, 1e-16
+    )
     remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
     probes = elastic.probe_thermal @ temperature + elastic.probe_compliance @ (
         elastic.area * remainder
@@ -236,8 +238,8 @@ def test_an_accepted_residual_bounds_gap_and_pressure_however_stiff_one_body_is(
     law = surface_law(0.0)
     second = replace(IRON, youngs_modulus=ratio * IRON.youngs_modulus)
     made = assemble(MESHES["matching"], materials=(IRON, second), law=law, symmetry=ROLLERS)
-    problem, elastic = made.machine.gap_problem, made.machine.elastic
-    zero = np.zeros((3, made.machine.contacts))
+    problem, elastic = made.machine.contact.gap_problem, made.machine.contact.elastic
+    zero = np.zeros((3, made.machine.contact.count))
     for rise in (-30.0, 20.0):
         hot = np.full(made.parts.spaces.heat.N, rise)
         found = solve_gap(problem, elastic.thermal_gap @ hot, zero[1:], zero)
@@ -271,7 +273,9 @@ def test_a_body_that_only_the_joint_holds_follows_it(mesh, springs):
     alone = assemble(MESHES[mesh], fixed=["left_end"], springs=springs)
     rise = 10.0
     found, _, probes = settle(made, np.full(made.parts.spaces.heat.N, rise))
-    np.testing.assert_allclose(found.traction.value, 0.0, atol=1e-6 * made.machine.preload[0])
+    np.testing.assert_allclose(
+        found.traction.value, 0.0, atol=1e-6 * made.machine.contact.preload[0]
+    )
     np.testing.assert_allclose(found.gap, 0.0, atol=1e-14)
     assert probes[0] == pytest.approx(IRON.expansion * rise * (LEFT + RIGHT), rel=1e-8, abs=0.0)
     # Held by the root alone, the cold left bar and the hot right one: no net force crosses.

@@ -187,7 +187,7 @@ def test_four_times_the_contact_elements_take_far_less_than_four_times_the_modes
         )
         parts = bars.parts
         rows = probe_rows(parts.spaces.heat, structure, structure.probes)
-        modes = thermal_modes(parts.heat, parts.operators, bars.machine.elastic, rows, 2.0)
+        modes = thermal_modes(parts.heat, parts.operators, bars.machine.contact.elastic, rows, 2.0)
         assert modes.error <= 1.0
         ranks.append(modes.rates.size)
     assert ranks[1] < 2.6 * ranks[0]

@@ -1,0 +1,128 @@
+"""The joints of a condensed structure: what the gap equations of a step need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
+from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence
+from fesim.solid.rigid_motions import Holds
+from thermojoint.artefacts.arrays import Array
+
+if TYPE_CHECKING:
+    from fesim.joint.loosening import Watch
+
+#: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
+Settle = Callable[[Array, Array, Array], Equilibrium]
+#: The law of each joint and how many contact elements it has.
+Laws = Sequence[tuple[JointLaw, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactProblem:
+    """The joints of a condensed structure: their laws, and the gaps that heat and loads open.
+
+    Attributes
+    ----------
+    elastic : ElasticCondensation
+        Gaps and probes.
+    laws : sequence of (JointLaw, int)
+        The law of each joint and how many contact elements it has, in their order.
+    gap_tolerance : float
+        Largest residual of the gap equations, m.
+    holds : Holds, optional
+        What holds the bodies; with it, a step in which one comes loose is an error.
+    loads : LoadInfluence, optional
+        Mechanical loads; their factors stand behind the other inputs of a step.
+    """
+
+    elastic: ElasticCondensation
+    laws: Laws
+    gap_tolerance: float = TOLERANCE
+    holds: Holds | None = None
+    loads: LoadInfluence | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of contact elements."""
+        return sum(count for _, count in self.laws)
+
+    @cached_property
+    def gap_problem(self) -> GapProblem:
+        """The gap equations."""
+        elastic = self.elastic
+        return gap_problem(
+            elastic.compliance * elastic.area,
+            elastic.reference,
+            stiffness_at_rest(self.laws),
+            self.traction,
+        )
+
+    @cached_property
+    def settle(self) -> Settle:
+        """What solves them."""
+        return gap_solver(self.gap_problem, self.laws, self.gap_tolerance)
+
+    @cached_property
+    def watch(self) -> Watch | None:
+        """What sees a body come loose."""
+        # Here, not above, as in `gap_solver`.
+        from fesim.joint.loosening import watch_of
+
+        return None if self.holds is None else watch_of(self.holds, self.laws)
+
+    def slices(self) -> Iterator[tuple[JointLaw, slice]]:
+        """Yield the law of each joint and where its contact elements are."""
+        start = 0
+        for law, count in self.laws:
+            yield law, slice(start, start + count)
+            start += count
+
+    def traction(self, gap: Array, slip: Array) -> Traction:
+        """Evaluate every joint's law; shapes as in `fesim.joint.law.evaluate`."""
+        parts = [evaluate(law, gap[:, at], slip[:, at]) for law, at in self.slices()]
+        if len(parts) == 1:
+            return parts[0]
+        return Traction(
+            np.concatenate([part.value for part in parts], axis=-1),
+            np.concatenate([part.tangent for part in parts], axis=-1),
+            np.concatenate([part.slip for part in parts], axis=-1),
+        )
+
+    def conductance(self, pressure: Array) -> Array:
+        """Eq. 11 at every contact element, W/(m2 K)."""
+        parts = [law.conductance(pressure[at]) for law, at in self.slices()]
+        return np.concatenate([np.empty(0), *parts])
+
+    @cached_property
+    def conducts_by_pressure(self) -> bool:
+        """Whether pressures alone decide what the joints conduct."""
+        return all(law.conducts_by_pressure for law, _ in self.laws)
+
+    @cached_property
+    def reference_pressure(self) -> Array:
+        """Preload of every contact element, or what stands for it where there is none, Pa."""
+        parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
+        return np.concatenate([np.empty(0), *parts])
+
+    @cached_property
+    def preload(self) -> Array:
+        """Preload of every contact element, Pa."""
+        parts = [np.full(count, law.preload) for law, count in self.laws]
+        return np.concatenate([np.empty(0), *parts])
+
+
+def gap_solver(problem: GapProblem, laws: Laws, tolerance: float = TOLERANCE) -> Settle:
+    """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
+    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
+    from fesim.joint.compiled_gap import compile_gap
+
+    compiled = compile_gap(problem, laws)
+    solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
+    return partial(solve, tolerance=tolerance)
