@@ -43,10 +43,10 @@ def read_names(path: Path) -> dict[str, list[Point]]:
     InputError
         The file is missing, no TOML, or holds something else.
     """
-    found = read_settings(FaceNames, path, "names").surfaces_mm
+    points_by_name = read_settings(FaceNames, path, "names").surfaces_mm
     return {
         name: [(1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in points]
-        for name, points in found.items()
+        for name, points in points_by_name.items()
     }
 
 
@@ -180,16 +180,16 @@ def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]: 
         if shared:
             patches[one][f"{one}_{other}.a"] = shared
             patches[other][f"{one}_{other}.b"] = occ.copy(shared)
-    found = {}
+    sides_by_name = {}
     for body, sides in patches.items():
         tools = [patch for side in sides.values() for patch in side]
         if tools:
             _, (_, *made) = occ.fragment([(3, bodies[body])], tools)
             now = dict(zip(tools, made, strict=True))
             for name, side in sides.items():
-                found[name] = sorted({tag for patch in side for _, tag in now[patch]})
+                sides_by_name[name] = sorted({tag for patch in side for _, tag in now[patch]})
     occ.synchronize()
-    return found
+    return sides_by_name
 
 
 def _surfaces(
@@ -198,17 +198,17 @@ def _surfaces(
     sides: Mapping[str, list[int]],
     names: Mapping[str, Sequence[Point]],
 ) -> dict[str, list[int]]:
-    found = {
+    surfaces = {
         name: sorted({_face_at(gmsh, name, point) for point in points})
         for name, points in names.items()
     }
-    found |= sides
-    taken = {tag for tags in found.values() for tag in tags}
+    surfaces |= sides
+    taken = {tag for tags in surfaces.values() for tag in tags}
     for body, volume in bodies.items():
         rest = [tag for tag in _faces(gmsh, volume) if tag not in taken]
         if rest:
-            found[f"{body}_outer"] = rest
-    return found
+            surfaces[f"{body}_outer"] = rest
+    return surfaces
 
 
 def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
@@ -241,9 +241,9 @@ def _shared(gmsh: Any, one: int, other: int) -> list[DimTag]:  # noqa: ANN401
     # Copies: faces of the solids themselves would be bound to the result.
     copies = occ.copy([(2, one), (2, other)])
     common, _ = occ.intersect(copies[:1], copies[1:])
-    found = [patch for patch in common if patch[0] == 2]
-    area = sum(occ.getMass(*patch) for patch in found)
+    shared = [patch for patch in common if patch[0] == 2]
+    area = sum(occ.getMass(*patch) for patch in shared)
     if area > LEAST_OVERLAP * min(occ.getMass(2, tag) for tag in (one, other)):
-        return found
+        return shared
     occ.remove(common, recursive=True)
     return []

@@ -251,8 +251,8 @@ def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
     """Names of a kind, each with a mask over every block of cells of its dimension."""
     blocks = _blocks(raw, _DIMENSIONS[kind])
     if path.suffix in (".inp", ".med"):
-        found = {name: [masks[k] for k in blocks] for name, masks in _sets(raw).items()}
-        return {name: masks for name, masks in found.items() if any(m.any() for m in masks)}
+        masks_by_name = {name: [masks[k] for k in blocks] for name, masks in _sets(raw).items()}
+        return {name: masks for name, masks in masks_by_name.items() if any(m.any() for m in masks)}
     if path.suffix != ".msh":
         arrays = {
             name.removeprefix(f"{kind}:"): [np.ravel(values[k]) for k in blocks]
@@ -324,15 +324,15 @@ def _corners(
 ) -> NDArray[np.int64]:
     """Corner nodes of the named facet cells, in the numbers of the mesh, shape (n, 3 or 4)."""
     count = mesh.facets.shape[0]
-    found = [np.empty((0, count), dtype=np.int64)]
+    blocks_of_corners = [np.empty((0, count), dtype=np.int64)]
     for k, mask in zip(_blocks(raw, 2), masks, strict=True):
         if not mask.any():
             continue
         block = raw.cells[k]
         if _FACET_CORNERS.get(block.type) != count:
             raise InputError(f"{where} has {block.type} facets, which no cell of the mesh has")
-        found.append(renumber[block.data[mask, :count]])
-    return np.concatenate(found)
+        blocks_of_corners.append(renumber[block.data[mask, :count]])
+    return np.concatenate(blocks_of_corners)
 
 
 def _probes(raw: meshio.Mesh, path: Path) -> dict[str, Probe]:

@@ -183,15 +183,15 @@ def _area(structure: Structure, facets: NDArray[np.int64]) -> float:
 
 def _bodies(structure: Structure) -> dict[str, BodyFacts]:
     mesh, volumes = structure.mesh, cell_volumes(structure.mesh)
-    found = {}
+    rows = {}
     for name, cells in structure.bodies.items():
         corners = mesh.t[:, cells]
         points = mesh.p[:, np.unique(corners)]
         extent = _triple(np.ptp(points, axis=1))
-        found[name] = BodyFacts(
+        rows[name] = BodyFacts(
             len(cells), float(volumes[cells].sum()), extent, 1 + int(pieces(corners).max())
         )
-    return found
+    return rows
 
 
 def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -293,24 +293,24 @@ def _glue_warnings(structure: Structure) -> list[str]:
 
 
 def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:
-    found = []
+    warnings = []
     for name, joint in joints.items():
         smaller = min(joint.area_a, joint.area_b)
         if joint.overlap < 0.9 * smaller:
-            found.append(
+            warnings.append(
                 f"joint {name!r}: its sides share {1e4 * joint.overlap:.4g} of "
                 f"{1e4 * smaller:.4g} cm2"
             )
         if max(abs(end) for end in joint.gap) > 0.01 * np.sqrt(smaller):
-            found.append(
+            warnings.append(
                 f"joint {name!r}: its sides are {1e3 * joint.gap[0]:.3g} to "
                 f"{1e3 * joint.gap[1]:.3g} mm apart; it is taken as closed at its preload"
             )
         if joint.misalignment > 10.0:
-            found.append(
+            warnings.append(
                 f"joint {name!r}: facing facets differ by {joint.misalignment:.0f} degrees"
             )
-    return found
+    return warnings
 
 
 def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[str]:
@@ -318,7 +318,7 @@ def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[
     sides = {side for pair in structure.joints.values() for side in pair}
     others = [facets for name, facets in structure.surfaces.items() if name not in sides]
     convecting = np.concatenate([np.empty(0, int), *others])
-    found = []
+    warnings = []
     for name, joint in joints.items():
         for letter, side, area in zip(
             "ab", structure.joints[name], (joint.area_a, joint.area_b), strict=True
@@ -326,12 +326,12 @@ def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[
             alone = _area(structure, np.setdiff1d(structure.surfaces[side], convecting))
             bare = min(alone, area - joint.overlap)
             if bare > 0.1 * area:
-                found.append(
+                warnings.append(
                     f"joint {name!r}: side {letter} is {1e4 * bare:.4g} cm2 larger than what it "
                     "shares, and nothing convects there: list it in convection_W_m2K, where what "
                     "a joint covers does not count"
                 )
-    return found
+    return warnings
 
 
 def _partner_warnings(structure: Structure) -> list[str]:
@@ -374,12 +374,12 @@ def _facing_warnings(structure: Structure) -> list[str]:
         & (beside < 0.5 * np.sqrt(np.maximum(area[one], area[other])))
     )
     names = list(structure.bodies)
-    found: dict[tuple[int, int], set[int]] = {}
+    facing: dict[tuple[int, int], set[int]] = {}
     for i, j in pairs[touching]:
         first, second = (i, j) if body[i] < body[j] else (j, i)
-        found.setdefault((int(body[first]), int(body[second])), set()).add(int(first))
+        facing.setdefault((int(body[first]), int(body[second])), set()).add(int(first))
     return [
         f"bodies {names[a]!r} and {names[b]!r} face each other on about "
         f"{1e4 * float(area[list(facets)].sum()):.3g} cm2 without a joint: no heat passes there"
-        for (a, b), facets in found.items()
+        for (a, b), facets in facing.items()
     ]

@@ -38,9 +38,9 @@ def _scaled_jacobian(corners: Array, mesh: Mesh) -> Array:
             edge = edge * (1.0 if place[axis] == 0 else -1.0)
             edges.append(edge / np.linalg.norm(edge, axis=1, keepdims=True))
         volumes.append(np.einsum("ci,ci->c", edges[0], np.cross(edges[1], edges[2])))
-    found = np.array(volumes)
+    jacobians = np.array(volumes)
     # The sense of the corners is a convention: the cell's own majority counts as right.
-    return np.asarray((found * np.sign(found.sum(axis=0))).min(axis=0))
+    return np.asarray((jacobians * np.sign(jacobians.sum(axis=0))).min(axis=0))
 
 
 def _radius_ratio(corners: Array) -> Array:

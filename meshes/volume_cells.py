@@ -66,9 +66,9 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     blocks = [block for block in raw.cells if block.dim == 3 and len(block.data)]
     types = sorted({block.type for block in blocks})
     if len(types) != 1 or types[0] not in _VOLUMES:
-        found = " and ".join(types) or "no volume"
+        present = " and ".join(types) or "no volume"
         raise InputError(
-            f"{path}: {found} cells; mesh all bodies with hexahedra or all with tetrahedra"
+            f"{path}: {present} cells; mesh all bodies with hexahedra or all with tetrahedra"
         )
     straight, corners, between = _VOLUMES[types[0]]
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)

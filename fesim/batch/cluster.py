@@ -53,16 +53,16 @@ class DaskCrew:
     def members(self) -> list[str]:
         """Every worker of this version: its address."""
         try:
-            found = list(self._client.nthreads())
+            addresses = list(self._client.nthreads())
         except (OSError, TimeoutError, RuntimeError) as error:
             raise InputError(
                 "--scheduler: the connection is lost; start the batch again, it goes on from here"
             ) from error
-        for address in found:
+        for address in addresses:
             if address not in self._versions:
                 self._meet(address)
         self._looked = True
-        return [address for address in found if self._versions.get(address) == OWN_VERSION]
+        return [address for address in addresses if self._versions.get(address) == OWN_VERSION]
 
     def idle(self) -> list[str]:
         """Workers without a case."""

@@ -153,18 +153,18 @@ def _rounded(times: Labels) -> NDArray[np.float64]:
 
 
 def _union(names: Any) -> Labels:  # noqa: ANN401 - iterables of iterables of names
-    found = list(dict.fromkeys(name for some in names for name in some))
-    return np.array(found, dtype=str) if found else np.empty(0, dtype="<U1")
+    labels = list(dict.fromkeys(name for some in names for name in some))
+    return np.array(labels, dtype=str) if labels else np.empty(0, dtype="<U1")
 
 
 def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
     if wanted.dtype.kind == "f":
         wanted = _rounded(wanted)
     order = np.argsort(labels, kind="stable")
-    found = order[np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)]
-    if not np.array_equal(labels[found], wanted):
+    positions = order[np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)]
+    if not np.array_equal(labels[positions], wanted):
         raise InputError("dataset: a response does not fit the study; give another folder")
-    return found
+    return positions
 
 
 def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:

@@ -118,7 +118,7 @@ def read_records(folder: Path, study: Study) -> dict[str, Record]:
 
     Cases that stopped for a temporary reason are left out, and so are damaged records.
     """
-    found = {}
+    records = {}
     for case in study.cases:
         path = folder / "records" / f"{case.id}.json"
         try:
@@ -129,8 +129,8 @@ def read_records(folder: Path, study: Study) -> dict[str, Record]:
         kept = study.keep == "displacement" or response_path(folder, case.id).is_file()
         finished = status == "done" and kept
         if finished or status == "failed":
-            found[case.id] = record
-    return found
+            records[case.id] = record
+    return records
 
 
 def write_response_bytes(folder: Path, outcome: Outcome) -> None:

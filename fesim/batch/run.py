@@ -155,22 +155,22 @@ class _Keeper:
             if self._status(case) != stored[case.id]:
                 collected.store_status(self._dataset, case.id, self._status(case))
 
-    def _status(self, one: StudyCase) -> str:
-        return str(self.records[one.id]["status"]) if one.id in self.records else "pending"
+    def _status(self, case: StudyCase) -> str:
+        return str(self.records[case.id]["status"]) if case.id in self.records else "pending"
 
-    def _take_in(self, one: StudyCase, path: Path) -> None:
+    def _take_in(self, case: StudyCase, path: Path) -> None:
         """Store a response of the folder in the dataset, and create its record if there is none."""
         try:
             response = read_response(path)
         except InputError:
-            self.damaged.append(one)
-            self.records.pop(one.id, None)
+            self.damaged.append(case)
+            self.records.pop(case.id, None)
             return
-        if one.id in self.records:
-            collected.store_response(self._dataset, one.id, response)
+        if case.id in self.records:
+            collected.store_response(self._dataset, case.id, response)
         else:
             figures = figures_of(response)
-            self.keep(Outcome(one.id, "done", figures=figures, response=response))
+            self.keep(Outcome(case.id, "done", figures=figures, response=response))
 
     def keep(self, outcome: Outcome) -> None:
         """Write an outcome; the record comes last and marks it as finished."""

@@ -194,7 +194,7 @@ def read_study(path: Path) -> Study:
 
     digest = cache(file_digest)
     data = toml.parse(text, str(source))
-    found: dict[str, StudyCase] = {}
+    cases_by_id: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
     loads: set[str] = set()
     for number, values in enumerate(combinations(given), start=1):
@@ -212,11 +212,11 @@ def read_study(path: Path) -> Study:
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
         loads.add(load)
-        found.setdefault(one.id, one)
+        cases_by_id.setdefault(one.id, one)
     return Study(
         given.title or base.title,
         tuple(varied_paths(given)),
-        tuple(found.values()),
+        tuple(cases_by_id.values()),
         shapes,
         given.keep,
     )

@@ -54,8 +54,8 @@ def read_columns(
     header = [name.strip() for name in rows[0][1]] if rows else []
     for name in wanted:
         if name not in header:
-            found = ", ".join(header) or "nothing"
-            raise InputError(f"{path}: column {name!r} is missing; found {found}")
+            present = ", ".join(header) or "nothing"
+            raise InputError(f"{path}: column {name!r} is missing; found {present}")
     for line, row in rows[1:]:
         if len(row) != len(header):
             raise InputError(

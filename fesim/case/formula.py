@@ -97,8 +97,8 @@ def formula(text: str) -> OfPosition:
 
     def values(points: Array) -> Array:
         with np.errstate(all="ignore"):
-            found = np.asarray(_value(tree, points), dtype=np.float64)
-        return np.array(np.broadcast_to(found, points.shape[1:]))
+            result = np.asarray(_value(tree, points), dtype=np.float64)
+        return np.array(np.broadcast_to(result, points.shape[1:]))
 
     return values
 

@@ -77,5 +77,5 @@ def read_samples(path: Path, column: str) -> tuple[Array, Array]:
     InputError
         It is no CSV, a column is missing or a value is no number.
     """
-    found = read_columns(path, ("time_s", column), "history")
-    return found["time_s"], found[column]
+    columns = read_columns(path, ("time_s", column), "history")
+    return columns["time_s"], columns[column]

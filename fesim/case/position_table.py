@@ -34,14 +34,16 @@ def read_position_table(path: Path, column: str) -> OfPosition:
     InputError
         It is no such CSV, a value is not finite, or its points are no grid.
     """
-    found = read_columns(path, (column,), "table", COLUMNS)
-    axes = [(number, name) for number, name in enumerate(COLUMNS) if name in found]
-    values = found[column]
+    columns = read_columns(path, (column,), "table", COLUMNS)
+    axes = [(number, name) for number, name in enumerate(COLUMNS) if name in columns]
+    values = columns[column]
     if not axes or not values.size:
         raise InputError(f"{path}: needs rows, and one or more of the columns {', '.join(COLUMNS)}")
-    if not np.isfinite(list(found.values())).all():
+    if not np.isfinite(list(columns.values())).all():
         raise InputError(f"{path}: a value is not finite; remove or mend it")
-    lines, at = zip(*(np.unique(found[name], return_inverse=True) for _, name in axes), strict=True)
+    lines, at = zip(
+        *(np.unique(columns[name], return_inverse=True) for _, name in axes), strict=True
+    )
     shape = tuple(len(line) for line in lines)
     flat = np.ravel_multi_index(at, shape)
     if len(flat) != np.prod(shape) or len(np.unique(flat)) != len(flat):

@@ -274,11 +274,11 @@ def growth_sections(case: Case) -> list[str]:
 
 def not_reducible(case: Case) -> str | None:
     """Return why a case cannot use the reduced model that it requests; None if it can."""
-    found = [*secant_sections(case), *growth_sections(case)]
-    if not found or case.march.thermal == "full":
+    sections = [*secant_sections(case), *growth_sections(case)]
+    if not sections or case.march.thermal == "full":
         return None
     return (
-        f"{found[0]}: modes are those of constant properties and films to the ambient, and "
+        f"{sections[0]}: modes are those of constant properties and films to the ambient, and "
         'temperatures of nodes are not among them; take thermal = "full" in [march]'
     )
 

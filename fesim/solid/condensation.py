@@ -200,12 +200,12 @@ class DisplacementField:
 
     def _apart(self, forces: Array, what: str) -> Array:
         """Displacements without the springs of the ties, piece by piece."""
-        found = np.zeros(forces.shape)
+        displacements = np.zeros(forces.shape)
         for substructure in self.structure.substructures:
-            found[substructure.unknowns] = checked_solve(
+            displacements[substructure.unknowns] = checked_solve(
                 substructure.factor, forces[substructure.unknowns], what
             )
-        return found
+        return displacements
 
 
 def condense_heat(

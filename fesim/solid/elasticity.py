@@ -228,15 +228,15 @@ def _beds(
 ) -> csr_array:
     """Stiffness (n, n) of the springs under surfaces, N/m."""
     size = spaces.displacement_size
-    found = csr_array((size, size))
+    springs_matrix = csr_array((size, size))
     for name, stiffness in springs.items():
         surface = surface_basis(structure, spaces.displacement, name)
         bed = coo_array(film_form.assemble(surface))
         for i in range(3):
             index = (3 * bed.row.astype(np.int64) + i, 3 * bed.col.astype(np.int64) + i)
             values = stiffness[i] / bed.sum() * bed.data
-            found = found + csr_array((values, index), shape=found.shape)
-    return csr_array(found)
+            springs_matrix = springs_matrix + csr_array((values, index), shape=springs_matrix.shape)
+    return csr_array(springs_matrix)
 
 
 def held_unknowns(

@@ -100,11 +100,11 @@ class CellGradients:
         weighted = flat * self.volume[:, None]
         products = (weighted @ flat.transpose(0, 2, 1)).reshape(cells, functions, 3, functions, 3)
         both = products[:, pairs[0], :, pairs[1], :].transpose(2, 3, 0, 1)
-        found = lame * both + shear * both.transpose(1, 0, 2, 3)
+        entries = lame * both + shear * both.transpose(1, 0, 2, 3)
         trace = shear * (both[0, 0] + both[1, 1] + both[2, 2])
         for i in range(3):
-            found[i, i] += trace
-        return np.asarray(found)
+            entries[i, i] += trace
+        return np.asarray(entries)
 
     def expansion(self, bulk: Array, shapes: Array) -> Array:
         """Return entries (3, functions, heat functions, cells) of (bulk T, div v), N/K.

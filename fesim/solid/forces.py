@@ -97,11 +97,11 @@ def nodal_forces(
     loads : sequence of Load
         l of them.
     """
-    found = np.zeros((spaces.displacement_size, len(loads)))
+    nodal = np.zeros((spaces.displacement_size, len(loads)))
     for column, load in enumerate(loads):
         for i, part in enumerate(_by_direction(structure, spaces.elastic, materials, load)):
-            found[i::3, column] = part
-    return found
+            nodal[i::3, column] = part
+    return nodal
 
 
 def _by_direction(

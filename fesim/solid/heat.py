@@ -113,10 +113,10 @@ def cell_field(structure: Structure, values: dict[str, float], basis: CellBasis)
 
 def by_cell(structure: Structure, values: dict[str, float]) -> Array:
     """Value of each cell's body, shape (cells,)."""
-    found = np.empty(structure.mesh.nelements)
+    cell_values = np.empty(structure.mesh.nelements)
     for name, cells in structure.bodies.items():
-        found[cells] = values[name]
-    return found
+        cell_values[cells] = values[name]
+    return cell_values
 
 
 def heat_operators(

@@ -143,11 +143,11 @@ def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[cs
     probe = np.cos(np.arange(upper.shape[0]))
 
     def factor(matrix: csr_array) -> Factor:
-        found = Factor(matrix, make(matrix), name)
+        factorised = Factor(matrix, make(matrix), name)
         # A pivot that is zero but for rounding passes the factorisation; a solve shows it.
-        if not _relative_residual(found, found.solve(probe), probe) <= RESIDUAL_LIMIT:
+        if not _relative_residual(factorised, factorised.solve(probe), probe) <= RESIDUAL_LIMIT:
             raise singular(what)
-        return found
+        return factorised
 
     return factor
 

@@ -59,8 +59,8 @@ class MechanicalOutputs:
 
     def of(self, temperature: Array, remainder: Array, factors: Array) -> Array:
         """Outputs (o,) of a step."""
-        found = self.temperature @ temperature + self.remainder @ remainder
-        return np.asarray(found + self.loads @ factors)
+        outputs = self.temperature @ temperature + self.remainder @ remainder
+        return np.asarray(outputs + self.loads @ factors)
 
 
 def condense_outputs(

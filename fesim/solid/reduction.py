@@ -122,9 +122,9 @@ def reduce_heat(
             factor, driving = factors(shift * capacity), np.hstack([drives, shift * stored])
             for sample in _samples(driving.shape[1]):
                 block = root[:, None] * _response(factor, driving @ sample)
-                found = _orthonormal(block, basis, cut)
-                basis = np.hstack([basis, found])
-                if 2 * found.shape[1] < sample.shape[1]:
+                directions = _orthonormal(block, basis, cut)
+                basis = np.hstack([basis, directions])
+                if 2 * directions.shape[1] < sample.shape[1]:
                     break
         vectors = basis / root[:, None]
         rates, turn = np.linalg.eigh(vectors.T @ (conduction @ vectors))
@@ -181,7 +181,7 @@ def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fiel
 
     `factor` is that of a step, `rate` (n,) its M/dt.
     """
-    state, found = np.hstack([np.zeros(drives.shape), fields]), []
+    state, responses = np.hstack([np.zeros(drives.shape), fields]), []
     right_side = np.hstack([drives, np.zeros(fields.shape)])
     for _ in range(STEPS // TOGETHER):
         states = []
@@ -189,8 +189,8 @@ def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fiel
             state = factor.solve(right_side + rate[:, None] * state)
             states.append(state)
         moved = outputs @ np.hstack(states)
-        found.extend(np.hsplit(moved, TOGETHER))
-    return np.array(found)
+        responses.extend(np.hsplit(moved, TOGETHER))
+    return np.array(responses)
 
 
 #: Outputs, rates, drives and fields of a reduced model.
@@ -221,7 +221,7 @@ def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
     rest = block - basis @ (basis.T @ block)
     rest -= basis @ (basis.T @ rest)
     vectors, sizes, _ = np.linalg.svd(rest, full_matrices=False)
-    found = vectors[:, sizes > max(cut, ROUNDING * float(np.linalg.norm(block)))]
+    directions = vectors[:, sizes > max(cut, ROUNDING * float(np.linalg.norm(block)))]
     # A small direction of a large block holds a little of the basis: one more time for the few.
-    found = found - basis @ (basis.T @ found)
-    return np.asarray(np.linalg.qr(found)[0])
+    directions = directions - basis @ (basis.T @ directions)
+    return np.asarray(np.linalg.qr(directions)[0])

@@ -339,7 +339,7 @@ def _piece_of_cells(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _names(structure: Structure, piece: NDArray[np.int64]) -> tuple[str, ...]:
-    found = []
+    names = []
     for number in range(int(piece.max()) + 1):
         own = np.flatnonzero(piece == number)
         bodies = [name for name, cells in structure.bodies.items() if np.isin(cells, own).any()]
@@ -347,8 +347,8 @@ def _names(structure: Structure, piece: NDArray[np.int64]) -> tuple[str, ...]:
         if not all(np.isin(structure.bodies[body], own).all() for body in bodies):
             x, y, z = structure.mesh.p[:, structure.mesh.t[:, own]].mean(axis=(1, 2))
             name = f"the piece of {name} around ({x:.4g}, {y:.4g}, {z:.4g}) m"
-        found.append(name)
-    return tuple(found)
+        names.append(name)
+    return tuple(names)
 
 
 def _share(joint: PairedJoint, piece: NDArray[np.int64], count: int) -> Array:
@@ -381,9 +381,9 @@ def _axes(vectors: Array) -> list[str]:
         return []
     left, sizes, _ = np.linalg.svd(vectors)
     basis = left[:, : np.count_nonzero(sizes > NAMED)]
-    found = [i for i in range(3) if np.linalg.norm(basis[i]) > np.cos(NAMED)]
-    names = [DIRECTIONS[i] for i in found]
-    rest = basis @ np.linalg.svd(basis[found])[2][len(found) :].T if found else basis
+    spanned = [i for i in range(3) if np.linalg.norm(basis[i]) > np.cos(NAMED)]
+    names = [DIRECTIONS[i] for i in spanned]
+    rest = basis @ np.linalg.svd(basis[spanned])[2][len(spanned) :].T if spanned else basis
     for vector in rest.T:
         whole = vector * np.sign(vector[np.argmax(np.abs(vector))])
         names.append("({})".format(", ".join(f"{x + 0.0:.2g}" for x in np.round(whole, 3))))

@@ -212,7 +212,7 @@ def cells_at(
     corners = mesh.p[:, mesh.t[:, cells]]
     count = min(_NEAREST, len(cells))
     _, near = cKDTree(corners.mean(axis=1).T).query(points, k=count)
-    found = np.concatenate(
+    containing = np.concatenate(
         [
             _holding(mesh, points[part], cells[near.reshape(-1, count)[part]])
             for part in np.array_split(np.arange(len(points)), 1 + len(points) // _AT_ONCE)
@@ -220,13 +220,13 @@ def cells_at(
     )
     low, high = corners.min(axis=1), corners.max(axis=1)
     slack = _BULGE * (high - low).max(axis=0)
-    for lost in np.flatnonzero(found < 0):
+    for lost in np.flatnonzero(containing < 0):
         # Among small cells the centre of a large one is not near, although it holds the point.
         x = points[lost][:, None]
         around = ((x >= low - slack) & (x <= high + slack)).all(axis=0)
         if around.any():
-            found[lost] = _holding(mesh, points[[lost]], cells[around][None])[0]
-    return found
+            containing[lost] = _holding(mesh, points[[lost]], cells[around][None])[0]
+    return containing
 
 
 def _holding(
@@ -254,7 +254,7 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
         share no node there, so that either could be meant.
     """
     names = list(probes)
-    found = np.full(len(names), -1)
+    containing = np.full(len(names), -1)
     for body in dict.fromkeys(probe.body for probe in probes.values()):
         of = [i for i, name in enumerate(names) if probes[name].body == body]
         cells = (
@@ -263,10 +263,10 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
             else structure.body(body, f"probe {names[of[0]]!r}")
         )
         points = np.array([probes[names[i]].position for i in of])
-        found[of] = cells_at(structure.mesh, points, cells)
+        containing[of] = cells_at(structure.mesh, points, cells)
         if body is None:
             _check_one_body(structure, [names[i] for i in of], points)
-    for name, cell in zip(names, found, strict=True):
+    for name, cell in zip(names, containing, strict=True):
         if cell < 0:
             probe = probes[name]
             where = f" of body {probe.body!r}" if probe.body else ""
@@ -274,7 +274,7 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
                 f"probe {name!r} at {shown_point(probe.position)} m lies in no cell{where}; "
                 "move it into the structure"
             )
-    return found
+    return containing
 
 
 def _check_one_body(structure: Structure, names: list[str], points: NDArray[np.float64]) -> None:

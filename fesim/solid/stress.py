@@ -204,8 +204,8 @@ def von_mises(components: Array) -> Array:
     """Return the equivalent stress (...,) of `COMPONENTS` (..., 6): sqrt(3/2 s:s), s deviatoric."""
     normal, shear = components[..., :3], components[..., 3:]
     apart = normal - np.roll(normal, 1, axis=-1)
-    found = np.sqrt(0.5 * (apart**2).sum(axis=-1) + 3.0 * (shear**2).sum(axis=-1))
-    return np.asarray(found)
+    equivalent = np.sqrt(0.5 * (apart**2).sum(axis=-1) + 3.0 * (shear**2).sum(axis=-1))
+    return np.asarray(equivalent)
 
 
 def principal(components: Array) -> Array:

@@ -203,7 +203,7 @@ def factorised_structure(
 ) -> FactorisedStructure:
     """Factorise all pieces and keep them; `shape` is that of F, the rest as for `substructure`."""
     load, held_stiffness = csr_array(shape), csr_array((shape[0], shape[0]))
-    found: list[Substructure] = []
+    pieces_kept: list[Substructure] = []
     for piece in pieces:
         load = load + in_rows(piece.thermal_load, piece.unknowns, shape[0])
         held = np.flatnonzero(~piece.free)
@@ -213,8 +213,8 @@ def factorised_structure(
             at = (rows - diags_array(upper.diagonal(), format="csr")[held]).tocoo()
             index = (piece.unknowns[held][at.row], piece.unknowns[at.col])
             held_stiffness = held_stiffness + csr_array((at.data, index), held_stiffness.shape)
-        found.extend(substructures([piece], gap, springs, solver))
-    return FactorisedStructure(tuple(found), csr_array(load), csr_array(held_stiffness))
+        pieces_kept.extend(substructures([piece], gap, springs, solver))
+    return FactorisedStructure(tuple(pieces_kept), csr_array(load), csr_array(held_stiffness))
 
 
 def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
@@ -265,14 +265,14 @@ def condense_ties(
         Neither supports nor joints hold the structure.
     """
     # No loop: its variable would keep a factor while the next one is made.
-    found = list(map(partial(_influence, gap=gap, probes=probes), pieces))
-    springs = np.concatenate([springs, *(-one.anchors for one in found)])
+    influences = list(map(partial(_influence, gap=gap, probes=probes), pieces))
+    springs = np.concatenate([springs, *(-influence.anchors for influence in influences)])
     ties = springs.size
     compliance = np.zeros((ties + probes.shape[0], ties))
     thermal = np.zeros((ties + probes.shape[0], temperatures))
     last = gap.shape[0]
-    while found:
-        one = found.pop(0)
+    while influences:
+        one = influences.pop(0)
         own = np.concatenate([one.gaps, last + np.arange(one.anchors.size)])
         last += one.anchors.size
         rows = np.concatenate([own, ties + one.probes])

@@ -63,10 +63,10 @@ class ThermalGrowth:
 
     def strained(self, temperature: Array) -> Array:
         """Return the temperatures (n,) that give the same strain at the constant coefficient, K."""
-        found = temperature.copy()
+        equivalent = temperature.copy()
         for nodes, factor in self.parts:
-            found[nodes] = factor.integral(temperature[nodes])
-        return found
+            equivalent[nodes] = factor.integral(temperature[nodes])
+        return equivalent
 
 
 def thermal_growth(
@@ -97,5 +97,5 @@ def thermal_growth(
     return ThermalGrowth(tuple((unknowns[b], f) for b, f in factors.items())) if factors else None
 
 
-def _alike(one: TemperatureFactor, other: TemperatureFactor) -> bool:
-    return np.array_equal(one.rises, other.rises) and np.array_equal(one.values, other.values)
+def _alike(factor: TemperatureFactor, other: TemperatureFactor) -> bool:
+    return np.array_equal(factor.rises, other.rises) and np.array_equal(factor.values, other.values)

@@ -49,10 +49,10 @@ class VariableHeat:
     def lost(self, temperature: Array, inputs: Array) -> Array:
         """Return N(T) (n,), W: heat leaving the nodes in addition to the constant operators."""
         around = float(inputs[self.ambient])
-        found = np.zeros(len(temperature))
+        heat_loss = np.zeros(len(temperature))
         for matrix, potential in self.terms:
-            found += matrix @ potential(temperature, around)
-        return found
+            heat_loss += matrix @ potential(temperature, around)
+        return heat_loss
 
 
 def conduction_potential(factor: TemperatureFactor) -> Potential:
@@ -101,7 +101,7 @@ def radiation_potential(emissivity: float, ambient_degc: float) -> Potential:
 
     def potential(temperature: Array, ambient: float) -> Array:
         exchanged = (absolute + temperature) ** 4 - (absolute + ambient) ** 4
-        found = emissivity * Stefan_Boltzmann * exchanged - film * (temperature - ambient)
-        return np.asarray(found)
+        flux = emissivity * Stefan_Boltzmann * exchanged - film * (temperature - ambient)
+        return np.asarray(flux)
 
     return potential

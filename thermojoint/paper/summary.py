@@ -192,8 +192,8 @@ def convergence(response: xr.Dataset) -> Convergence:
 
 def covered_areas(response: xr.Dataset) -> dict[str, float]:
     """Return the area of each convecting surface that joints cover, m2; it does not convect."""
-    found: dict[str, float] = json.loads(response.attrs.get("covered_area_m2", "{}"))
-    return found
+    areas: dict[str, float] = json.loads(response.attrs.get("covered_area_m2", "{}"))
+    return areas
 
 
 def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
@@ -252,17 +252,17 @@ def compare_schemes(
     error = {(row["case"], row["axis"], row["estimator"]): largest_error(row) for row in rows}
     steps = {(row["case"], row["axis"]): largest_error(row) for row in as_printed}
     length = {(row["case"], row["estimator"]): largest_error(row) for row in vectors}
-    found = [
+    errors = [
         SchemeErrors(str(case), str(axis), linear, steps[case, axis], error[case, axis, "fchs"])
         for (case, axis, estimator), linear in error.items()
         if estimator == "linear"
     ]
-    found += [
+    errors += [
         SchemeErrors(str(case), "vector", linear, None, length[case, "fchs"])
         for (case, estimator), linear in length.items()
         if estimator == "linear"
     ]
-    return found
+    return errors
 
 
 def _need(response: xr.Dataset, name: str) -> None:

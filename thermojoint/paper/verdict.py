@@ -63,9 +63,9 @@ def error_table(rows: Sequence[Row]) -> ErrorTable:
         See `estimator.fchs.judging.validate`; every estimator in every case.
     """
     estimators = tuple(dict.fromkeys(str(row["estimator"]) for row in rows))
-    found: dict[Key, dict[str, Row]] = {}
+    rows_by_key: dict[Key, dict[str, Row]] = {}
     for row in rows:
-        found.setdefault(_key(row), {})[str(row["estimator"])] = row
+        rows_by_key.setdefault(_key(row), {})[str(row["estimator"])] = row
     return ErrorTable(
         estimators,
         tuple(
@@ -75,7 +75,7 @@ def error_table(rows: Sequence[Row]) -> ErrorTable:
                 tuple(largest_error(each[name]) for name in estimators),
                 next((claim for one in each.values() if (claim := paper_claim(one))), None),
             )
-            for (case, axis), each in found.items()
+            for (case, axis), each in rows_by_key.items()
         ),
     )
 
@@ -113,12 +113,12 @@ def verdict(rows: Sequence[Row]) -> str:
 
 def _reached(rows: Sequence[Row], name: str) -> str:
     """Return a description of one estimator's accuracy; empty if it was not validated."""
-    found = [row for row in rows if row["estimator"] == name]
-    if not found:
+    own_rows = [row for row in rows if row["estimator"] == name]
+    if not own_rows:
         return ""
     linear = {_key(row): largest_error(row) for row in rows if row["estimator"] == "linear"}
-    error = {_key(row): largest_error(row) for row in found}
-    near = {_key(row): claim for row in found if (claim := paper_claim(row)) is not None}
+    error = {_key(row): largest_error(row) for row in own_rows}
+    near = {_key(row): claim for row in own_rows if (claim := paper_claim(row)) is not None}
     reached = [key for key, claim in near.items() if error[key] <= claim]
     missed = [key for key in near if key not in reached]
     worse = [key for key in error if key in linear and error[key] > linear[key]]

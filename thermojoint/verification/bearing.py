@@ -55,8 +55,8 @@ def _column_checks(folder: Path) -> Iterator[Check]:
     half = DENSITY * GRAVITY * HALF * AREA
     foot = last["reaction"].sel(support="foot")
     for axis, reference in (("x", -FORCE[0]), ("z", -FORCE[2] + 2.0 * half)):
-        found = float(foot.sel(space=axis))
-        yield _check(f"column, foot along {axis}", "support", "N", reference, found)
+        computed = float(foot.sel(space=axis))
+        yield _check(f"column, foot along {axis}", "support", "N", reference, computed)
     across = last["joint_force"].sel(joint="joint")
     moment = last["joint_moment"].sel(joint="joint")
     # The upper half is side b: what it bears is carried there, besides the preload.
@@ -93,8 +93,8 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
     steps: list[Step] = []
     setup = set_up(case)
     last = simulate(case, setup=setup, on_step=steps.append).response.isel(time=-1)
-    found = last["principal_stress"].sel(stress_probe="P").to_numpy()
-    for (name, reference), one in zip(ring_stresses(AT).items(), found, strict=True):
+    computed = last["principal_stress"].sel(stress_probe="P").to_numpy()
+    for (name, reference), one in zip(ring_stresses(AT).items(), computed, strict=True):
         yield _check(f"thick ring, {name}", "stress", "MPa", 1e-6 * reference, 1e-6 * one, 5e-3)
     yield from _field_checks(structure_snapshot(setup, steps[-1]))
     # The cut carries what the pressure pushes apart: p a on either side.
@@ -124,10 +124,10 @@ def _field_checks(grid: meshio.Mesh) -> Iterator[Check]:
             0.5 * ((around - axial) ** 2 + (axial - radial) ** 2 + (radial - around) ** 2)
         )
         principal = grid.point_data["principal_stress_Pa"][node]
-        found = grid.point_data["von_mises_Pa"][node]
+        computed = grid.point_data["von_mises_Pa"][node]
         title = f"thick ring, snapshot {name}"
         yield _check(f"{title}, around", "stress", "MPa", _mpa(around), _mpa(principal[0]), 1e-3)
-        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(found), 1e-3)
+        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(computed), 1e-3)
 
 
 def quarter_ring() -> Structure:

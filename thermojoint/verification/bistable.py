@@ -73,12 +73,12 @@ def steady_states(wall: float) -> list[tuple[float, float, float]]:
     """Return opening (m), pressure (Pa) and end temperature (K) of each, the most open first."""
     grid = np.linspace(0.0, -CLEARANCE - 3.0 * ROUGHNESS, 1001)
     lack = [at_opening(float(opening), wall)[0] for opening in grid]
-    found = []
+    states = []
     for ends, (before, after) in zip(pairwise(grid), pairwise(lack), strict=True):
         if before * after < 0.0:
             opening = brentq(lambda g: at_opening(g, wall)[0], *ends, xtol=1e-18, rtol=1e-14)
-            found.append((opening, *at_opening(opening, wall)[1:]))
-    return found
+            states.append((opening, *at_opening(opening, wall)[1:]))
+    return states
 
 
 def rod(elements: int = 20) -> Structure:

@@ -80,8 +80,8 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
     whole = bolted(folder, False, {"loads": {"part": force}})
     end = simulate(case_from_data(whole, "bolted", folder)).response.isel(time=-1)
     share = STIFFNESS / (STIFFNESS + COLUMN)
-    found = float(end["bolt_force"][0]) - FORCE
-    yield _check("bolt on one bar, change by a force", PARTING * share, found, "joint diagram")
+    computed = float(end["bolt_force"][0]) - FORCE
+    yield _check("bolt on one bar, change by a force", PARTING * share, computed, "joint diagram")
 
 
 def _sleeve_checks(folder: Path) -> Iterator[Check]:
@@ -93,8 +93,8 @@ def _sleeve_checks(folder: Path) -> Iterator[Check]:
     last = simulate(case_from_data(data, "bolted", folder)).response.isel(time=-1)
     grown = (SLEEVE_EXPANSION - BOLT_EXPANSION) * LENGTH * RISE
     reference = FORCE + grown / (1.0 / STIFFNESS + 1.0 / COLUMN)
-    found = float(last["bolt_force"][0])
-    yield _check("bolt through a warm sleeve", reference, found, "closed form")
+    computed = float(last["bolt_force"][0])
+    yield _check("bolt through a warm sleeve", reference, computed, "closed form")
 
 
 def _contact(row: xr.Dataset) -> float:

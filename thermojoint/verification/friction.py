@@ -91,9 +91,9 @@ class Pressed:
         settle = gap_solver(problem, laws, RESIDUAL)
         gap, slip = np.zeros((3, self.contacts)), np.zeros((2, self.contacts))
         for thermal_gap in thermal_gaps:
-            found = settle(thermal_gap, slip, gap)
-            yield slip, found
-            gap, slip = found.gap, found.traction.slip
+            settled = settle(thermal_gap, slip, gap)
+            yield slip, settled
+            gap, slip = settled.gap, settled.traction.slip
 
 
 def pressed(

@@ -156,8 +156,8 @@ def square_plate_stress(half_width: float, terms: int = 12) -> float:
     on_d = [_power(at_d, k) for k in range(terms)] + [_shear_power(at_d, k) for k in range(terms)]
     tractions = np.array([np.concatenate([part[0], part[2]]) for part in basis]).T
     wanted = -np.concatenate([far[0], far[2]])
-    found = np.linalg.lstsq(tractions, wanted, rcond=None)[0]
-    return UNBOUNDED * (1.0 + float(found @ np.array([part[1][0] for part in on_d])))
+    coefficients = np.linalg.lstsq(tractions, wanted, rcond=None)[0]
+    return UNBOUNDED * (1.0 + float(coefficients @ np.array([part[1][0] for part in on_d])))
 
 
 def _stresses(f: Complex, f_prime: Complex, g: Complex, z: Complex) -> tuple[Array, Array, Array]:

@@ -171,6 +171,6 @@ def _force_checks(folder: Path) -> Iterator[Check]:
         yield _check(
             f"{name}: top", "displacement", "m", moved, float(then["displacement"].sel(axis="z"))
         )
-        found = float(then["pressure"].mean())
+        computed = float(then["pressure"].mean())
         # The gap equations are solved to 1e-13 m, some 1e-1 Pa here.
-        yield _check(f"{name}: joint", "pressure", "Pa", pressure, found, 1e-6)
+        yield _check(f"{name}: joint", "pressure", "Pa", pressure, computed, 1e-6)

@@ -93,13 +93,13 @@ def checks() -> Iterator[Check]:
         cubes = [bent_cube(kind, count) for count in ELASTIC_MESHES]
         cold = [elastic_errors(cube, rise=0.0) for cube in cubes]
         warm = [elastic_errors(cube, rise=1.0) for cube in cubes]
-        for name, found, theory in (
+        for name, computed, theory in (
             (f"elasticity, {high}", cold, (3.0, 2.0)),
             (f"thermoelasticity, {high} with {low}", warm, (2.0, 2.0)),
         ):
             quantities = ("order of the displacement", "order of the stress")
             for at, (quantity, order) in enumerate(zip(quantities, theory, strict=True)):
-                series = [pair[at] for pair in found]
+                series = [pair[at] for pair in computed]
                 yield _order(name, quantity, ELASTIC_MESHES, series, order)
     yield _order(
         "implicit Euler", "order in the time step", TIME_STEPS, time_errors(TIME_STEPS), 1.0
@@ -149,10 +149,10 @@ def heat_error(structure: Structure) -> float:
     density = IRON.conductivity * (TEMPERATURE.number @ TEMPERATURE.number) * exact
     outside = basis.get_dofs(structure.mesh.boundary_facets()).all()
     given = TEMPERATURE.value(basis.doflocs[:, outside])[0]
-    found = solve_given(
+    computed = solve_given(
         heat.conduction, body_load.assemble(fine, density=density), outside, given, "heat"
     )
-    return _relative_l2(fine.dx, np.asarray(fine.interpolate(found)) - exact, exact)
+    return _relative_l2(fine.dx, np.asarray(fine.interpolate(computed)) - exact, exact)
 
 
 def elastic_errors(structure: Structure, rise: float) -> tuple[float, float]:
@@ -176,14 +176,14 @@ def elastic_errors(structure: Structure, rise: float) -> tuple[float, float]:
     nodes = spaces.elastic.get_dofs(structure.mesh.boundary_facets()).all()
     given = (3 * nodes[:, None] + np.arange(3)).ravel()
     values = DISPLACEMENT.value(spaces.elastic.doflocs[:, nodes]).T.ravel()
-    found = solve_given(
+    computed = solve_given(
         elastic.stiffness, load + elastic.thermal_load @ temperature, given, values, "elasticity"
     )
     exact = DISPLACEMENT.value(x)
-    moved = np.stack([np.asarray(fine.interpolate(part)) for part in found.reshape(-1, 3).T])
+    moved = np.stack([np.asarray(fine.interpolate(part)) for part in computed.reshape(-1, 3).T])
     return (
         _relative_l2(fine.dx, moved - exact, exact),
-        _stress_error(structure, spaces, found, temperature, rise),
+        _stress_error(structure, spaces, computed, temperature, rise),
     )
 
 
@@ -194,7 +194,7 @@ def _stress_error(
     x = np.asarray(spaces.elastic.global_coordinates())
     cells, count = x.shape[1:]
     lam, mu = IRON.lame
-    found = stress_at(
+    computed = stress_at(
         structure,
         spaces,
         {"block": IRON},
@@ -210,7 +210,7 @@ def _stress_error(
     )
     trace = np.trace(strain, axis1=1, axis2=2)
     exact = lam * np.multiply.outer(trace, np.eye(3)) + 2.0 * mu * strain
-    return _relative_l2(spaces.elastic.dx.ravel(), (found - exact).T, exact.T)
+    return _relative_l2(spaces.elastic.dx.ravel(), (computed - exact).T, exact.T)
 
 
 def _relative_l2(weights: Array, error: Array, exact: Array) -> float:

@@ -49,14 +49,14 @@ def heat_checks() -> Iterator[Check]:
         heat = heat_operators(structure, basis, {"block": IRON}, {}, [])
         exact = np.array([3.0, 20.0, -50.0, 40.0]) @ np.vstack([np.ones(basis.N), basis.doflocs])
         outside = basis.get_dofs(structure.mesh.boundary_facets()).all()
-        found = solve_given(
+        computed = solve_given(
             heat.conduction, np.zeros(basis.N), outside, exact[outside], "heat patch"
         )
         yield worst(
             f"heat patch test, {element}",
             "temperature",
             "K",
-            found,
+            computed,
             exact,
             "linear temperature",
             scale=float(np.ptp(exact)),
@@ -79,15 +79,15 @@ def elastic_checks() -> Iterator[Check]:
         outside = spaces.elastic.get_dofs(structure.mesh.boundary_facets()).all()
         given = (3 * outside[:, None] + np.arange(3)).ravel()
         load = np.zeros(exact.size)
-        found = solve_given(elastic.stiffness, load, given, exact[given], "elastic patch")
+        computed = solve_given(elastic.stiffness, load, given, exact[given], "elastic patch")
         cold = np.zeros(spaces.heat.N)
         name = f"elastic patch test, {element}"
-        yield worst(name, "displacement", "m", found, exact, "uniform strain")
+        yield worst(name, "displacement", "m", computed, exact, "uniform strain")
         yield worst(
             name,
             "stress",
             "Pa",
-            stress_inside(structure, spaces, found, cold),
+            stress_inside(structure, spaces, computed, cold),
             np.broadcast_to(stress, (structure.mesh.nelements, 3, 3)),
             "uniform strain",
         )
@@ -95,16 +95,16 @@ def elastic_checks() -> Iterator[Check]:
         hot = np.full(spaces.heat.N, rise)
         held = np.setdiff1d(np.arange(exact.size), elastic.free)
         free = (IRON.expansion * rise * spaces.elastic.doflocs).T.ravel()
-        found = solve_given(
+        computed = solve_given(
             elastic.stiffness, elastic.thermal_load @ hot, held, 0.0, "expansion patch"
         )
         name = f"expansion patch test, {element}"
-        yield worst(name, "displacement", "m", found, free, "u = alpha T x")
+        yield worst(name, "displacement", "m", computed, free, "u = alpha T x")
         yield worst(
             name,
             "stress",
             "Pa",
-            stress_inside(structure, spaces, found, hot),
+            stress_inside(structure, spaces, computed, hot),
             np.zeros((structure.mesh.nelements, 3, 3)),
             "none; relative to E alpha T",
             scale=IRON.youngs_modulus * IRON.expansion * rise,
@@ -137,14 +137,14 @@ def contact_checks() -> Iterator[Check]:
         zero = np.zeros((3, len(operators.area)))
         # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
         settle = gap_solver(problem, laws, 1e-16)
-        found = settle(condensed.thermal_gap @ hot, zero[1:], zero)
+        settled = settle(condensed.thermal_gap @ hot, zero[1:], zero)
         name = f"contact patch test, non-matching {kind}"
         source = "bars and joint in series"
-        contact = found.traction.value[0] + law.preload
+        contact = settled.traction.value[0] + law.preload
         yield worst(
             name, "contact pressure", "Pa", contact, np.full_like(contact, pressure), source
         )
-        remainder = found.traction.value.ravel() + condensed.reference * found.gap.ravel()
+        remainder = settled.traction.value.ravel() + condensed.reference * settled.gap.ravel()
         moved = field.solve(hot, remainder)
         # The field is that of the pressure above the preload.
         along = np.zeros((3, 3))

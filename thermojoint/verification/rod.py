@@ -267,20 +267,20 @@ def bistable_checks(built: Rods, still: CondensedMachine) -> Iterator[Check]:
     states = continued(still, case)
     expected = [case.pressure(opening) for opening in openings]
     for name, pressure, state in zip(STATES, expected, states, strict=True):
-        found = float(state.pressure[0])
-        yield _pressure_check(f"{name} state by continuation", pressure, found, 1e-6)
+        computed = float(state.pressure[0])
+        yield _pressure_check(f"{name} state by continuation", pressure, computed, 1e-6)
     long = built.machine(LONG * DIFFUSION)
     cold = initial_state(long)
     hot = replace(cold, temperature=case.wall * np.minimum(built.x / LENGTH, 1.0))
     root = leading_root(case, openings[1])
     ends = [("a cold rod", cold, expected[0]), ("a hot rod", hot, expected[2])]
     for way, sign, pressure in (("down", -1.0, expected[0]), ("up", 1.0, expected[2])):
-        found, end = departure(built, case, states[1], root, sign)
-        yield _rate_check(f"middle state left {way}wards", rate_of(root), found)
+        computed, end = departure(built, case, states[1], root, sign)
+        yield _rate_check(f"middle state left {way}wards", rate_of(root), computed)
         ends.append((f"the middle state, {way}wards", end, pressure))
     for name, start, pressure in ends:
-        found = settled(long, case, start)
-        yield _pressure_check(f"march from {name}", pressure, found, 1e-4)
+        computed = settled(long, case, start)
+        yield _pressure_check(f"march from {name}", pressure, computed, 1e-4)
 
 
 def _rate_check(name: str, reference: float, computed: float) -> Check:

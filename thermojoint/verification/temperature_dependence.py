@@ -103,8 +103,8 @@ def _growing(folder: Path) -> Iterator[Check]:
     response = run(bar_case(folder, warm, metal={"expansion_factor": RISING}), folder)
     expected = EXPANSION * LENGTH * (60.0 + 0.5 * SLOPE * 60.0**2)
     for name, row in (("start", 0), ("end", -1)):
-        found = response["displacement"][row].sel(axis="x").item()
-        yield _check(f"expansion, {name}: growth", "displacement", "m", expected, found, 1e-6)
+        computed = response["displacement"][row].sel(axis="x").item()
+        yield _check(f"expansion, {name}: growth", "displacement", "m", expected, computed, 1e-6)
 
 
 def _cooling(folder: Path) -> Iterator[Check]:
@@ -118,10 +118,10 @@ def _cooling(folder: Path) -> Iterator[Check]:
     }
     size = SHORT, WIDTH, WIDTH
     response = run(bar_case(folder, changes, (1, 1, 1), size), folder)
-    found = response["temperature"][-1].sel(probe="end").item()
+    computed = response["temperature"][-1].sel(probe="end").item()
     left = HOT / (1.0 + SLOPE * HOT) * np.exp(-rate * float(response["time"][-1]))
     expected = left / (1.0 - SLOPE * left)
-    yield _check("film of a cooling plate: end", "temperature", "K", expected, found, 2e-3)
+    yield _check("film of a cooling plate: end", "temperature", "K", expected, computed, 2e-3)
 
 
 def facing_bars() -> Structure:
@@ -163,9 +163,9 @@ def _enclosing(folder: Path) -> Iterator[Check]:
     data["probes"] = {"left": {"position_mm": [1e3 * LENGTH, 10.0, 10.0], "body": "left"}}
     response = run(data, folder)
     flux = HOT / (1.5 * LENGTH / CONDUCTIVITY + 2.0 / FILM)
-    found = response["temperature"][-1, 0].item()
+    computed = response["temperature"][-1, 0].item()
     expected = flux * LENGTH / CONDUCTIVITY
-    yield _check("enclosed air: cold face", "temperature", "K", expected, found, 1e-6)
+    yield _check("enclosed air: cold face", "temperature", "K", expected, computed, 1e-6)
     yield _settled("enclosed air", response)
 
 

@@ -83,8 +83,8 @@ def _decaying_wave(folder: Path) -> Iterator[Check]:
             "march": {"step_s": step, "duration_min": step * count / 60.0, "thermal": thermal},
         }
         response = run(bar_case(folder, changes, (40, 1, 1)), folder)
-        found = response["temperature"].sel(probe="start").to_numpy()
-        name, begun, ended = f"wave left alone, {thermal}", float(found[0]), float(found[-1])
+        computed = response["temperature"].sel(probe="start").to_numpy()
+        name, begun, ended = f"wave left alone, {thermal}", float(computed[0]), float(computed[-1])
         yield _check(f"{name}: start", "temperature", "K", WAVE, begun, 1e-9)
         expected = WAVE * np.exp(-rate * float(response["time"][-1]))
         yield _check(f"{name}: end", "temperature", "K", expected, ended, 2e-3)
@@ -121,9 +121,9 @@ def _uneven_source(folder: Path) -> Check:
         "heat_input": {"kind": "step", "level": 1.0},
         "held_temperatures": {"x0": {"rise_K": 0.0}},
     }
-    found = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
+    computed = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
     expected = 2.0 * POWER * LENGTH / (3.0 * WIDTH**2 * CONDUCTIVITY)
-    return _check("heat in proportion to x: end", "temperature", "K", expected, found, 1e-6)
+    return _check("heat in proportion to x: end", "temperature", "K", expected, computed, 1e-6)
 
 
 def _uneven_edge(folder: Path) -> Check:
@@ -136,6 +136,6 @@ def _uneven_edge(folder: Path) -> Check:
         "march": {"step_s": FOREVER, "duration_min": FOREVER / 60.0, "thermal": "full"},
     }
     plate = bar_case(folder, changes, (32, 32, 1), (SIDE, SIDE, 0.01))
-    found = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
+    computed = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
     expected = 100.0 / (2.0 * np.cosh(0.5 * np.pi))
-    return _check("edge held at a sine: middle", "temperature", "K", expected, found, 5e-3)
+    return _check("edge held at a sine: middle", "temperature", "K", expected, computed, 5e-3)

@@ -73,11 +73,13 @@ def step_figure(model: ObserverModel, closed: Closed) -> Figure:
     heater = closed.loop.heater
     figure, (panel,) = _panels(1)
     if heater is not None:
-        found = channels_of(model, heater.source, heater.against, heater.axis)
+        channels = channels_of(model, heater.source, heater.against, heater.axis)
         times = model.step * np.arange(round(_STEP / model.step) + 1)
-        named = ((heater.against, found.disturbance), (heater.source, found.heater))
+        named = ((heater.against, channels.disturbance), (heater.source, channels.heater))
         for k, (name, source) in enumerate(named):
-            response = python_control().step_response(state_space(model, source, found.axis), times)
+            response = python_control().step_response(
+                state_space(model, source, channels.axis), times
+            )
             panel.plot(
                 times / 60.0, 1e9 * response.outputs.ravel(), label=name, color=_SHADES[k + 1]
             )

@@ -51,7 +51,7 @@ def _design(design: Design) -> dict[str, Any]:
         "worst_gain_margin_dB": _decibel(tuned.worst_gain),
         "worst_phase_margin_deg": math.degrees(tuned.worst_phase),
         "heat_noise_W": tuned.heat_noise,
-        "late": {f"{delay:g}": _margins(found) for delay, found in design.late.items()},
+        "late": {f"{delay:g}": _margins(margins) for delay, margins in design.late.items()},
     }
 
 
@@ -118,10 +118,10 @@ def judged(closed: Closed, course: Course) -> Course:
 
 def setpoints(closed: Closed, heated: bool) -> Array:
     """Return the setpoint of each axis of a run, m, shape (axes,)."""
-    heater, found = closed.loop.heater, np.zeros(len(closed.axes))
+    heater, targets = closed.loop.heater, np.zeros(len(closed.axes))
     if heater is not None and heated:
-        found[closed.axes.index(heater.axis)] = MICRO * heater.setpoint_um
-    return found
+        targets[closed.axes.index(heater.axis)] = MICRO * heater.setpoint_um
+    return targets
 
 
 def reached(closed: Closed, run: Course) -> str:
@@ -133,7 +133,7 @@ def reached(closed: Closed, run: Course) -> str:
     left = np.abs(course.displacement[:, at] - setpoints(closed, True)[at])
     free = float(np.abs(judged(closed, closed.free).displacement[:, at]).max())
     where = f" of {heater.setpoint_um:g} um" if heater.setpoint_um else ""
-    found = (
+    sentence = (
         f"{heater.axis} within {left.max() / MICRO:.3g} um{where}, where the free machine moves "
         f"{free / MICRO:.3g} um"
     )
@@ -152,4 +152,4 @@ def reached(closed: Closed, run: Course) -> str:
         if share > NOTICED:
             held = float(left[begun:][stands[begun:]].max()) / MICRO
             reasons.append(f"{why}: {share:.0%} of the time, up to {held:.3g} um")
-    return "; ".join([found, *reasons])
+    return "; ".join([sentence, *reasons])

@@ -215,11 +215,11 @@ def added_by(settings: Settings, axes: tuple[str, ...], offsets: Array) -> Array
 
     An offset with sign -1 is the negative estimate and is added; with sign 1 it is subtracted.
     """
-    found = np.zeros(len(axes))
+    added = np.zeros(len(axes))
     given = zip(settings.output.estimated, settings.output.signs, offsets, strict=True)
     for name, sign, offset in given:
-        found[axes.index(name)] -= sign * offset
-    return found
+        added[axes.index(name)] -= sign * offset
+    return added
 
 
 def _target(
@@ -246,10 +246,10 @@ def _sensor_rows(plant: Plant, estimator: JointAware) -> Array:
 
 def _driven(inputs: Inputs, times: Sequence[float], heater: int, heat: float) -> Array:
     """Inputs (n, k + l) at times with constant heat (W) of the heater; -1: no heater."""
-    found = np.array([inputs(time) for time in times])
+    driven = np.array([inputs(time) for time in times])
     if heater >= 0:
-        found[:, heater] = heat
-    return found
+        driven[:, heater] = heat
+    return driven
 
 
 def _course(rows: Array, axes: int) -> Course:

@@ -106,14 +106,14 @@ def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) 
         per_state = model.band.tangent[channels.axis, :dynamic] * level
         both.append((1.0 - system.decay[None, :] ** steps) @ per_state)
     disturbed, heated = both
-    found = -float(disturbed @ heated) / float(heated @ heated)
-    if found <= 0.0:
+    gain = -float(disturbed @ heated) / float(heated @ heated)
+    if gain <= 0.0:
         raise InputError(
             f"heater: moves axis {model.axes[channels.axis]} as "
             f"{model.sources[channels.disturbance]} does, and it cannot cool; put it elsewhere, or "
             "control another axis"
         )
-    return found
+    return gain
 
 
 def tune(responses: Responses, start: Controller, required: Requirements) -> Tuned:
@@ -135,13 +135,13 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
     low, high = responses.frequencies[0] * 4.0, responses.frequencies[-1] / 3.0
     crossovers = np.geomspace(low, high, round(A_DECADE * np.log10(high / low)))
     for crossover in crossovers[::-1]:
-        found = _checked(responses, _simc(responses, start, float(crossover)), required)
+        candidate = _checked(responses, _simc(responses, start, float(crossover)), required)
         if (
-            found.worst_gain >= required.gain_margin
-            and found.worst_phase >= required.phase_margin
-            and found.heat_noise <= required.most_noise
+            candidate.worst_gain >= required.gain_margin
+            and candidate.worst_phase >= required.phase_margin
+            and candidate.heat_noise <= required.most_noise
         ):
-            return found
+            return candidate
     raise InputError(
         "tuning: no crossover keeps the margins and the noise that are required; ask for less, or "
         "make the delay shorter"

@@ -107,10 +107,10 @@ def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) 
     for parameter in parameters:
         k = channels.index(parameter.channel)
         factor = SHOWN[parameter.quantity][0]
-        found = parameter.extremes
+        extremes = parameter.extremes
         apart = parameter.period.length / (len(channels) + 1)
         at = (parameter.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
-        low, high = factor * found.low, factor * found.high
+        low, high = factor * extremes.low, factor * extremes.high
         arrow = {
             "arrowstyle": "<->",
             "color": _shade(k),
@@ -130,7 +130,7 @@ def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) 
             ha="right",
             va="center",
         )
-        for moment, value in ((found.low_at, low), (found.high_at, high)):
+        for moment, value in ((extremes.low_at, low), (extremes.high_at, high)):
             panel.plot(moment / 3600.0, value, "o", markersize=2.5, color=_shade(k))
 
 

@@ -117,13 +117,13 @@ def unsettled(record: Record, period: Period) -> dict[str, float]:
     length = min(FIRST, period.length)
     first = Period(period.begin, period.begin + length)
     last = Period(period.end - length, period.end)
-    found = {}
+    shares = {}
     for quantity, channel, values in _channels(record):
         if quantity != "temperature":
             early, late = (extremes(record.times, values, *one, channel) for one in (first, last))
             if early.range > 0.0:
-                found[channel] = late.range / early.range
-    return found
+                shares[channel] = late.range / early.range
+    return shares
 
 
 def _channels(record: Record) -> Iterator[tuple[Quantity, str, Array]]:
@@ -138,5 +138,5 @@ def _channels(record: Record) -> Iterator[tuple[Quantity, str, Array]]:
 def _parameter(
     record: Record, symbol: str, quantity: Quantity, channel: str, values: Array, period: Period
 ) -> Parameter:
-    found = extremes(record.times, values, period.begin, period.end, channel)
-    return Parameter(symbol, quantity, channel, period, found)
+    extreme = extremes(record.times, values, period.begin, period.end, channel)
+    return Parameter(symbol, quantity, channel, period, extreme)

@@ -80,18 +80,18 @@ def write_parameters(content: dict[str, Any], path: Path) -> None:
     write_text(Path(path), text + "\n")
 
 
-def _row(one: Parameter) -> dict[str, Any]:
-    factor, unit, _ = SHOWN[one.quantity]
+def _row(parameter: Parameter) -> dict[str, Any]:
+    factor, unit, _ = SHOWN[parameter.quantity]
     return {
-        "symbol": one.symbol,
-        "quantity": one.quantity,
-        "channel": one.channel,
-        "value": factor * one.value,
+        "symbol": parameter.symbol,
+        "quantity": parameter.quantity,
+        "channel": parameter.channel,
+        "value": factor * parameter.value,
         "unit": unit,
-        "begin_s": one.period.begin,
-        "end_s": one.period.end,
-        "lowest": factor * one.extremes.low,
-        "lowest_at_s": one.extremes.low_at,
-        "highest": factor * one.extremes.high,
-        "highest_at_s": one.extremes.high_at,
+        "begin_s": parameter.period.begin,
+        "end_s": parameter.period.end,
+        "lowest": factor * parameter.extremes.low,
+        "lowest_at_s": parameter.extremes.low_at,
+        "highest": factor * parameter.extremes.high,
+        "highest_at_s": parameter.extremes.high_at,
     }
