@@ -340,8 +340,8 @@ def serve(folder: Path) -> None:
     sources = Sources(
         hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
     )
-    section = HttpServer(port=0, token=Secret(file="token"), requests_per_s=1e4)
-    opened = open_http(section, sources, folder, folder)
+    section = HttpServer(port=0, token=Secret(file=folder / "token"), requests_per_s=1e4)
+    opened = open_http(section, sources, folder)
     print(opened.socket.getsockname()[1], flush=True)
     # As the service does: what stays for good is not looked through for garbage again and again,
     # which leaves the garbage collector time for connections that are over.

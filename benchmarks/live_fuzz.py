@@ -242,8 +242,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    section = ModelSection(file=given.model.name)
-    model = served(section, given.model.absolute().parent, Path("/nonexistent"))
+    section = ModelSection(file=given.model.absolute())
+    model = served(section, Path("/nonexistent"))
     found = [check(name, model, given.count, given.seed) for name in DOORS]
     print(json.dumps({"count": given.count, "doors": found}, indent=2))
     sys.exit(not all(one["equal"] and one["grown_kb"] < 512.0 for one in found))

@@ -77,7 +77,7 @@ def names_of(model: Path) -> tuple[str, ...]:
     from thermojoint.live.settings import ModelSection
 
     with tempfile.TemporaryDirectory() as kept:
-        found = served(ModelSection(file=model.name), model.parent, Path(kept)).intake
+        found = served(ModelSection(file=model), Path(kept)).intake
     return found.names[: found.wanted]
 
 

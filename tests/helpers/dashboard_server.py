@@ -119,11 +119,10 @@ def serving(
     hub, registry = Hub(), CollectorRegistry()
     hub.publish(newest)
     Gauge("machines", "Machines served", registry=registry).set(len(machines))
-    section = HttpServer(
-        **{"port": free_port(), "security": security, "token": {"file": "token"}} | settings
-    )
+    given = {"port": free_port(), "security": security, "token": {"file": "token"}}
+    section = HttpServer.model_validate(given | settings, context=folder)
     sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
-    opened = open_http(section, sources, folder, folder)
+    opened = open_http(section, sources, folder)
     ready, found = threading.Event(), []
 
     async def run():

@@ -43,7 +43,7 @@ def serve(
     given = read_service(service)
     if add_user is not None:
         server = given.given.opcua
-        _add_user(given.base, server.users if server else None, add_user, role)
+        _add_user(server.users if server else None, add_user, role)
         return
     # After the file: a mistake in it is told before the libraries are loaded.
     import asyncio
@@ -77,7 +77,7 @@ def serve(
     asyncio.run(until_stopped())
 
 
-def _add_user(base: Path, users: str | None, name: str, role: Role) -> None:
+def _add_user(users: Path | None, name: str, role: Role) -> None:
     """Add a user to the file that the service names; the password is never an argument."""
     import getpass
     import sys
@@ -89,5 +89,5 @@ def _add_user(base: Path, users: str | None, name: str, role: Role) -> None:
         raise InputError("--add-user: the service has no file of users; add users to [opcua]")
     asked = f"password of {name}: "
     password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
-    add_user(base / users, name, role.value, password.rstrip("\r\n"))
-    console.wrote(base / users)
+    add_user(users, name, role.value, password.rstrip("\r\n"))
+    console.wrote(users)

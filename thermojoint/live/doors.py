@@ -7,7 +7,6 @@ import time
 from collections.abc import Coroutine
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.joint_aware.estimator import JointAware
@@ -30,7 +29,7 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
         from thermojoint.live.writers.mqtt import write_topics
 
         out = service.given.mqtt
-        address = address_of(out, service.base, "mqtt")
+        address = address_of(out, "mqtt")
         log = running.floor.log
         found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
     if service.given.opcua is not None:
@@ -48,7 +47,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         name: About(
             layout=place.served.layout,
             kind=place.served.estimator.kind,
-            model=Path(place.served.file).name,
+            model=place.served.file,
             since=running.archive.model(name).begun,
             valid=place.served.ranges,
         )
@@ -66,7 +65,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             if isinstance(place.served.estimator, JointAware)
         },
     )
-    opened = open_http(section, sources, running.service.base, running.service.folder)
+    opened = open_http(section, sources, running.service.folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
 
@@ -81,7 +80,7 @@ def _scenes(running: Running) -> dict[str, Scene]:
         if file is not None:
             place = running.floor.places[name]
             state = partial(_state_of, place)
-            found[name] = scene_of(service.path(file), place.served.estimator, state)
+            found[name] = scene_of(file, place.served.estimator, state)
     return found
 
 
@@ -106,7 +105,5 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any
         for name, place in running.floor.places.items()
     }
     service, log = running.service, running.floor.log
-    server, nodes = await open_server(
-        section, service.base, service.folder, running.hub, machines, given, log
-    )
+    server, nodes = await open_server(section, service.folder, running.hub, machines, given, log)
     return serve_nodes(server, nodes, running.hub)

@@ -12,7 +12,6 @@ import ssl
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import aiomqtt
@@ -53,7 +52,7 @@ class Address:
         return f"Address({self.host}:{self.port})"
 
 
-def address_of(given: MqttAddress, base: Path, where: str) -> Address:
+def address_of(given: MqttAddress, where: str) -> Address:
     """Return the address that a section names.
 
     Raises
@@ -64,8 +63,7 @@ def address_of(given: MqttAddress, base: Path, where: str) -> Address:
     context = None
     if given.security == "tls":
         try:
-            ca = None if given.ca_file is None else str(base / given.ca_file)
-            context = ssl.create_default_context(cafile=ca)
+            context = ssl.create_default_context(cafile=given.ca_file)
         except (OSError, ssl.SSLError) as error:
             raise InputError(
                 f"{where}.ca_file: {given.ca_file}: no certificate (PEM); give the authority's"
@@ -77,7 +75,7 @@ def address_of(given: MqttAddress, base: Path, where: str) -> Address:
         )
     password = None
     if given.password is not None:
-        password = read_secret(given.password, base, f"{where}.password")
+        password = read_secret(given.password, f"{where}.password")
     return Address(given.host, given.port, context, given.user, password, given.client_id)
 
 

@@ -13,15 +13,13 @@ from thermojoint.live.settings import Secret
 LONGEST = 4096
 
 
-def read_secret(secret: Secret, base: Path, where: str) -> str:
+def read_secret(secret: Secret, where: str) -> str:
     """Return a secret: one line.
 
     Parameters
     ----------
     secret : Secret
         Where it is kept.
-    base : Path
-        Where paths begin.
     where : str
         What it is for, in error messages.
 
@@ -35,7 +33,7 @@ def read_secret(secret: Secret, base: Path, where: str) -> str:
         if not found:
             raise InputError(f"{where}: the variable {secret.variable} is not set; set it")
         return _line(found, f"{where}: variable {secret.variable}")
-    path = _path_of(secret, base, where)
+    path = _path_of(secret, where)
     if secret.file is not None:
         refuse_open_to_others(path, where)
     try:
@@ -66,9 +64,9 @@ def refuse_open_to_others(path: Path, where: str) -> None:
         raise InputError(f"{where}: others can read {path} (mode {mode:o}); chmod 600 {path}")
 
 
-def _path_of(secret: Secret, base: Path, where: str) -> Path:
+def _path_of(secret: Secret, where: str) -> Path:
     if secret.file is not None:
-        return base / secret.file
+        return secret.file
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     if not folder:
         raise InputError(

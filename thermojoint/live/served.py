@@ -58,20 +58,18 @@ class Served:
 def served_models(service: Service) -> dict[str, Served]:
     """Open the models of a service; raises as their readers and as `served`."""
     return {
-        name: served(section, service.base, service.folder / "models")
+        name: served(section, service.folder / "models")
         for name, section in service.given.models.items()
     }
 
 
-def served(section: ModelSection, base: Path, kept: Path) -> Served:
+def served(section: ModelSection, kept: Path) -> Served:
     """Open one model.
 
     Parameters
     ----------
     section : ModelSection
         What the service file says of it.
-    base : Path
-        Where its paths begin.
     kept : Path
         Folder for what is assembled from it: a service goes on with the coefficients it began with.
 
@@ -82,15 +80,15 @@ def served(section: ModelSection, base: Path, kept: Path) -> Served:
     ConvergenceError
         The model cannot be assembled at the interval.
     """
-    path = base / section.file
+    path = section.file
     kind = kind_of_file(path)
     model = kind.read(path)
     intake = kind.intake(model, section.reads == "above-ambient")
-    estimator, digest = _opened(kind, model, section, base, kept)
-    output = None if section.offsets is None else read_settings(base / section.offsets)
+    estimator, digest = _opened(kind, model, section, kept)
+    output = None if section.offsets is None else read_settings(section.offsets)
     axes = tuple(map(axis_name, estimator.axes))
     if output is not None:
-        _check_axes(output, axes, section.offsets or "")
+        _check_axes(output, axes, section.offsets)
     layout = Layout(
         axes=axes,
         controls=output.output.names if output else (),
@@ -100,7 +98,7 @@ def served(section: ModelSection, base: Path, kept: Path) -> Served:
     _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
     ranges = kind.ranges(model)
-    return Served(estimator, digest, section.file, intake, ranges, rule, layout, output)
+    return Served(estimator, digest, path.name, intake, ranges, rule, layout, output)
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:
@@ -111,7 +109,7 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
             state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
 
 
-def _check_axes(output: Settings, axes: tuple[str, ...], where: str) -> None:
+def _check_axes(output: Settings, axes: tuple[str, ...], where: object) -> None:
     for name in output.output.estimated:
         if name not in axes:
             raise unknown_name("axis", name, axes, f"{where}: axes: the estimate has")
@@ -121,7 +119,6 @@ def _opened(
     kind: Kind[Any, Any],
     model: Any,  # noqa: ANN401
     section: ModelSection,
-    base: Path,
     kept: Path,
 ) -> tuple[Estimator, str]:
     """Start the estimator, or go on with what was made from the same file at the same interval."""

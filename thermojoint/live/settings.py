@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
-from thermojoint.artefacts.settings.section import NotNegative, Positive, Section, Texts
+from thermojoint.artefacts.settings.section import File, NotNegative, Positive, Section, Texts
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
@@ -33,7 +33,7 @@ class Secret(Section):
     A credential is one of systemd's (``LoadCredential=``).
     """
 
-    file: str | None = None
+    file: File | None = None
     variable: str | None = None
     credential: str | None = None
 
@@ -47,12 +47,12 @@ class Secret(Section):
 class ModelSection(Section):
     """``[models.NAME]``: an estimator, for any number of machines."""
 
-    file: str
+    file: File
     interval_s: Positive = 1.0
     run_length_min: Positive = 120.0
     reads: Literal["thermometers", "above-ambient"] = "thermometers"
-    offsets: str | None = None
-    scene: str | None = None
+    offsets: File | None = None
+    scene: File | None = None
     lateness_s: NotNegative = 5.0
     hold_s: NotNegative = 0.0
 
@@ -69,7 +69,7 @@ class CsvSource(Section):
     """Lines of a file that grows, of a FIFO, or of standard input (``-``)."""
 
     kind: Literal["csv"]
-    path: str
+    path: File
     columns: dict[str, str] = {}
     starts: str | None = None
     follow: bool = True
@@ -81,7 +81,7 @@ class MqttAddress(Section):
     host: str = "127.0.0.1"
     port: Port = 8883
     security: Literal["tls", "none"] = "tls"
-    ca_file: str | None = None
+    ca_file: File | None = None
     user: str | None = None
     password: Secret | None = None
     client_id: str = "thermojoint"
@@ -105,7 +105,7 @@ class OpcuaSource(Section):
     node: str
     columns: dict[str, str] = {}
     security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
-    server_certificate: str | None = None
+    server_certificate: File | None = None
     user: str | None = None
     password: Secret | None = None
     publishing_ms: Positive = 200.0
@@ -142,8 +142,8 @@ class OpcuaServer(Section):
     address: str = "127.0.0.1"
     port: Port = 4840
     security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
-    users: str | None = None
-    trusted: str | None = None
+    users: File | None = None
+    trusted: File | None = None
     host_names: Texts = ()
     readings: bool = True
     most_sessions: Annotated[int, Field(ge=1, le=1000)] = 20
@@ -168,8 +168,8 @@ class HttpServer(Section):
     port: Port = 8443
     security: Literal["tls", "none"] = "tls"
     token: Secret
-    certificate_file: str | None = None
-    key_file: str | None = None
+    certificate_file: File | None = None
+    key_file: File | None = None
     session_hours: Annotated[float, Field(gt=0.0, le=8760.0)] = 168.0
     most_streams: Annotated[int, Field(ge=1, le=1000)] = 64
     requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
@@ -187,7 +187,7 @@ class HttpServer(Section):
 class ServiceFile(Section):
     """The whole file."""
 
-    folder: str
+    folder: File
     models: Annotated[dict[str, ModelSection], Field(min_length=1)]
     machines: Annotated[dict[str, MachineSection], Field(min_length=1)]
     sources: Annotated[dict[str, Source], Field(min_length=1)]
@@ -207,24 +207,17 @@ class Service:
     ----------
     given : ServiceFile
         The file.
-    base : Path
-        Folder of the file; paths in it begin there.
     machines : dict of str to MachineSection
         Every single machine by its name.
     """
 
     given: ServiceFile
-    base: Path
     machines: Mapping[str, MachineSection]
 
     @property
     def folder(self) -> Path:
         """Where the service keeps what it must not forget."""
-        return self.base / self.given.folder
-
-    def path(self, name: str) -> Path:
-        """Return a path of the file."""
-        return self.base / name
+        return self.given.folder
 
 
 def read_service(path: Path | str) -> Service:
@@ -261,7 +254,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
     for name, source in given.sources.items():
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
     _check_protected(where, given)
-    return Service(given, base, machines)
+    return Service(given, machines)
 
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:
@@ -277,7 +270,7 @@ def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSe
 def pattern_of(source: CsvSource | MqttSource | OpcuaSource) -> tuple[str, str]:
     """Return the key that leads to a machine's readings, and what it says."""
     if isinstance(source, CsvSource):
-        return "path", source.path
+        return "path", str(source.path)
     if isinstance(source, MqttSource):
         return "topic", source.topic
     return "node", source.node

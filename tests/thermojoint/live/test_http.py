@@ -294,9 +294,9 @@ def test_a_token_must_be_long_and_kept_from_others(tmp_path):
     path.write_text("x" * SHORTEST_TOKEN)
     path.chmod(0o644)
     with pytest.raises(InputError, match="chmod 600"):
-        read_secret(Secret(file="token"), tmp_path, "http.token")
+        read_secret(Secret(file=tmp_path / "token"), "http.token")
     path.chmod(0o600)
-    assert read_secret(Secret(file="token"), tmp_path, "http.token") == "x" * SHORTEST_TOKEN
+    assert read_secret(Secret(file=tmp_path / "token"), "http.token") == "x" * SHORTEST_TOKEN
     with pytest.raises(InputError, match="at least 32") as refusal:
         access_by("short secret", 1.0, "http.token")
     assert "short secret" not in str(refusal.value)

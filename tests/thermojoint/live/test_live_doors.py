@@ -37,7 +37,7 @@ JSON = st.recursive(
 def model(hand_made_model, tmp_path_factory):
     base = tmp_path_factory.mktemp("doors")
     write_assembly(assemble(hand_made_model, 1.0, 7200.0), base / "model.json")
-    return served(ModelSection(file="model.json"), base, base / "kept")
+    return served(ModelSection(file=base / "model.json"), base / "kept")
 
 
 @pytest.mark.parametrize("door", DOORS)

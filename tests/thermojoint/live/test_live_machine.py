@@ -50,8 +50,8 @@ def model(hand_made_model, tmp_path_factory) -> Served:
     base = tmp_path_factory.mktemp("machine")
     write_assembly(assemble(hand_made_model, 1.0, 7200.0), base / "model.json")
     (base / "offsets.toml").write_text(OFFSETS)
-    section = ModelSection(file="model.json", offsets="offsets.toml")
-    return served(section, base, base / "kept")
+    section = ModelSection(file=base / "model.json", offsets=base / "offsets.toml")
+    return served(section, base / "kept")
 
 
 def readings(k):

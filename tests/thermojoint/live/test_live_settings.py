@@ -1,6 +1,7 @@
 """The file of a service: what is wrong ends in one line; what is open to others is refused."""
 
 import stat
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -35,6 +36,28 @@ def changed(**parts):
 def test_a_section_with_a_count_is_so_many_machines(tmp_path):
     service = service_from_data(GOOD, "file", tmp_path)
     assert list(service.machines) == ["mill-1", "mill-2", "mill-3"]
+
+
+def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
+    service = service_from_data(
+        changed(
+            sources={
+                "s": {"kind": "csv", "path": "{machine}.csv"},
+                "piped": {"kind": "csv", "path": "-"},
+            },
+            http={"token": {"file": "token"}},
+            opcua={"users": "users", "trusted": "/elsewhere"},
+        ),
+        "file",
+        tmp_path,
+    )
+    given = service.given
+    assert service.folder == tmp_path / "state"
+    assert given.models["m"].file == tmp_path / "m.json"
+    assert given.sources["s"].path == tmp_path / "{machine}.csv"
+    assert given.sources["piped"].path == Path("-")
+    assert given.http.token.file == tmp_path / "token"
+    assert (given.opcua.users, given.opcua.trusted) == (tmp_path / "users", Path("/elsewhere"))
 
 
 @pytest.mark.parametrize(
@@ -95,14 +118,14 @@ def test_a_secret_that_others_can_read_is_refused_and_never_shown(tmp_path, monk
     path.write_text("very-secret\n")
     path.chmod(0o644)
     with pytest.raises(InputError, match="chmod 600") as found:
-        read_secret(Secret(file="password"), tmp_path, "mqtt.password")
+        read_secret(Secret(file=tmp_path / "password"), "mqtt.password")
     assert "very-secret" not in str(found.value)
     path.chmod(0o600)
-    assert read_secret(Secret(file="password"), tmp_path, "x") == "very-secret"
+    assert read_secret(Secret(file=tmp_path / "password"), "x") == "very-secret"
     monkeypatch.setenv("MQTT_PASSWORD", "other")
-    assert read_secret(Secret(variable="MQTT_PASSWORD"), tmp_path, "x") == "other"
+    assert read_secret(Secret(variable="MQTT_PASSWORD"), "x") == "other"
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
-    assert read_secret(Secret(credential="password"), tmp_path, "x") == "very-secret"
+    assert read_secret(Secret(credential="password"), "x") == "very-secret"
 
 
 def test_passwords_are_hashed_and_told_apart():
@@ -158,4 +181,4 @@ def test_a_user_is_added_by_the_command(tmp_path):
     done = CliRunner().invoke(app, [str(one) for one in command], input="panel-secret\n")
     assert done.exit_code == 0, done.output
     assert set(read_users(tmp_path / "users")) == {"panel"}
-    assert read_service(tmp_path / "service.toml").given.opcua.users == "users"
+    assert read_service(tmp_path / "service.toml").given.opcua.users == tmp_path / "users"

@@ -20,7 +20,10 @@ Texts = Annotated[tuple[str, ...], Field(strict=False)]
 
 
 def _beside(path: Path, info: ValidationInfo) -> Path:
-    return path if info.context is None else (info.context / path).absolute()
+    # "-" is standard input.
+    if info.context is None or str(path) == "-":
+        return path
+    return (info.context / path).absolute()
 
 
 #: A file's name, relative to the file it stands in; absolute once that is read, because whoever

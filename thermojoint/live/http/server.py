@@ -25,7 +25,7 @@ from thermojoint.live.settings import HttpServer, is_loopback
 MOST_CONNECTIONS = 256
 
 
-def make_server(app: Starlette, section: HttpServer, base: Path, folder: Path) -> Server:
+def make_server(app: Starlette, section: HttpServer, folder: Path) -> Server:
     """Return a server that is ready to start.
 
     Parameters
@@ -34,8 +34,6 @@ def make_server(app: Starlette, section: HttpServer, base: Path, folder: Path) -
         What answers.
     section : HttpServer
         Where, and with which certificate.
-    base : Path
-        Where paths of the section begin.
     folder : Path
         Where the service keeps its own certificate.
 
@@ -47,7 +45,7 @@ def make_server(app: Starlette, section: HttpServer, base: Path, folder: Path) -
     security: dict[str, Any] = {}
     if section.security == "tls":
         if section.certificate_file is not None and section.key_file is not None:
-            certificate, key = base / section.certificate_file, base / section.key_file
+            certificate, key = section.certificate_file, section.key_file
         else:
             certificate, key = own_certificate(folder, section.address)
         security = {"ssl_certfile": certificate, "ssl_keyfile": key}
@@ -104,7 +102,7 @@ class Opened:
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def open_http(section: HttpServer, sources: Sources, base: Path, folder: Path) -> Opened:
+def open_http(section: HttpServer, sources: Sources, folder: Path) -> Opened:
     """Read token and certificate and take the address.
 
     Parameters
@@ -113,8 +111,6 @@ def open_http(section: HttpServer, sources: Sources, base: Path, folder: Path) -
         Settings.
     sources : Sources
         What is shown.
-    base : Path
-        Where paths of the section begin.
     folder : Path
         Where the service keeps its own certificate.
 
@@ -129,10 +125,10 @@ def open_http(section: HttpServer, sources: Sources, base: Path, folder: Path) -
             f'http: security = "none" at {section.address} would send the token unencrypted; use '
             "127.0.0.1, or TLS"
         )
-    token = read_secret(section.token, base, "http.token")
+    token = read_secret(section.token, "http.token")
     access = access_by(token, 3600.0 * section.session_hours, "http.token")
     app = make_app(sources, access, secure, section.requests_per_s, section.most_streams)
-    server = make_server(app, section, base, folder)
+    server = make_server(app, section, folder)
     family = socket.AF_INET6 if ":" in section.address else socket.AF_INET
     try:
         taken = socket.create_server((section.address, section.port), family=family)

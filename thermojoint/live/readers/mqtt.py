@@ -32,7 +32,7 @@ from thermojoint.live.mqtt_session import (
     next_delay,
 )
 from thermojoint.live.readers.session import beside
-from thermojoint.live.settings import MqttSource, Service
+from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
 
 #: Messages that are handed on at once.
@@ -192,13 +192,9 @@ def _value(value: Any) -> float:  # noqa: ANN401
     return found if math.isfinite(found) else math.nan
 
 
-def mqtt_reader(
-    service: Service, source: MqttSource, names: Mapping[str, tuple[str, ...]]
-) -> MqttReader:
+def mqtt_reader(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> MqttReader:
     """Return the reader of a source; raises as `address_of`."""
-    return MqttReader(
-        address_of(source, service.base, "source"), topics_of(source, names), source.most_waiting
-    )
+    return MqttReader(address_of(source, "source"), topics_of(source, names), source.most_waiting)
 
 
 def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topics:

@@ -322,13 +322,13 @@ def opcua_reader(
                 "source.server_certificate: whom to trust is not known; give the server's "
                 "certificate (PEM or DER)"
             )
-        server = service.path(source.server_certificate)
+        server = source.server_certificate
         certificate_der(server)
         own = own_identity(service.folder, ())
         certificate, key = own.certificate, own.key
     password = None
     if source.password is not None:
-        password = read_secret(source.password, service.base, "source.password")
+        password = read_secret(source.password, "source.password")
     reached = Reached(
         source.url, certificate, key, server, source.user, password, source.publishing_ms
     )

@@ -78,7 +78,7 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
 
-            found.append(mqtt_reader(service, source, names))
+            found.append(mqtt_reader(source, names))
         elif isinstance(source, OpcuaSource):
             from thermojoint.live.readers.opcua import opcua_reader
 
@@ -115,11 +115,11 @@ def _csv(
             raise InputError(
                 f"starts = {source.starts!r}: no time; write it as 2026-03-02T06:00:00Z"
             ) from error
-    path = source.path.replace("{machine}", machine)
+    path = Path(str(source.path).replace("{machine}", machine))
     return CsvReader(
         Pipe(
             machine,
-            Path(path) if path == "-" else service.path(path),
+            path,
             names[machine],
             model.intake.wanted,
             starts,

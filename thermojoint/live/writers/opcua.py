@@ -253,7 +253,6 @@ def fresh_server(section: OpcuaServer) -> Server:
 
 async def open_server(
     section: OpcuaServer,
-    base: Path,
     folder: Path,
     hub: Hub,
     machines: Mapping[str, tuple[Layout, int]],
@@ -265,8 +264,8 @@ async def open_server(
     Parameters
     ----------
     section : OpcuaServer
-    base, folder : Path
-        Where the section's paths begin, and where the service keeps its certificate.
+    folder : Path
+        Where the service keeps its certificate.
     hub, machines, given
         As in `add_machines`.
     log : EventLog
@@ -282,8 +281,8 @@ async def open_server(
         raise InputError(
             "opcua.users: nobody could log in; name a file, and add users with --add-user"
         )
-    gate = Gate(read_users(base / section.users)) if section.users is not None else None
-    trusted = certificates_in(base / section.trusted) if section.trusted is not None else None
+    gate = Gate(read_users(section.users)) if section.users is not None else None
+    trusted = certificates_in(section.trusted) if section.trusted is not None else None
     server = fresh_server(section)
     await server.init()
     await server.set_application_uri(APPLICATION)
