@@ -48,7 +48,7 @@ class Slip:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What values of a quantity are plausible, and how they are mistaken.
+    """Plausible range of a quantity, and common mistakes of units.
 
     Attributes
     ----------

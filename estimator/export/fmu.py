@@ -1,4 +1,4 @@
-"""An exported program as a unit for co-simulation, FMI 2.0 or 3.0, with sources and library."""
+"""Export as an FMU for co-simulation (FMI 2.0 or 3.0) with sources and binary."""
 
 from __future__ import annotations
 

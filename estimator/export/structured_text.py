@@ -1,4 +1,4 @@
-"""A program as Structured Text (IEC 61131-3): one function block, and a program that tests it."""
+"""Export as Structured Text (IEC 61131-3): one function block and its self-test."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
 """Online learning of preload, friction and convection of an ageing machine.
 
 Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
-runs one copy for each parameter with that parameter a little off, on the same readings. What the
-copies leave of the readings says how the innovations depend on the parameters, without an equation
-for it: through filter, slips and all. Innovations are averaged over `Learning.window`, as a model
-errs alike from sample to sample. A Kalman filter learns from them the logarithms of the parameters,
-and beside these a bias of every sensor's innovations that lasts for hours: a model that errs for
-hours is no machine that has aged.
+runs one copy for each parameter with that parameter a little off, on the same readings. The
+innovations of the copies give the sensitivities to the parameters, including filter and slips,
+without explicit equations. Innovations are averaged over `Learning.window`, because model errors
+are correlated from sample to sample. A Kalman filter estimates from them the logarithms of the
+parameters and a slowly varying bias of every sensor's innovations, so that a model error that lasts
+for hours is not mistaken for ageing.
 
-Modes and gain stay those of the calibration: preload and friction are in the joint's law alone, and
-the film beyond the calibrated one is applied between two samples.
+Modes and gain remain those of the calibration: preload and friction enter only the joint's law, and
+the change of convection is applied between two samples.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from thermojoint.reduced.film import Film, convected, film_of
 from thermojoint.reduced.machine import Joint
 from thermojoint.reduced.parameters import joint_with_factors
 
-#: A sample whose status says anything else does not teach.
+#: Samples with any other status are not used for learning.
 TEACHES = (
     Status.BEYOND_TIME | Status.BEYOND_HEAT | Status.BEYOND_TEMPERATURE | Status.READING_MISSING
 )
@@ -71,7 +71,7 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class AgeingJointAware:
-    """A joint-aware estimator whose preload, friction or film are learnt as it runs.
+    """A joint-aware estimator that learns preload, friction or convection online.
 
     Attributes
     ----------
@@ -80,12 +80,12 @@ class AgeingJointAware:
     ageing : tuple of str
         Names out of `SLOW`.
     learning : Learning
-        How fast, and from what.
+        Settings of the learning.
 
     Raises
     ------
     InputError
-        A name is unknown, stands twice, or the machine has no such thing.
+        A name is unknown or repeated, or the machine has no such parameter.
     """
 
     observer: JointAware
@@ -124,7 +124,7 @@ class AgeingJointAware:
 
     @cached_property
     def _parts(self) -> Layout:
-        """Where the parts of the state stand."""
+        """Slices of the parts of the state."""
         count, rows = len(self.ageing), len(self.observer.observer.system.rows)
         return placed(
             {
@@ -141,16 +141,16 @@ class AgeingJointAware:
 
     @property
     def _slow(self) -> list[Slow]:
-        """What is learnt: parameters, then biases."""
+        """Learned quantities: parameters, then biases."""
         rows = len(self.observer.observer.system.rows)
         return [*(SLOW[name] for name in self.ageing), *[self.learning.bias] * rows]
 
     def initial_state(self) -> Array:
-        """Return the state of a machine at rest that is as it was calibrated."""
+        """Return the state of a machine at rest with the calibrated parameters."""
         return self._fresh(self.observer.initial_state())
 
     def warm_state(self) -> Array:
-        """Return the state of a machine of whose past nothing is known."""
+        """Return the state of a machine with an unknown past."""
         return self._fresh(self.observer.warm_state())
 
     def _fresh(self, start: Array) -> Array:
@@ -216,7 +216,7 @@ class AgeingJointAware:
         )
 
     def _concluded(self, state: _State) -> _State:
-        """Learn from a window and begin the next one."""
+        """Update the parameters from a window and begin the next one."""
         some = state.counted > 0.0
         count = state.counted[some]
         found, covariance = wandered(
@@ -238,14 +238,14 @@ class AgeingJointAware:
         )
 
     def _taught(self, state: _State, innovation: Array, rows: Array, variance: Array) -> _State:
-        """What is learnt from some innovations; as `learnt`."""
+        """Update by innovations; as `learnt`."""
         found, covariance = learnt(
             state.learnt, state.covariance, innovation, rows, variance, self.learning.farthest
         )
         return replace(state, learnt=found, covariance=covariance)
 
     def _touched(self, values: Sequence[float]) -> Flags:
-        """Which values are readings of the displacement that came."""
+        """Mask of the available readings of the displacement."""
         metres = np.array([channel.unit == "m" for channel in self.channels])
         return metres & np.isfinite(np.asarray(values, dtype=float))
 
@@ -330,7 +330,7 @@ class AgeingJointAware:
 def _aged(
     observer: JointAware, names: tuple[str, ...], logarithms: tuple[float, ...], step: float
 ) -> list[JointAware]:
-    """The observer and its copies at these parameters; kept, as a window has the same ones."""
+    """The observer and its copies at these parameters; cached, as they are constant in a window."""
     every = [logarithms] + [
         tuple(value + step * (k == one) for k, value in enumerate(logarithms))
         for one in range(len(names))

@@ -20,26 +20,26 @@ from thermojoint.artefacts.arrays import Array
 
 
 class Filter(NamedTuple):
-    """What a sample needs beside the machine and its joint; n states, of which d are dynamic.
+    """Filter data of a sample; n states, of which d are dynamic.
 
     Attributes
     ----------
     relaxing : ndarray, shape (s, q)
-        What is left of the relaxations of the remainder after a step.
+        Decay of the relaxations of the model discrepancy over a step.
     power : ndarray, shape (s,)
         Heat of each source at heat input 1, W.
     rows : ndarray, shape (p + 1, n)
-        Of what is read.
+        Rows of the readings.
     gain : ndarray, shape (n, p + 1)
         Of all readings with the steady covariance.
     remainder : ndarray, shape (axes, s q)
         Displacement per relaxation, m.
     channels : Channels
-        What the readings can say.
+        Properties of the readings.
     rules : Thresholds
-        When one is distrusted.
+        Thresholds for rejecting a reading.
     forgetting : float
-        Rate at which what readings of the displacement told is forgotten, 1/s.
+        Decay rate of the corrections by readings of the displacement, 1/s.
     """
 
     relaxing: Array
@@ -53,7 +53,7 @@ class Filter(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a sample is taken: the machine and its joint over one step, and what is not theirs."""
+    """Data for one sample: the machine and its joint over one step, and the filter."""
 
     own: Filter
     heat: HeatStep
@@ -69,12 +69,12 @@ def usual_sample(
     readings: Array,
     displacement: Array,
 ) -> bool:
-    """Take a sample into `state` and `displacement` (axes,), in place, if it is a usual one.
+    """Process an ordinary sample into `state` and `displacement` (axes,), in place.
 
     Parameters
     ----------
     place : Place
-        What the observer is made of, for a step of `length`.
+        Data of the observer for a step of `length`.
     state : ObserverState
         Views of a flat state; the sample before is `length` (s) ago.
     time, length : float
@@ -87,7 +87,7 @@ def usual_sample(
     Returns
     -------
     bool
-        Whether it was. If not, `state` is no state any more.
+        Whether the sample was ordinary. If not, the content of `state` is invalid.
     """
     own, heat, joint = place.own, place.heat, place.joint
     channels, size = own.rows.shape

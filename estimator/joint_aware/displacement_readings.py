@@ -22,16 +22,16 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Touch:
-    """How a reading of the displacement is taken (docs/faulty-sensors.md).
+    """Properties of readings of the displacement (docs/faulty-sensors.md).
 
     Attributes
     ----------
     noise : float
         Standard deviation of a reading, m.
     memory : float
-        How long what was found of the model's error lasts, s.
+        Correlation time of the model's error, s.
     gate : float
-        Standard deviations of an innovation beyond which a reading is refused.
+        Innovation gate in standard deviations, beyond which a reading is refused.
     """
 
     noise: float = READING_NOISE
@@ -55,12 +55,12 @@ class ModelError(NamedTuple):
 
 
 def unknown(axes: int) -> ModelError:
-    """Return what is known before any reading."""
+    """Return the prior before any reading."""
     return ModelError(np.zeros(axes), np.ones(axes))
 
 
 def later(known: ModelError, elapsed: float, memory: float) -> ModelError:
-    """Return what is left of it after some time, s, where it lasts for `memory`, s."""
+    """Return the estimate after some time, s, with the correlation time `memory`, s."""
     kept = math.exp(-elapsed / memory)
     return ModelError(kept * known.mean, 1.0 - kept**2 * (1.0 - known.variance))
 
@@ -94,7 +94,7 @@ def correct_by(
     excess: Array,
     known: ModelError,
 ) -> Correction:
-    """Return what a reading of the displacement changes.
+    """Return the correction by a reading of the displacement.
 
     With Y = T L and S = Y Y' + diag(steady + sigma^2 var(beta) + noise^2), the gains are L Y' S^-1
     and diag(sigma var(beta)) S^-1. What L and beta then have in common is left out.

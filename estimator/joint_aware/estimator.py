@@ -38,18 +38,18 @@ Names = tuple[str, ...]
 
 
 class Taken(NamedTuple):
-    """A sample that was taken.
+    """Result of processing a sample.
 
     Attributes
     ----------
     after : ObserverState
-        What it leaves.
+        State after the sample.
     displacement : ndarray, shape (axes,)
         m, without what readings of it have told.
     memory : float
-        What was known of the joint's slips before it.
+        Knowledge of the joint's slips before it.
     excess : ndarray, shape (n, k)
-        What the covariance has more than the steady one, after the readings.
+        Covariance factor in addition to the steady covariance, after the readings.
     believed : ndarray of bool, shape (p + 1,)
         Readings that were used.
     refused : bool
@@ -66,15 +66,15 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointAware:
-    """The machine's reduced physics with its joint, corrected by whatever readings come.
+    """Observer of the machine's reduced physics and joint, corrected by the available readings.
 
-    A channel that is NaN is left out of its sample. `warm_state` starts on a machine of whose past
-    nothing is known, `initial_state` on one at rest at the ambient temperature.
+    A channel that is NaN is left out of its sample. `warm_state` is for a machine with an unknown
+    past, `initial_state` for one at rest at ambient temperature.
 
     Attributes
     ----------
     model : ObserverModel
-        All it runs on.
+        Model of the machine and the filter.
     touch_noise : float
         Standard deviation of a reading of the displacement, m.
     thresholds : Thresholds
@@ -119,12 +119,12 @@ class JointAware:
 
     @cached_property
     def observer(self) -> Observer:
-        """What runs from sample to sample."""
+        """The recursion from sample to sample."""
         return Observer(self.model, self.thresholds)
 
     @cached_property
     def parts(self) -> Layout:
-        """Where the parts of the state stand."""
+        """Slices of the parts of the state."""
         system = self.observer.system
         return layout(
             system.size,
@@ -151,7 +151,7 @@ class JointAware:
         return self._state(np.zeros(self.model.warm.shape), KNOWN)
 
     def warm_state(self) -> Array:
-        """Return the state of a machine of which nothing is known, before any sample."""
+        """Return the state of a machine with an unknown past, before any sample."""
         return self._state(self.model.warm, UNKNOWN)
 
     def _state(self, excess: Array, memory: float) -> Array:
@@ -170,7 +170,7 @@ class JointAware:
 
     @cached_property
     def _readable(self) -> sensor_faults.Channels:
-        """What the readings of the temperatures can say."""
+        """Properties of the temperature readings."""
         return channels_of(self.observer, self.calibrated_readings)
 
     @cached_property
@@ -337,7 +337,7 @@ class JointAware:
     def _touched(
         self, touched: Array, found: Settled, memory: float, excess: Array, known: ModelError
     ) -> displacement_readings.Correction:
-        """What a reading of the displacement changes."""
+        """Correction by a reading of the displacement."""
         sigma = self.observer.sigma(found.relaxed, memory)
         touch: Touch = replace(self.thresholds.touch, noise=self.touch_noise)
         innovation = touched - found.displacement - known.mean * sigma

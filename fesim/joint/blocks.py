@@ -34,7 +34,7 @@ POWERS = 8
 
 
 class Blocks(NamedTuple):
-    """Which contact elements are in which block, and what a block needs of the gap equations.
+    """Assignment of contact elements to blocks, and the gap-equation data of each block.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ _LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
 
 
 class Watched(NamedTuple):
-    """What machine code needs of a `Watch`; nothing is watched where there are no rows."""
+    """Data of a `Watch` for compiled code; nothing is checked if there are no rows."""
 
     table: Array
     needed: NDArray[np.int64]
@@ -51,7 +51,7 @@ UNWATCHED = Watched(np.empty((0, 6)), np.empty(0, dtype=np.int64), np.empty((0, 
 
 @dataclass(frozen=True)
 class Watch:
-    """What the check of a step needs, made once.
+    """Precomputed data for checking a step.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ THROUGH, SNAPS, LOOSE = range(3)
 
 
 class Moving(NamedTuple):
-    """What a step goes on from, written in place; shapes as in `fesim.march.machine.State`."""
+    """State between two steps, updated in place; shapes as in `fesim.march.machine.State`."""
 
     amplitudes: Array
     gap: Array
@@ -60,7 +60,7 @@ class Kept(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What is recorded of n steps; shapes begin with n, then as in `Step` and `State`.
+    """Records of n steps; shapes begin with n, then as in `Step` and `State`.
 
     Attributes
     ----------

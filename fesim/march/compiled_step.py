@@ -38,7 +38,7 @@ class HeatStep(NamedTuple):
 
 
 class JointKernel(NamedTuple):
-    """What the joint needs of a machine, whatever the step.
+    """Joint data of a machine, independent of the step length.
 
     Attributes
     ----------

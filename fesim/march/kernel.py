@@ -27,7 +27,7 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class StepKernel:
-    """What marches a machine.
+    """Compiled functions and data for the time integration of a machine.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ FEW = 200
 
 @dataclass(frozen=True)
 class ThermalModes:
-    """What a reduced temperature field is made of.
+    """Modes of a reduced temperature field.
 
     Attributes
     ----------

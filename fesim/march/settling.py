@@ -18,7 +18,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 
 class JointState(Protocol):
-    """What the gap equations go on from; attributes as in `State`."""
+    """Initial state of the gap equations; attributes as in `State`."""
 
     @property
     def gap(self) -> Array:

@@ -1,4 +1,4 @@
-"""The march: heat and contact stepped in time on the condensed structure (docs/march.md).
+"""Time stepping of heat and contact on the condensed structure (docs/march.md).
 
 Nothing is factorised, assembled or allocated by mesh size inside it except the temperature field.
 `march` is a generator of steps; a step's state is all it takes to go on with identical results.

@@ -30,7 +30,7 @@ MOST_IN_ALL = 6_000
 
 @dataclass(frozen=True)
 class Parts:
-    """What a case is made of, before any finite element.
+    """Checked contents of a case, before any finite-element work.
 
     Attributes
     ----------

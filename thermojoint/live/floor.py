@@ -34,7 +34,7 @@ _GAP = 1.5
 
 @dataclass(eq=False, slots=True)
 class Place:
-    """What the service remembers of a machine from moment to moment.
+    """State of a machine in the service.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Place:
 
 @dataclass(eq=False)
 class Outcome:
-    """What arrivals have led to.
+    """Result of arrivals.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ class Follower:
 
 @dataclass(eq=False)
 class Hub:
-    """What everybody may see; used from the service's event loop alone.
+    """Shared newest publications; used only from the service's event loop.
 
     Attributes
     ----------

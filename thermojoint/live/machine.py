@@ -33,7 +33,7 @@ from thermojoint.live.watchdog import REFUSED, quality_at, silenced
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Machine:
-    """Where a machine stands.
+    """State of a machine.
 
     Attributes
     ----------

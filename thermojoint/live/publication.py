@@ -54,7 +54,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Publication:
-    """What is said of one machine at one instant.
+    """Values published for one machine at one instant.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ _PARTS = 16.0
 
 
 class Rule(NamedTuple):
-    """How samples are made.
+    """Rules for assembling samples.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Rule(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """What arrived and is in no sample yet.
+    """Readings not yet assigned to a sample.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Waiting(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """What readings have led to.
+    """Result of arriving readings.
 
     Attributes
     ----------

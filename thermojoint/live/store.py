@@ -137,7 +137,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Kept:
-    """What an era left behind.
+    """Stored data of an era.
 
     Attributes
     ----------

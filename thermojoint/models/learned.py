@@ -34,7 +34,7 @@ FILE = JsonKind(
 
 @dataclass(frozen=True)
 class Feature:
-    """What a weight multiplies.
+    """Input of a weight.
 
     Attributes
     ----------

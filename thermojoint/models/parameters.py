@@ -157,7 +157,7 @@ class FictitiousSource:
 
 @dataclass(frozen=True)
 class Span:
-    """What a calibration has seen: beyond it a model only extrapolates.
+    """Calibrated ranges; beyond them a model extrapolates.
 
     Attributes
     ----------

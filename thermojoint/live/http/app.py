@@ -65,7 +65,7 @@ def answered(body: Any) -> Response:  # noqa: ANN401
 
 @dataclass(eq=False)
 class Site:
-    """What answers requests.
+    """Handlers of requests.
 
     Attributes
     ----------
