@@ -30,7 +30,6 @@ from threadpoolctl import threadpool_limits
 from benchmarks.hand_placed import MODEL, PLACES, PLANT, machine_data
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run
-from calibrate.joint_aware.open_band import DURATION
 from calibrate.joint_aware.physics_fit import Fit, fit_physics
 from calibrate.joint_aware.random_heat import random_levels
 from calibrate.placement import joint_aware as placement
@@ -164,7 +163,7 @@ def study() -> dict[str, Any]:
     """Return all figures."""
     model, other = candidates_on(MODEL), candidates_on(PLANT)
     rng = np.random.default_rng(SEED)
-    heat = random_levels(rng, DURATION, STEP, 2.0, model.power.size)
+    heat = random_levels(rng, plant_family.DURATION, STEP, 2.0, model.power.size)
     ambient = np.cumsum(rng.normal(size=len(heat)))
     ambient *= 3.0 / np.abs(ambient).max()
     day = np.column_stack([heat * model.power, ambient])

@@ -10,7 +10,7 @@ import xarray as xr
 
 from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
-from calibrate.joint_aware.calibration import calibrate_machine, report
+from calibrate.joint_aware.calibration import Effort, calibrate_machine, report
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.baselines.kind import regressions
 from estimator.baselines.none import Nothing
@@ -66,13 +66,13 @@ class Calibrated(NamedTuple):
 def joint_aware(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the joint-aware estimator."""
     # One search for each: that others come to the same is reported for single machines.
-    found = calibrate_machine(machine, responses, starts=0)
+    found = calibrate_machine(machine, responses, effort=Effort(starts=0))
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
 def kalman_linear(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the Kalman filter on the machine with a linear joint."""
-    found = calibrate_linear_joint(machine, responses, starts=0)
+    found = calibrate_linear_joint(machine, responses, effort=Effort(starts=0))
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 

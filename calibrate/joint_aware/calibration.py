@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run
-from calibrate.joint_aware.open_band import open_band
+from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import STARTS, Fit, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
@@ -27,6 +27,26 @@ from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 DECIDED = 3.0
 #: An axis along which less than this part of the largest displacement is seen does not move.
 STILL = 1e-6
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is tried.
+
+    Attributes
+    ----------
+    starts : int
+        Searches from draws of the prior, beside that from the case's own values.
+    drawing : Drawing
+        What the bands are learnt from.
+    """
+
+    starts: int = STARTS
+    drawing: Drawing = field(default_factory=Drawing)
+
+
+#: What is tried where nobody says otherwise.
+USUAL = Effort()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +94,7 @@ def calibrate_joint_aware(
     sensors: Sequence[str] | None = None,
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
-    starts: int = STARTS,
+    effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the observer of a machine from its case and its calibration responses.
 
@@ -90,8 +110,8 @@ def calibrate_joint_aware(
         What the filter reckons with.
     fitted : sequence of str, optional
         Parameters to fit; default all that the machine has.
-    starts : int
-        Searches from draws of the prior, beside that from the case's own values.
+    effort : Effort
+        How much is tried.
 
     Raises
     ------
@@ -104,7 +124,7 @@ def calibrate_joint_aware(
         raise InputError("joint-aware: no response to calibrate with; give one or more")
     names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
     machine = reduce_machine(case, set_up(case), names)
-    return calibrate_machine(machine, responses, noise, fitted, starts)
+    return calibrate_machine(machine, responses, noise, fitted, effort)
 
 
 def calibrate_machine(
@@ -112,14 +132,15 @@ def calibrate_machine(
     responses: Mapping[str, xr.Dataset],
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
-    starts: int = STARTS,
+    effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the observer of a machine that is reduced already; as `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, fitted, starts)
+    fit = fit_physics(machine, runs, fitted, effort.starts)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
-    model = replace(model, band=open_band(machine, runs, fit, model, noise))
+    band = open_band(machine, runs, fit, model, noise, effort.drawing)
+    model = replace(model, band=band)
     return JointAwareCalibration(model, fit, machine, tuple(runs))
 
 

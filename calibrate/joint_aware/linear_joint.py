@@ -13,8 +13,12 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from calibrate.joint_aware.calibration import JointAwareCalibration, calibrate_machine
-from calibrate.joint_aware.physics_fit import STARTS
+from calibrate.joint_aware.calibration import (
+    USUAL,
+    Effort,
+    JointAwareCalibration,
+    calibrate_machine,
+)
 from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import Noise
 from thermojoint.reduced.machine import ReducedMachine
@@ -50,8 +54,8 @@ def calibrate_linear_joint(
     responses: Mapping[str, xr.Dataset],
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
-    starts: int = STARTS,
+    effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the Kalman filter of a machine; as `calibrate.joint_aware.calibration`."""
-    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, starts)
+    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, effort)
     return replace(found, model=replace(found.model, kind="kalman-linear"))

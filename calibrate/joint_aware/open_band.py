@@ -44,23 +44,45 @@ from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import conduct, settle_joint, simulate_known
 from thermojoint.reduced.remainder import Remainder, make_ridge, relaxed
 
-#: Drawn machines; the seed of them and of the histories.
-DRAWS, SEED = 12, 1
-#: The histories: length of the random one and steps, s.
-DURATION, STEP = 8 * 3600.0, 20.0
-#: Their highest level, relative to the largest heat calibrated.
-BEYOND = 1.5
-#: Gains that the data do not show are as large as those that they do, but at least this part of
-#: what the model is not trusted to.
-LEAST_SHARE = 0.1
-#: Part of the largest mean square below which errors are all alike to the band.
-FLOOR = 1e-4
-#: A fit trusts its model less than it need (`misfit`), lest a model that errs alike for a whole run
-#: bends the parameters: machines drawn from what it then says err by so much of their own band's
-#: share (docs/joint-aware.md).
-SHARE_LEFT = 0.5
-#: What an error's explanation may leave, relative to its largest value.
-ROUGH = 0.02
+
+@dataclass(frozen=True)
+class Drawing:
+    """The machines and histories that a band is learnt from (docs/joint-aware.md, on the bands).
+
+    Attributes
+    ----------
+    draws, seed : int
+        Drawn machines; the seed of them and of the histories.
+    duration, step : float
+        Length of the random history and steps, s.
+    beyond : float
+        Highest level, relative to the largest heat calibrated.
+    least_share : float
+        Gains that the data do not show are as large as those that they do, but at least this part
+        of what the model is not trusted to.
+    floor : float
+        Part of the largest mean square below which errors are all alike to the band.
+    share_left : float
+        A fit trusts its model less than it need (`misfit`), lest a model that errs alike for a
+        whole run bends the parameters: machines drawn from what it then says err by so much of
+        their own band's share.
+    rough : float
+        What an error's explanation may leave, relative to its largest value.
+    """
+
+    draws: int = 12
+    seed: int = 1
+    duration: float = 8 * 3600.0
+    step: float = 20.0
+    beyond: float = 1.5
+    least_share: float = 0.1
+    floor: float = 1e-4
+    share_left: float = 0.5
+    rough: float = 0.02
+
+
+#: What is drawn where nobody says otherwise.
+USUAL = Drawing()
 
 
 def open_band(
@@ -69,6 +91,7 @@ def open_band(
     fit: Fit,
     model: ObserverModel,
     noise: Noise | None = None,
+    drawing: Drawing = USUAL,
 ) -> Band:
     """Return the band of an observer with what its calibration leaves open.
 
@@ -84,12 +107,14 @@ def open_band(
         The observer of this fit.
     noise : Noise, optional
         As for `make_observer`.
+    drawing : Drawing
+        How many machines, and through what.
     """
-    slow = replace(machine, step=max(STEP, machine.step))
+    slow = replace(machine, step=max(drawing.step, machine.step))
     observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
-    rng = np.random.default_rng(SEED)
-    highest, sources = BEYOND * model.calibrated.heat, machine.power.size
-    day = random_levels(rng, DURATION, slow.step, highest, sources)
+    rng = np.random.default_rng(drawing.seed)
+    highest, sources = drawing.beyond * model.calibrated.heat, machine.power.size
+    day = random_levels(rng, drawing.duration, slow.step, highest, sources)
     # The day hardly ever sees a machine that has just begun to be warm.
     begun = np.full(
         (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
@@ -99,26 +124,28 @@ def open_band(
     ]
     problem = make_problem(slow, [coarser(run, SEARCH_STEPS) for run in runs])
     found: list[Array] = []
-    while len(found) < DRAWS:
+    while len(found) < drawing.draws:
         try:
-            drawn = _draw(rng, problem, fit)
+            drawn = _draw(rng, problem, fit, drawing.least_share)
             found.append(np.vstack([_errors(slow, drawn, observer, one) for one in histories]))
         except ConvergenceError:
             continue
     every = np.array(found).transpose(2, 0, 1)
     features = np.vstack([one.features for one in histories])
     ends = np.cumsum([len(one.heat) for one in histories])[:-1]
-    weights = np.array([[_explained(features, error, ends) for error in axis] for axis in every])
+    weights = np.array(
+        [[_explained(features, error, ends, drawing) for error in axis] for axis in every]
+    )
     # Few draws leave their variance uncertain: Student's quantile in place of the normal one.
-    weights *= float(student.ppf(0.975, DRAWS)) / WIDTH
+    weights *= float(student.ppf(0.975, drawing.draws)) / WIDTH
     said = np.mean((weights @ features.T) ** 2, axis=1)
     squares = np.vstack([one.squares for one in histories])
     return replace(
         model.band,
         history=_history(observer, slow, day),
-        open=SHARE_LEFT * weights,
-        square=SHARE_LEFT**2
-        * np.array([_left(squares, *one) for one in zip(said, every, strict=True)]),
+        open=drawing.share_left * weights,
+        square=drawing.share_left**2
+        * np.array([_left(squares, *one, drawing.floor) for one in zip(said, every, strict=True)]),
     )
 
 
@@ -162,7 +189,7 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
     return np.asarray(np.mean(np.square(differences), axis=0))
 
 
-def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:
+def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: float) -> _Drawn:
     singular, directions = fit.directions
     along = rng.normal(size=singular.size) / np.sqrt(1.0 + singular**2)
     logarithms = fit.logarithms + fit.spread * (along @ directions)
@@ -181,12 +208,12 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:
         - moved[1].remainder.displacement
     )
     for row in temperature:
-        tau = _size(row[:-1], REMAINDER_TEMPERATURE)
+        tau = _size(row[:-1], REMAINDER_TEMPERATURE, least_share)
         row += _unknown(
             rng, constant, np.append(tau * problem.shape, OFFSET), REMAINDER_TEMPERATURE
         )
     for row in displacement:
-        tau = _size(row, REMAINDER_DISPLACEMENT)
+        tau = _size(row, REMAINDER_DISPLACEMENT, least_share)
         row += _unknown(rng, problem.states, tau * problem.shape, REMAINDER_DISPLACEMENT)
     return _Drawn(
         factors_of(fit.parameters, logarithms),
@@ -195,8 +222,8 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit) -> _Drawn:
     )
 
 
-def _size(gains: Array, sigma: float) -> float:
-    return max(float(np.sqrt(np.mean(gains**2))), LEAST_SHARE * sigma)
+def _size(gains: Array, sigma: float, least_share: float) -> float:
+    return max(float(np.sqrt(np.mean(gains**2))), least_share * sigma)
 
 
 def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float) -> Array:
@@ -222,7 +249,7 @@ def _errors(
     return np.array(estimates[1:]) - displacement
 
 
-def _explained(features: Array, error: Array, ends: Array) -> Array:
+def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> Array:
     """Return the weights (f,) of features (n, f) that explain an error (n,), regularised.
 
     Every history, they end at `ends`, counts relative to its own largest error: else what is left
@@ -235,16 +262,16 @@ def _explained(features: Array, error: Array, ends: Array) -> Array:
         return np.zeros(scale.size)
     own = np.concatenate(
         [
-            np.full(part.size, max(np.abs(part).max(), FLOOR * size))
+            np.full(part.size, max(np.abs(part).max(), drawing.floor * size))
             for part in np.split(error, ends)
         ]
     )
     found = make_ridge(features / scale / own[:, None] * size, np.ones(scale.size))
-    weights, _ = found.gains(error / own, ROUGH, 1.0)
+    weights, _ = found.gains(error / own, drawing.rough, 1.0)
     return np.asarray(weights * size / scale)
 
 
-def _left(squares: Array, said: Array, errors: Array) -> Array:
+def _left(squares: Array, said: Array, errors: Array, floor: float) -> Array:
     """Coefficients (q,) of squares (n, q) for what errors (draws, n) have beyond `said`, (n,).
 
     Each counts relative to what is said of it.
@@ -254,7 +281,7 @@ def _left(squares: Array, said: Array, errors: Array) -> Array:
     if size <= 0.0:
         return np.zeros(squares.shape[1])
     scale = np.maximum(squares.max(axis=0), np.finfo(float).tiny)
-    weight = 1.0 / np.maximum(said, FLOOR * size)
+    weight = 1.0 / np.maximum(said, floor * size)
     short = np.maximum(mean - said, 0.0)
     coefficients = nnls(squares / scale * weight[:, None], short * weight)[0] / scale
     return np.asarray(coefficients)

@@ -15,12 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from calibrate.learning.rules import Fitting
 from thermojoint.artefacts.arrays import Array
-
-#: Time over which errors are one error, s.
-INDEPENDENT = 3600.0
-#: What is left out of the fit beside a block that is held out, s.
-MARGIN = 1800.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +65,8 @@ class Blocks:
         How many columns are features.
     interval : float
         Between rows, s.
+    rules : Fitting
+        How they are fitted.
     """
 
     whole: Sums
@@ -76,11 +74,12 @@ class Blocks:
     held: tuple[Sums, ...]
     features: int
     interval: float
+    rules: Fitting
 
     @property
     def penalty(self) -> float:
         """What a unit of the prior's weight is in rows."""
-        return max(INDEPENDENT / self.interval, 1.0)
+        return max(self.rules.independent / self.interval, 1.0)
 
 
 def sums_of(rows: Array) -> Sums:
@@ -88,8 +87,8 @@ def sums_of(rows: Array) -> Sums:
     return Sums(rows.T @ rows, rows.sum(axis=0), len(rows))
 
 
-def blocks_of(rows: Array, features: int, interval: float, count: int) -> Blocks:
-    """Return rows in `count` blocks of time.
+def blocks_of(rows: Array, features: int, interval: float, rules: Fitting) -> Blocks:
+    """Return rows in blocks of time.
 
     Parameters
     ----------
@@ -99,18 +98,20 @@ def blocks_of(rows: Array, features: int, interval: float, count: int) -> Blocks
         How many of the columns are features.
     interval : float
         Between rows, s.
-    count : int
-        Number of blocks.
+    rules : Fitting
+        How long a block is, and how they are fitted.
     """
     whole = sums_of(rows)
+    hours = len(rows) * interval / 3600.0
+    count = int(np.clip(hours / rules.hours, rules.fewest, rules.most))
     edges = np.linspace(0, len(rows), count + 1).astype(int)
-    margin = int(np.ceil(MARGIN / interval))
+    margin = int(np.ceil(rules.margin / interval))
     fits = tuple(
         whole.less(sums_of(rows[max(0, first - margin) : end + margin]))
         for first, end in pairwise(edges)
     )
     held = tuple(sums_of(rows[first:end]) for first, end in pairwise(edges))
-    return Blocks(whole, fits, held, features, interval)
+    return Blocks(whole, fits, held, features, interval, rules)
 
 
 def weights_of(

@@ -6,26 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.learning.rules import Cleaning
 from calibrate.learning.thinning import Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-
-#: A log tells nothing of relaxations of an hour if it is shorter, s.
-SHORTEST = 3.0 * 3600.0
-#: A sensor that stays within this has not moved, K; a displacement, m.
-_STILL, _STILL_LENGTH = 0.1, 0.5e-6
-#: A sensor is left out if it is stuck for this share of the log, or if more than this is missing.
-_STUCK, _MISSING = 0.1, 0.2
-#: More spikes than this share of the samples are a fault.
-_SPIKES = 1e-2
-#: A jump within one interval, K, and how many usual changes it is.
-_MOVED, _USUAL = 1.0, 15.0
-#: Rows on either side by which a jump is told from a spike.
-_SIDE = 20
-#: A displacement that jumps by this share of its range has lost its zero.
-_JUMP = 0.15
-#: No thermometer of a machine tool reads beyond, K.
-_POSSIBLE = (200.0, 600.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +41,7 @@ class Cleaned:
         return np.asarray(self.table.values[:, names.index(name)])
 
 
-def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
+def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Cleaned:
     """Return what can be learned from.
 
     Parameters
@@ -66,6 +50,8 @@ def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
         Of the log.
     displacements : tuple of str
         Names of the columns to learn.
+    rules : Cleaning
+        What is left out, and what is refused.
 
     Raises
     ------
@@ -75,10 +61,10 @@ def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
     """
     names = [one.name for one in table.columns]
     length = _length(table)
-    if length < SHORTEST:
+    if length < rules.shortest:
         raise InputError(
-            f"log: {length / 3600.0:.1f} h long; to learn from, give {SHORTEST / 3600.0:.0f} h or "
-            "more in one run"
+            f"log: {length / 3600.0:.1f} h long; to learn from, give "
+            f"{rules.shortest / 3600.0:.0f} h or more in one run"
         )
     drives, warnings = _drives(table)
     changes = _changes_of(table, drives)
@@ -87,7 +73,7 @@ def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
     for k, column in enumerate(table.columns):
         if column.quantity != "temperature" or column.name in displacements:
             continue
-        fault = _fault(table, k, changes)
+        fault = _fault(table, k, changes, rules)
         if fault is None:
             sensors.append(column.name)
         else:
@@ -103,9 +89,9 @@ def clean(table: Table, displacements: tuple[str, ...]) -> Cleaned:
             + "; record some while the machine warms up"
         )
     for name in displacements:
-        _check_displacement(table, names.index(name), changes)
+        _check_displacement(table, names.index(name), changes, rules)
     moved = [float(np.nanstd(table.values[:, names.index(name)])) for name in sensors]
-    if not drives and max(moved, default=0.0) < 5.0 * _STILL:
+    if not drives and max(moved, default=0.0) < 5.0 * rules.still:
         raise InputError(
             "log: nothing warms the machine: no temperature moves by more than a few tenths of a "
             "kelvin and no speed is recorded; record a spindle test"
@@ -171,26 +157,27 @@ def _changes_of(table: Table, drives: list[str]) -> Array:
     return changing
 
 
-def _fault(table: Table, k: int, changes: Array) -> str | None:
+def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     """Return what makes a sensor unusable."""
     values = table.values[:, k]
     there = np.isfinite(values)
     share = float(table.missing[k]) / table.samples
-    if there.mean() < 1.0 - _MISSING or share > _MISSING:
+    if there.mean() < 1.0 - rules.missing or share > rules.missing:
         return f"{100.0 * max(share, 1.0 - float(there.mean())):.0f} % of its readings are missing"
     seen = values[there]
-    if table.columns[k].unit != "K" and (seen.min() < _POSSIBLE[0] or seen.max() > _POSSIBLE[1]):
+    low, high = rules.possible
+    if table.columns[k].unit != "K" and (seen.min() < low or seen.max() > high):
         worst = seen[np.argmax(np.abs(seen - np.median(seen)))]
         return f"reads {float(table.columns[k].from_si(worst)):g}, no temperature of a machine"
-    if float(np.ptp(seen)) < _STILL:
-        return f"never moves by more than {_STILL:g} K"
-    if table.spikes[k] > _SPIKES * table.samples:
+    if float(np.ptp(seen)) < rules.still:
+        return f"never moves by more than {rules.still:g} K"
+    if table.spikes[k] > rules.spikes * table.samples:
         return f"{int(table.spikes[k])} spikes in {table.samples} samples"
     times = table.times[there]
     stuck = _longest_still(seen, times)
-    if stuck > max(_STUCK * (times[-1] - times[0]), 1800.0):
+    if stuck > max(rules.stuck * (times[-1] - times[0]), 1800.0):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
-    jump = _jump(seen, changes[there])
+    jump = _jump(seen, changes[there], rules)
     if jump is not None:
         row, size = jump
         hours = (times[row] - times[0]) / 3600.0
@@ -205,40 +192,42 @@ def _longest_still(values: Array, times: Array) -> float:
     return float(np.diff(times[ends]).max(initial=0.0))
 
 
-def _jump(values: Array, changing: Array) -> tuple[int, float] | None:
+def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] | None:
     """Return row and size of a lasting jump within one interval, if there is one."""
-    if len(values) < 4 * _SIDE:
+    side = rules.side
+    if len(values) < 4 * side:
         return None
     steps = np.where(changing[1:], 0.0, np.diff(values))
     usual = float(np.median(np.abs(steps))) + 1e-3
     for row in np.argsort(-np.abs(steps))[:5]:
         size = float(steps[row])
-        if abs(size) < max(_MOVED, _USUAL * usual):
+        if abs(size) < max(rules.moved, rules.usual * usual):
             return None
-        before = values[max(0, row + 1 - _SIDE) : row + 1]
-        after = values[row + 1 : row + 1 + _SIDE]
+        before = values[max(0, row + 1 - side) : row + 1]
+        after = values[row + 1 : row + 1 + side]
         lasting = float(np.median(after) - np.median(before))
         quiet = max(float(np.ptp(before)), float(np.ptp(after[1:]))) if len(after) > 1 else 0.0
-        if len(after) > _SIDE // 2 and lasting * np.sign(size) > 0.7 * abs(size) > quiet:
+        if len(after) > side // 2 and lasting * np.sign(size) > 0.7 * abs(size) > quiet:
             return int(row + 1), size
     return None
 
 
-def _check_displacement(table: Table, k: int, changing: Array) -> None:
+def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) -> None:
     column, values = table.columns[k], table.values[:, k]
     there = np.isfinite(values)
     if there.mean() < 0.5:
         raise InputError(f"{column.name}: mostly missing; record it with the temperatures")
     seen = values[there]
     size = float(np.ptp(seen))
-    if size < _STILL_LENGTH:
+    if size < rules.still_length:
         raise InputError(f"{column.name}: constant within {1e6 * size:.2g} um; nothing to learn")
-    steps = np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
+    side, steps = rules.side, np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
     usual = float(np.median(np.abs(steps)))
     for row in np.argsort(-np.abs(steps))[:5]:
-        before, after = seen[max(0, row - _SIDE) : row], seen[row : row + _SIDE]
+        before, after = seen[max(0, row - side) : row], seen[row : row + side]
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
-        if abs(steps[row]) > max(_JUMP * size, _USUAL * usual) and lasting > 0.7 * abs(steps[row]):
+        far = max(rules.jump * size, rules.usual * usual)
+        if abs(steps[row]) > far and lasting > 0.7 * abs(steps[row]):
             hours = (table.times[there][row] - table.times[0]) / 3600.0
             raise InputError(
                 f"{column.name}: jumps by {1e6 * steps[row]:.1f} um {hours:.1f} h after the start, "

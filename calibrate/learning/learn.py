@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 
 from calibrate.learning import baselines
-from calibrate.learning.blocks import MARGIN, blocks_of
+from calibrate.learning.blocks import blocks_of
 from calibrate.learning.cleaning import Cleaned, clean
+from calibrate.learning.rules import Judging, Rules
 from calibrate.learning.selection import Fitted, choose, fit
 from calibrate.learning.structures import candidates, design, sizes, structures
 from calibrate.learning.thinning import Table, thinned
@@ -31,15 +32,7 @@ from thermojoint.models.learned import (
 
 Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
-#: Blocks of time inside a fit: so many hours each, at least and at most so many.
-_HOURS, _FEWEST, _MOST = 2.5, 6, 24
-#: Blocks on which the whole procedure is judged: all of it is done without each.
-_JUDGED = 4
-#: What the log leaves open in the weights is taken as so much more: structures that are alike, and
-#: errors that last longer than an hour, make it look smaller (rolling origins of a measured log).
-_OPEN = 4.0
-#: Share of the errors that lies within the band.
-_WITHIN = 0.95
+#: Half a band of 95 % in standard deviations.
 _QUANTILE = 1.96
 
 
@@ -50,7 +43,7 @@ class _Rows:
     features: tuple[Feature, ...]
     inputs: Array
     outputs: Array
-    interval: float
+    margin: int
     fit: Callable[[Array, Array], Fitted]
 
 
@@ -89,19 +82,25 @@ def learn(
     """
     if max_sensors < 1:
         raise InputError(f"--max-sensors {max_sensors}: give one or more")
-    table = thinned(pieces, ())
-    cleaned = _cleaned(table, displacements, ignored)
-    judged = {one: _rows(cleaned, one, max_sensors) for one in KINDS if _possible(cleaned, one)}
+    rules = Rules()
+    table = thinned(pieces, (), rules.thinning)
+    cleaned = _cleaned(table, displacements, ignored, rules)
+    judged = {
+        one: _rows(cleaned, one, max_sensors, rules) for one in KINDS if _possible(cleaned, one)
+    }
     if kind not in judged:
         raise InputError(f"kind {kind}: needs temperatures, and the log has none that is usable")
-    errors = {one: _judge(rows) for one, rows in judged.items()}
+    errors = {one: _judge(own, rules.judging) for one, own in judged.items()}
     rows = judged[kind]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    found = _model(kind, cleaned, rows, fitted, errors, files)
-    return replace(found, renamed=dict(renamed or {}))
+    found = _model(kind, cleaned, rows, fitted, errors, rules.judging)
+    origin = replace(found.learned_from, files=tuple(files))
+    return replace(found, learned_from=origin, renamed=dict(renamed or {}))
 
 
-def _cleaned(table: Table, displacements: Sequence[str], ignored: Sequence[str]) -> Cleaned:
+def _cleaned(
+    table: Table, displacements: Sequence[str], ignored: Sequence[str], rules: Rules
+) -> Cleaned:
     whole = Log(table.times, table.columns, table.values, table.starts)
     if not displacements:
         raise InputError(
@@ -122,6 +121,7 @@ def _cleaned(table: Table, displacements: Sequence[str], ignored: Sequence[str])
             missing=table.missing[kept],
         ),
         told,
+        rules.cleaning,
     )
 
 
@@ -129,7 +129,7 @@ def _possible(cleaned: Cleaned, kind: Kind) -> bool:
     return bool(cleaned.sensors) or kind == "learned"
 
 
-def _rows(cleaned: Cleaned, kind: Kind, most: int) -> _Rows:
+def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
     """Return the rows that a kind of model is fitted to, and how."""
     features = candidates(cleaned)
     if kind in ("linear", "arx"):
@@ -148,9 +148,7 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int) -> _Rows:
     kinds = structures(bool(cleaned.drives), float(np.ptp(cleaned.table.times)))
 
     def fitted(some: Array, told: Array) -> Fitted:
-        hours = len(some) * interval / 3600.0
-        count = int(np.clip(hours / _HOURS, _FEWEST, _MOST))
-        blocks = blocks_of(np.hstack((some, told)), len(features), interval, count)
+        blocks = blocks_of(np.hstack((some, told)), len(features), interval, rules.fitting)
         if kind == "linear":
             return baselines.linear(blocks, every)
         if kind != "learned":
@@ -158,26 +156,26 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int) -> _Rows:
         sensors = choose(blocks, features, cleaned.sensors, kinds, most)
         return fit(blocks, features, sensors, kinds)
 
-    return _Rows(features, inputs, outputs, interval, fitted)
+    margin = int(np.ceil(rules.fitting.margin / interval))
+    return _Rows(features, inputs, outputs, margin, fitted)
 
 
-def _judge(rows: _Rows) -> tuple[Array, Array]:
+def _judge(rows: _Rows, rules: Judging) -> tuple[Array, Array]:
     """Return rms errors, µm, and the factor on the band, of all that is done without a block."""
-    edges = np.linspace(0, len(rows.inputs), _JUDGED + 1).astype(int)
-    margin = int(np.ceil(MARGIN / rows.interval))
+    edges = np.linspace(0, len(rows.inputs), rules.blocks + 1).astype(int)
     errors, ratios = [], []
     for first, end in pairwise(edges):
         away = np.ones(len(rows.inputs), dtype=bool)
-        away[max(0, first - margin) : end + margin] = False
+        away[max(0, first - rows.margin) : end + rows.margin] = False
         found = rows.fit(rows.inputs[away], rows.outputs[away])
         own = rows.inputs[first:end]
         error = rows.outputs[first:end] - found.offset - own @ found.weights
         about = own - rows.inputs[away].mean(axis=0)
-        spread = _OPEN * np.einsum("ti,cij,tj->tc", about, found.covariance, about)
+        spread = rules.open * np.einsum("ti,cij,tj->tc", about, found.covariance, about)
         errors.append(error)
         ratios.append(np.abs(error) / np.sqrt(spread + found.errors**2))
     whole = np.concatenate(errors)
-    widening = np.quantile(np.concatenate(ratios), _WITHIN, axis=0) / _QUANTILE
+    widening = np.quantile(np.concatenate(ratios), rules.within, axis=0) / _QUANTILE
     return np.sqrt((whole**2).mean(axis=0)), np.maximum(widening, 1.0)
 
 
@@ -187,7 +185,7 @@ def _model(
     rows: _Rows,
     fitted: Fitted,
     errors: dict[Kind, tuple[Array, Array]],
-    files: Sequence[str],
+    rules: Judging,
 ) -> LearnedModel:
     """Return the model of a fit, without the features that it does not use."""
     used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
@@ -198,7 +196,7 @@ def _model(
     widening = errors[kind][1]
     channels = []
     for c, name in enumerate(cleaned.displacements):
-        spread = _OPEN * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
+        spread = rules.open * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
         told = cleaned.at(name)
         told = told[np.isfinite(told)]
         channels.append(
@@ -230,7 +228,7 @@ def _model(
         duration,
         LearnedFrom(
             table.samples,
-            tuple(files),
+            (),
             cleaned.faults,
             cleaned.warnings,
             {one: tuple(map(float, rms)) for one, (rms, _) in errors.items()},

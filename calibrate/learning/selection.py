@@ -18,13 +18,6 @@ from calibrate.learning.structures import Structure, index_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.learned import Feature
 
-#: Weights of the prior that a fit is a mean over, µm².
-PRIORS = (0.1, 1.0)
-#: A structure counts by this power of its mean square error.
-_SHARPNESS = 2.0
-#: Errors below are measured noise, µm.
-_NOISE = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
@@ -105,10 +98,10 @@ def fit(
     weights, errors, spreads = [], [], []
     for kind in kinds:
         index = np.array(index_of(features, sensors, kind), dtype=np.int64)
-        found = weights_of(blocks, index, PRIORS)
+        found = weights_of(blocks, index, blocks.rules.priors)
         inner = blocks.whole.centred[np.ix_(index, index)] / blocks.penalty
         for own in found:
-            error = held_out(blocks, own[:-1]).mean(axis=0) + _NOISE**2
+            error = held_out(blocks, own[:-1]).mean(axis=0) + blocks.rules.noise**2
             weights.append(own)
             errors.append(error)
             spread = np.zeros((axes, n, n))
@@ -118,7 +111,7 @@ def fit(
                 )
             spreads.append(spread)
     every, square, spread = np.array(weights), np.array(errors), np.array(spreads)
-    share = (square / square.min(axis=0)) ** -_SHARPNESS
+    share = (square / square.min(axis=0)) ** -blocks.rules.sharpness
     share /= share.sum(axis=0)
     mean = np.einsum("kc,kfnc->fnc", share, every)
     apart = every[:, -1] - mean[-1]

@@ -7,18 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibrate.learning.rules import Thinning
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import Column
-
-#: Shortest interval, s, and most rows: a longer log has longer intervals.
-INTERVAL = 60.0
-MOST_ROWS = 100_000
-#: A value is a spike if it is above, or below, the median of so many neighbours on either side by
-#: this many times their usual distance, and by more than this, K.
-_SPIKE, _NEIGHBOURS = 12.0, 4
-_LEAST_SPIKE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +46,9 @@ class Table:
     missing: Array
 
 
-def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
+def thinned(
+    pieces: Iterable[Log], names: Sequence[str] = (), rules: Thinning | None = None
+) -> Table:
     """Return the table of a log that comes in pieces; memory is bounded by that of the table.
 
     Parameters
@@ -62,13 +57,16 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
         In the order of time (`thermojoint.artefacts.log_file.log_pieces`).
     names : sequence of str
         Columns to keep, with their units; none for all.
+    rules : Thinning, optional
+        Intervals, rows, and what a spike is.
 
     Raises
     ------
     InputError
         There is no sample, or a column is missing.
     """
-    interval = INTERVAL
+    rules = rules or Thinning()
+    interval = rules.interval
     rows: list[tuple[float, Array]] = []
     starts: list[int] = []
     columns: tuple[Column, ...] = ()
@@ -87,10 +85,10 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
         samples += len(piece.times)
         values = piece.values[:, at]
         missing += np.isnan(values).sum(axis=0)
-        values, found = without_spikes(values, [one.quantity for one in here])
+        values, found = without_spikes(values, [one.quantity for one in here], rules)
         spikes += found
         rows.extend(_means(piece.times, values, interval))
-        while len(rows) > MOST_ROWS:
+        while len(rows) > rules.most_rows:
             interval *= 2.0
             rows, starts = _coarser(rows, starts, interval)
     if not rows:
@@ -107,7 +105,9 @@ def thinned(pieces: Iterable[Log], names: Sequence[str]) -> Table:
     )
 
 
-def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Array]:
+def without_spikes(
+    values: Array, quantities: Sequence[str], rules: Thinning
+) -> tuple[Array, Array]:
     """Return values with NaN for spikes of temperatures, and how many each had."""
     import pandas as pd
 
@@ -116,11 +116,11 @@ def without_spikes(values: Array, quantities: Sequence[str]) -> tuple[Array, Arr
         if quantity != "temperature":
             continue
         column = pd.Series(values[:, k])
-        before = column.rolling(_NEIGHBOURS, min_periods=2).median().shift(1)
-        after = column[::-1].rolling(_NEIGHBOURS, min_periods=2).median().shift(1)[::-1]
+        before = column.rolling(rules.neighbours, min_periods=2).median().shift(1)
+        after = column[::-1].rolling(rules.neighbours, min_periods=2).median().shift(1)[::-1]
         over, under = column - before.fillna(after), column - after.fillna(before)
-        usual = over.abs().rolling(20 * _NEIGHBOURS, center=True, min_periods=3).median()
-        limit = np.maximum(_SPIKE * usual, _LEAST_SPIKE)
+        usual = over.abs().rolling(20 * rules.neighbours, center=True, min_periods=3).median()
+        limit = np.maximum(rules.spike * usual, rules.least_spike)
         # A corner or a ramp is above one side and below the other, or near one of them.
         spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
         kept[spike.to_numpy(), k] = np.nan

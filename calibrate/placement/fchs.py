@@ -153,6 +153,7 @@ def choose_heat_pair(
     others: Mapping[float, xr.Dataset],
     deformation: Mapping[str, DeformationModel],
     candidates: list[str],
+    shortlist: int = SHORTLIST,
 ) -> HeatPair:
     """Choose a and b.
 
@@ -166,6 +167,8 @@ def choose_heat_pair(
         Eq. 8 of every axis that counts.
     candidates : list of str
         Probes to choose from.
+    shortlist : int
+        Pairs that Eq. 2 is fitted to.
 
     Raises
     ------
@@ -178,7 +181,7 @@ def choose_heat_pair(
     one = _temperatures(reference, candidates) / unit
     scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
     linear = stacked([deformation_bank(model) for model in deformation.values()])
-    shortlist: list[tuple[float, int, int, float, float]] = []
+    good_pairs: list[tuple[float, int, int, float, float]] = []
     for i in range(len(candidates)):
         difference = one[:, [i]] - one
         size = difference[-1]
@@ -187,13 +190,13 @@ def choose_heat_pair(
             early = _at(t, difference, t[0] + EARLY) / size
         falls = (np.diff(difference, axis=0) < -1e-6 * np.abs(size)).any(axis=0)
         good = (size > SMALLEST_DIFFERENCE) & (off < PROPORTIONAL) & ~falls
-        shortlist += [
+        good_pairs += [
             (-float(early[j]), i, int(j), float(size[j]), float(off[j]))
             for j in np.flatnonzero(good)
         ]
-    shortlist.sort()
+    good_pairs.sort()
     found: list[HeatPair] = []
-    for _, i, j, size, off in shortlist[:SHORTLIST]:
+    for _, i, j, size, off in good_pairs[:shortlist]:
         try:
             ring, fit = fit_ring(t, one[:, i] - one[:, j], starts=6, polished=1)
             regularisation = choose_regularisation(ring, interval)

@@ -14,7 +14,6 @@ from scipy.linalg import qr
 
 from calibrate.joint_aware.assembling import PASTS, answer
 from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
-from calibrate.joint_aware.open_band import DURATION
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.random_heat import random_levels
 from estimator.joint_aware.filter_design import Noise
@@ -33,8 +32,8 @@ SEEN = 4
 STEP = 60.0
 #: Steps that a plant is calibrated with: heat inputs and length, s.
 LEVELS, CALIBRATED = (0.5, 1.0, 2.0), 2100.0
-#: Highest heat of the day.
-HIGHEST = 2.0
+#: Length of the day, s, and its highest heat.
+DURATION, HIGHEST = 8 * 3600.0, 2.0
 #: Random walk of the ambient over the day, K.
 AMBIENT = 3.0
 #: Fields that are smaller than this part of the largest get no mode.

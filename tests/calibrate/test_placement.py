@@ -73,8 +73,9 @@ def near_source(unit, bend=None):
     return made.pop(1.0), made
 
 
-def choose(base, others):
-    return choose_heat_pair(base, others, {"x": SHAPE}, [str(p) for p in base["probe"].to_numpy()])
+def choose(base, others, **how):
+    names = [str(p) for p in base["probe"].to_numpy()]
+    return choose_heat_pair(base, others, {"x": SHAPE}, names, **how)
 
 
 def test_the_pair_that_eq_2_describes_is_found_warmer_first():
@@ -114,16 +115,15 @@ def test_of_two_proportional_pairs_the_one_whose_displacement_is_right_wins_not_
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
-def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(monkeypatch, every):
+def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(every):
     """After half a minute one is ahead, after a minute, 15 samples, the other."""
-    monkeypatch.setattr("calibrate.placement.fchs.SHORTLIST", 1)
     ahead = 8.0 * (0.6 * (1.0 - np.exp(-TIMES / 8.0)) + 0.4 * (1.0 - np.exp(-TIMES / 900.0)))
     behind = 8.0 * (1.0 - np.exp(-TIMES / 40.0))
     base, others = near_source({"cold": 0.0 * TIMES, "ahead": ahead, "behind": behind})
     thinned = slice(None, None, every)
     base = base.isel(time=thinned)
     others = {level: response.isel(time=thinned) for level, response in others.items()}
-    assert choose(base, others).a == "ahead"
+    assert choose(base, others, shortlist=1).a == "ahead"
 
 
 @pytest.mark.parametrize(

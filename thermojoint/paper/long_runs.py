@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibrate.joint_aware.calibration import USUAL, Effort
 from estimator.fchs.judging import Validated
 from estimator.rows import Row
 from fesim.case.schema import Case
@@ -55,6 +56,8 @@ class LongRuns:
         Length of the cool-down, and of the heating at its beginning.
     seed : int
         Of the day's heat and ambient.
+    effort : Effort
+        Of the calibration of the estimators that follow them.
     """
 
     day: float = 480.0
@@ -63,6 +66,7 @@ class LongRuns:
     cool_down: float = 240.0
     heated: float = 35.0
     seed: int = 10
+    effort: Effort = USUAL
 
 
 def random_day(minutes: float, seed: int) -> dict[str, tuple[Array, Array]]:

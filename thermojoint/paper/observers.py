@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibrate.joint_aware.calibration import calibrate_machine, report
+from calibrate.joint_aware.calibration import USUAL, Effort, calibrate_machine, report
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
@@ -83,6 +83,7 @@ def observers_beside(
     sensors: Mapping[str, Probe],
     responses: Mapping[str, xr.Dataset],
     folder: Path,
+    effort: Effort = USUAL,
 ) -> Iterator[Callable[[], list[JointAware]]]:
     """Calibrate the observers of a machine, each in a process of its own, while the caller goes on.
 
@@ -100,6 +101,8 @@ def observers_beside(
     folder : Path
         For ``joint_aware.h5``, ``kalman_linear.h5`` and what the data say of their parameters,
         ``joint_aware.json`` and ``kalman_linear.json``.
+    effort : Effort
+        How much is tried.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def observers_beside(
     known = observer_case(case, sensors)
     with process_pool(len(KINDS)) as crew:
         paths = [
-            crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder)
+            crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder, effort)
             for kind in KINDS
         ]
         yield lambda: [JointAware(read_observer(path.result())) for path in paths]
@@ -126,11 +129,12 @@ def _calibrated(
     sensors: tuple[str, ...],
     responses: Mapping[str, xr.Dataset],
     folder: Path,
+    effort: Effort,
 ) -> Path:
     """Calibrate one observer, write it and its report, and return its file."""
     machine = reduce_machine(known, set_up(known), sensors)
     with one_thread():
-        calibrated = KINDS[kind](machine, responses)
+        calibrated = KINDS[kind](machine, responses, effort=effort)
     path = folder / f"{kind.replace('-', '_')}.h5"
     write_observer(calibrated.model, path)
     text = json.dumps(report(calibrated.fit), indent=2, allow_nan=False)

@@ -104,7 +104,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         _write_json(folder / "tables.json", tables)
         report("calibrating", 2, 3)
         sensors = {role: setup.probes[name] for role, name in roles.items()}
-        with observers_beside(case, sensors, known, folder) as calibrated_beside:
+        with observers_beside(case, sensors, known, folder, runs.effort) as calibrated_beside:
             lasting = simulate_long(case, runs, folder / "responses", setup, report)
             lasting = {
                 name: _kept(at_sensors(one, roles), folder, out) for name, one in lasting.items()

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from machine_logs import changed, machine_log, made
 
 from calibrate.learning import blocks as sums
-from calibrate.learning import thinning
 from calibrate.learning.learn import learn
+from calibrate.learning.rules import Fitting, Thinning
 from calibrate.learning.thinning import thinned
 from estimator.columns import samples_of
 from estimator.interface import Status, follow
@@ -324,7 +324,7 @@ def test_relaxations_are_those_of_the_differential_equation():
 def test_errors_on_blocks_held_out_are_those_of_fitting_without_them():
     draw = np.random.default_rng(3)
     rows = draw.standard_normal((400, 5)) + 2.0
-    blocks = sums.blocks_of(rows, 3, 60.0, 4)
+    blocks = sums.blocks_of(rows, 3, 60.0, Fitting(fewest=4, most=4))
     [weights] = sums.weights_of(blocks, [0, 2], [0.5])
     found = sums.held_out(blocks, weights[:-1])
     for k, (first, end) in enumerate(((0, 100), (100, 200), (200, 300), (300, 400))):
@@ -337,10 +337,9 @@ def test_errors_on_blocks_held_out_are_those_of_fitting_without_them():
         assert found[k] == pytest.approx((error**2).mean(axis=0), rel=1e-9)
 
 
-def test_a_long_log_becomes_a_table_of_bounded_size(monkeypatch):
-    monkeypatch.setattr(thinning, "MOST_ROWS", 200)
+def test_a_long_log_becomes_a_table_of_bounded_size():
     pieces = [LOG.part(slice(first, first + 100)) for first in range(0, len(LOG.times), 100)]
-    table = thinned(pieces, ())
+    table = thinned(pieces, rules=Thinning(most_rows=200))
     assert len(table.times) <= 200
     assert table.interval == pytest.approx(480.0)
     assert table.starts == (0,)

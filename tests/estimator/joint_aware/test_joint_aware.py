@@ -12,11 +12,11 @@ from observed import SENSORS, errors, estimates, observed_data, observer, run, s
 from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
-from calibrate.joint_aware import open_band as open_band_module
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.misfit import Run, make_problem, residuals
+from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
@@ -453,15 +453,11 @@ def test_the_whole_report_is_plain_numbers(machine, plant, fit):
     assert set(told["condensation"]["reuse_one"]) == set(TRUE)
 
 
-def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(
-    machine, plant, fit, monkeypatch
-):
-    monkeypatch.setattr(open_band_module, "DRAWS", 2)
-    monkeypatch.setattr(open_band_module, "DURATION", 2400.0)
+def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine, plant, fit):
     small = along(machine, ["x", "y"])
     known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
     model = make_observer(small, fit, known)
-    band = open_band_module.open_band(small, plant, fit, model)
+    band = open_band(small, plant, fit, model, drawing=Drawing(draws=2, duration=2400.0))
     assert np.all(band.square >= 0.0)
     assert band.open.shape == (2, 2, 2 * fit.remainder.displacement.shape[1])
     assert np.all(np.abs(band.open).max(axis=(1, 2)) > 0.0)

@@ -18,7 +18,7 @@ import typer
 from in_process import undisturbed
 from reference_case import lasting
 from repository import TOP, modules
-from short_runs import SHORT, quick_bands
+from short_runs import SHORT
 
 from estimator.fchs.judging import ESTIMATORS
 from thermojoint.artefacts.errors import InputError
@@ -51,7 +51,7 @@ def results(tmp_path_factory):
     (folder / "coarse.toml").write_text(lasting(3.0))
     patch = pytest.MonkeyPatch()
     short = partial(reproduce.reproduce, long=SHORT)
-    with patch.context() as within, undisturbed(), quick_bands():
+    with patch.context() as within, undisturbed():
         within.setattr(reproduce, "reproduce", short)
         arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
         within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])

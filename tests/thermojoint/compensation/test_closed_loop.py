@@ -6,6 +6,7 @@ import math
 import re
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from observed import observed_data, observer, run
 from repository import ROOT
-from short_runs import quick_bands
+from short_runs import QUICK
 from typer.testing import CliRunner
 
+from calibrate.joint_aware import calibration
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import correct
 from estimator.joint_aware.model_file import write_observer
@@ -437,10 +439,11 @@ def test_the_commands_of_the_page_follow_one_another(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = (EXAMPLE.parents[1] / "docs" / "closing-the-loop.md").read_text("utf-8")
     (block,) = (one for one in re.findall(r"```sh\n(.*?)```", page, re.S) if "control" in one)
-    with quick_bands():
-        for command in block.strip().splitlines():
-            done = CliRunner().invoke(app, shlex.split(command)[1:])
-            assert done.exit_code == 0, done.output
+    quick = partial(calibration.calibrate_joint_aware, effort=QUICK)
+    monkeypatch.setattr(calibration, "calibrate_joint_aware", quick)
+    for command in block.strip().splitlines():
+        done = CliRunner().invoke(app, shlex.split(command)[1:])
+        assert done.exit_code == 0, done.output
     content = json.loads((tmp_path / "step.json").read_text("utf-8"))
     free, heated = (run["axes"]["x"] for run in content["runs"])
     assert free["displacement"]["largest_um"] > 200.0

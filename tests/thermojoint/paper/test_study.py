@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from short_runs import SHORT, quick_bands
+from short_runs import SHORT
 
 from calibrate import chain
 from calibrate.placement.fchs import (
@@ -51,8 +51,7 @@ def case():
 def results(case, tmp_path_factory):
     """The folder that a whole run leaves."""
     out = tmp_path_factory.mktemp("results")
-    with quick_bands():
-        reproduce(case, out, SHORT)
+    reproduce(case, out, SHORT)
     return out
 
 
