@@ -201,13 +201,13 @@ def page(counted: list[list[str]], count: int, seed: int) -> str:
         [
             "# Damaged inputs",
             "",
-            f"Case files (TOML), histories (CSV) and meshes ({formats}), damaged at random, given "
-            "to `thermojoint simulate`. Each input must end in a whole response, or in one line "
-            "that says what is wrong, with nothing else on standard error but warnings, exit code "
-            "2 and no file left behind; a traceback, a hang or part of a file is a failure, and so "
-            f"is an input file that has changed: in {SLIPS:.0%} of the runs one of them is named "
-            "as the output, too. Many kinds of damage leave a valid input: a changed number, a "
-            "lost line. Written by",
+            f"Randomly damaged case files (TOML), histories (CSV) and meshes ({formats}), given to "
+            "`thermojoint simulate`. Every input must result either in a complete response, or in "
+            "one line that says what is wrong, with only warnings besides it on standard error, "
+            "exit code 2 and no file left behind. A traceback, a hang or a partial file is a "
+            "failure, and so is a changed input file: in "
+            f"{SLIPS:.0%} of the runs an input is also named as the output. Many kinds of damage "
+            "leave a valid input: a changed number, a lost line. Written by",
             "",
             "```sh",
             f"python -m benchmarks.fuzz --count {count} --seed {seed} --markdown "

@@ -1,4 +1,4 @@
-"""Does the march always find an equilibrium? Marches drawn at random over all that matters to it.
+"""Does the simulator always find an equilibrium? Random machines, joints, heat and steps.
 
 Run: ``python benchmarks/robustness.py [--count 2000] [--markdown docs/robustness.md]``. A structure
 is condensed once for `LAWS` marches: neither heat nor joint law enters the condensation. Every
@@ -263,7 +263,7 @@ def sweep(first: int, count: int, loads: Path | None = None) -> list[tuple[Drawn
     found: list[tuple[Drawn, Figures | str]] = []
     setup: Setup | None = None
     console = Console(stderr=True, markup=False)
-    for one in track(marches(first, count, loads), "marches", total=count, console=console):
+    for one in track(marches(first, count, loads), "simulations", total=count, console=console):
         if one.number % LAWS == 0:
             setup = None
         try:
@@ -281,17 +281,17 @@ def sweep(first: int, count: int, loads: Path | None = None) -> list[tuple[Drawn
 HEADER = (
     "structure",
     "highest friction",
-    "marches",
+    "simulations",
     "a body or bolt comes loose",
     "failed",
     "steps",
-    "iterations a step",
+    "iterations per step",
     "most",
-    "marches that snap",
+    "simulations with snap-through",
     "viscous steps",
-    "worst gap residual, m",
-    "worst heat balance",
-    "most of the joints open",
+    "largest gap residual, m",
+    "largest heat balance error",
+    "largest open share of the joints",
 )
 
 
@@ -345,20 +345,20 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
     table = ["| " + " | ".join(line) + " |" for line in (HEADER, ("---",) * len(HEADER), *lines)]
     return "\n".join(
         [
-            "# Does the march always find an equilibrium?",
+            "# Does the simulator always find an equilibrium?",
             "",
-            f"{count} marches of {STEPS} steps, drawn at random (seed {SEED}): four in five of the "
-            "equal-heights machine with elements of 100 mm, the rest of the bolted flange of the "
-            "examples with its three bodies and three joints. Drawn for each structure: of each "
+            f"{count} random simulations of {STEPS} steps (seed {SEED}): four in five on the "
+            "equal-heights machine with elements of 100 mm, the rest on the bolted flange of the "
+            "examples with its three bodies and three joints. Drawn for each structure: for each "
             "body conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), modulus 50 to "
             "250 GPa, expansion 5 to 25e-6 1/K; one body a hundred times softer to a million times "
-            "stiffer; film 2 to 50 W/(m² K); the height of the source; a step of "
-            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s. Drawn for each march: of each joint "
-            "friction 0.05 to 10 (on the machine one in ten without), preload 0.1 to 20 MPa, both "
-            "normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 of the normal one; "
-            "heat input 0.1 to 6, one in four cooling; step, ramp or triangle; one in five with "
-            "in-step iteration. A joint may open wholly: that is a result. A contact element is "
-            f"open below {OPEN_BELOW:g} of its preload. Written by",
+            "stiffer; convection 2 to 50 W/(m² K); the height of the source; a step of "
+            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s. Drawn for each simulation: for each "
+            "joint friction 0.05 to 10 (on the machine one in ten without), preload 0.1 to 20 MPa, "
+            "both normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 of the normal "
+            "one; heat input 0.1 to 6, one in four cooling; step, ramp or triangle; one in five "
+            "with iterated coupling. A joint may open completely, which is a valid result. A "
+            f"contact element is open below {OPEN_BELOW:g} of its preload. Written by",
             "",
             "```sh",
             f"python benchmarks/robustness.py --first {first} --count {count} "
@@ -367,13 +367,13 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "",
             *table,
             "",
-            "Iterations are Newton iterations of the gap equations, with all sweeps where the "
-            "coupling is iterated. Where a joint snaps, viscous steps lead to its next equilibrium "
-            "([march.md](march.md)). A march that fails is printed with its number; "
-            "`--first NUMBER --count 1` marches it again. A body comes loose where heat opens all "
-            "that held it; the march then ends, and says so. Marches under loads, with bolts and "
-            "joints that start open, are in [loads.md](loads.md#steps-that-are-cut). Ended before "
-            "their time:",
+            "Iterations are Newton iterations of the gap equations, including all sweeps of "
+            "iterated coupling. After snap-through, viscous steps lead to the next equilibrium "
+            "([march.md](march.md)). A failed simulation is printed with its number; "
+            "`--first NUMBER --count 1` repeats it. A body comes loose where heat opens all of its "
+            "constraints; the simulation then ends with a message. Simulations under loads, with "
+            "bolts and joints that start open, are in [loads.md](loads.md#subdivided-steps). Ended "
+            "early:",
             "",
             *(ended or ["- none"]),
             "",
