@@ -76,14 +76,10 @@ def joint_conductivity(
     structure: Structure, materials: dict[str, Material], joint: PairedJoint
 ) -> NDArray[np.float64]:
     """k_h of Eq. 11 at the contact elements of a joint, W/(m K), shape (m,)."""
+    conducted = by_cell(structure, {name: m.conductivity for name, m in materials.items()})
     return harmonic_conductivity(
-        *(
-            element_means(joint, conducted[cells])
-            for conducted in [
-                by_cell(structure, {name: m.conductivity for name, m in materials.items()})
-            ]
-            for cells in (joint.cells_a, joint.cells_b)
-        )
+        element_means(joint, conducted[joint.cells_a]),
+        element_means(joint, conducted[joint.cells_b]),
     )
 
 

@@ -41,7 +41,7 @@ from fesim.setup.loads import (
     mechanical_loads,
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
-from fesim.setup.parts import make_parts
+from fesim.setup.parts import Parts, make_parts
 from fesim.setup.structure import body_materials, measured_points
 from fesim.setup.temperature_dependence import (
     growth,
@@ -52,6 +52,7 @@ from fesim.setup.temperature_dependence import (
 from fesim.solid.bolts import bolt_springs, stretch_rows, temperature_rows
 from fesim.solid.condensation import (
     DisplacementField,
+    ElasticCondensation,
     LoadInfluence,
     condense_heat,
     condense_loads,
@@ -59,8 +60,8 @@ from fesim.solid.condensation import (
 )
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.forces import nodal_forces
-from fesim.solid.heat import by_cell, heat_operators
-from fesim.solid.joint_operators import joint_operators
+from fesim.solid.heat import HeatOperators, by_cell, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Holds, check_held
@@ -185,6 +186,55 @@ class Setup:
         return self.field.solve(temperature, step.remainder, self.forces @ self.acting(step))
 
 
+@dataclass(frozen=True)
+class _Whole:
+    """A case as finite elements, before anything is condensed.
+
+    Attributes
+    ----------
+    case : Case
+        Where it comes from.
+    parts : Parts
+        Structure, joints, bolts, probes.
+    materials : dict of str to Material
+        Of every body.
+    spaces : Spaces
+        Finite-element spaces.
+    operators : JointOperators
+        Of the joints.
+    heat : HeatOperators
+        Of the structure.
+    warm : ndarray, shape (n,), or None
+        Temperatures at the start, if these are not the ambient's.
+    springs : ndarray, shape (3 m,)
+        Reference springs, Pa/m.
+    stretch, ends : scipy.sparse.csr_array
+        Of the bolts: rows of their stretch, and of the temperatures at their ends.
+    rows : scipy.sparse.csr_array
+        Of the temperature probes.
+    """
+
+    case: Case
+    parts: Parts
+    materials: dict[str, Material]
+    spaces: Spaces
+    operators: JointOperators
+    heat: HeatOperators
+    warm: NDArray[np.float64] | None
+    springs: NDArray[np.float64]
+    stretch: csr_array
+    ends: csr_array
+    rows: csr_array
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """Under which a condensation is remembered; None where a mesh file has changed meanwhile."""
+
+    heat: str | None
+    elasticity: str | None
+
+
 def set_up(case: Case) -> Setup:
     """Build, check and condense everything a case names.
 
@@ -200,105 +250,192 @@ def set_up(case: Case) -> Setup:
     """
     before = thermal_key(case)
     parts = make_parts(case)
-    # A mesh file that somebody writes just now is not to be taken for the one before.
-    digest = cache(file_digest)
-    heat_key = before if thermal_key(case, digest) == before else None
-    key = None if heat_key is None else elasticity_key(case, digest)
-    structure, joints = parts.structure, parts.joints
-    materials = body_materials(case, structure)
-    spaces = make_spaces(structure.mesh)
-    stretch = stretch_rows(spaces.displacement, parts.bolts)
-    relative = csr_array(vstack([_relative_rows(case, structure, spaces), stretch]))
-    rows = probe_rows(spaces.heat, structure, parts.probes)
-    ends = temperature_rows(spaces.heat, parts.bolts)
-
-    operators = joint_operators(joints, spaces)
-    heat = heat_operators(
-        structure,
-        spaces.heat,
-        reference_materials(case, materials),
-        reference_films(case),
-        heat_sources(case, structure),
-        list(case.held_temperatures),
-        joints,
-        held_profiles(case),
-    )
-    warm = initial_temperature(case, structure, spaces.heat)
-    step, solver = case.march.step_s, case.march.solver
-    springs = reference_springs(structure, materials, joints)
-
-    solid = elastic_structure(case, structure, spaces, materials, operators, springs)
-    tied = remembered(
-        TieCondensation, key, lambda: solid.condense(pieces_to_condense(case, solid), relative)
-    )
-    condensed = elastic_condensation(tied, operators, springs)
-    field = cache(partial(solid.field, tied))
-
-    forces = np.hstack(
-        [
-            nodal_forces(structure, spaces, materials, mechanical_loads(case, structure)),
-            -stretch.toarray().T,
-        ]
-    )
-    loads = None
-    if forces.shape[1]:
-        loads = remembered(
-            LoadInfluence,
-            key,
-            lambda: condense_loads(field(), forces, relative),
-            also=f"under {load_patterns(case)}",
-        )
-    outputs = None
-    if asks_for_outputs(case):
-        outputs = remembered(
-            MechanicalOutputs,
-            key,
-            lambda: mechanical_outputs(
-                case, structure, spaces, materials, field(), springs, forces
-            ),
-            also=f"under {load_patterns(case)} gives {asked(case)}",
-        )
-    modes = None
-    if case.march.thermal == "reduced":
-        modes = remembered(
-            ThermalModes,
-            heat_key,
-            lambda: thermal_modes(
-                heat, operators, condensed, csr_array(vstack([rows, ends])), step, solver, warm
-            ),
-            also=f"from {shortest(step)!r} s",
-        )
-        thermal = project_heat(heat, operators, step, modes)
-        elastic = project_elasticity(condensed, modes)
-        if outputs is not None:
-            outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
-    else:
-        thermal, elastic = condense_heat(heat, operators, step, solver), condensed
-    machine = CondensedMachine(
-        thermal,
-        ContactProblem(elastic, parts.laws, holds=parts.holds, loads=loads),
-        start=start_field(heat, warm, modes),
-        variable=variable_heat(case, structure, spaces.heat, materials, joints, heat),
-        growth=growth(case, structure, spaces.heat),
-    )
+    keys = _keys(case, before)
+    whole = _discretised(case, parts)
+    condensed, field = _condensed_elasticity(whole, keys)
+    forces = _nodal_forces(whole)
+    loads = _loads(whole, keys, field, forces)
+    outputs = _outputs(whole, keys, field, forces)
+    modes = _modes(whole, keys, condensed)
+    machine = _machine(whole, condensed, loads, modes)
     bolts = None
     if parts.bolts:
-        ties = bolt_springs(parts.bolts, ends.toarray() if modes is None else ends @ modes.basis)
+        ends = whole.ends.toarray() if modes is None else whole.ends @ modes.basis
+        ties = bolt_springs(parts.bolts, ends)
         machine, bolts = tightened(tuple(case.bolts), machine, ties, first_forces(case))
+    if outputs is not None and modes is not None:
+        outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
     return Setup(
-        structure=structure,
-        spaces=spaces,
-        joints=joints,
+        structure=parts.structure,
+        spaces=whole.spaces,
+        joints=parts.joints,
         machine=machine,
         make_field=field,
         probes=parts.probes,
-        probe_rows=rows if modes is None else rows @ modes.basis,
+        probe_rows=whole.rows if modes is None else whole.rows @ modes.basis,
         modes=modes,
         holds=parts.holds,
         forces=forces,
         outputs=outputs,
         bolts=bolts,
+        materials=whole.materials,
+    )
+
+
+def _keys(case: Case, before: str) -> _Keys:
+    """Keys of what is remembered; `before` is the thermal one from before the meshes were read."""
+    # A mesh file that somebody writes just now is not to be taken for the one before.
+    digest = cache(file_digest)
+    if thermal_key(case, digest) != before:
+        return _Keys(None, None)
+    return _Keys(before, elasticity_key(case, digest))
+
+
+def _discretised(case: Case, parts: Parts) -> _Whole:
+    """Make spaces and operators."""
+    structure, joints = parts.structure, parts.joints
+    materials = body_materials(case, structure)
+    spaces = make_spaces(structure.mesh)
+    return _Whole(
+        case=case,
+        parts=parts,
         materials=materials,
+        spaces=spaces,
+        operators=joint_operators(joints, spaces),
+        heat=heat_operators(
+            structure,
+            spaces.heat,
+            reference_materials(case, materials),
+            reference_films(case),
+            heat_sources(case, structure),
+            list(case.held_temperatures),
+            joints,
+            held_profiles(case),
+        ),
+        warm=initial_temperature(case, structure, spaces.heat),
+        springs=reference_springs(structure, materials, joints),
+        stretch=stretch_rows(spaces.displacement, parts.bolts),
+        ends=temperature_rows(spaces.heat, parts.bolts),
+        rows=probe_rows(spaces.heat, structure, parts.probes),
+    )
+
+
+def _relative(whole: _Whole) -> csr_array:
+    """Rows of the displacement probes, then of the bolts' stretch."""
+    probes = _relative_rows(whole.case, whole.parts.structure, whole.spaces)
+    return csr_array(vstack([probes, whole.stretch]))
+
+
+def _condensed_elasticity(
+    whole: _Whole, keys: _Keys
+) -> tuple[ElasticCondensation, Callable[[], DisplacementField]]:
+    """Condense the structure; what gives its displacement field is factorised on demand."""
+    case = whole.case
+    solid = elastic_structure(
+        case, whole.parts.structure, whole.spaces, whole.materials, whole.operators, whole.springs
+    )
+    tied = remembered(
+        TieCondensation,
+        keys.elasticity,
+        lambda: solid.condense(pieces_to_condense(case, solid), _relative(whole)),
+    )
+    condensed = elastic_condensation(tied, whole.operators, whole.springs)
+    return condensed, cache(partial(solid.field, tied))
+
+
+def _nodal_forces(whole: _Whole) -> NDArray[np.float64]:
+    """Nodal forces of the mechanical loads at factor one, then of the bolts per N."""
+    structure, loads = whole.parts.structure, mechanical_loads(whole.case, whole.parts.structure)
+    acting = nodal_forces(structure, whole.spaces, whole.materials, loads)
+    return np.hstack([acting, -whole.stretch.toarray().T])
+
+
+def _loads(
+    whole: _Whole,
+    keys: _Keys,
+    field: Callable[[], DisplacementField],
+    forces: NDArray[np.float64],
+) -> LoadInfluence | None:
+    """What the loads and bolts do to gaps and probes."""
+    if not forces.shape[1]:
+        return None
+    return remembered(
+        LoadInfluence,
+        keys.elasticity,
+        lambda: condense_loads(field(), forces, _relative(whole)),
+        also=f"under {load_patterns(whole.case)}",
+    )
+
+
+def _outputs(
+    whole: _Whole,
+    keys: _Keys,
+    field: Callable[[], DisplacementField],
+    forces: NDArray[np.float64],
+) -> MechanicalOutputs | None:
+    """Forces and stresses, if the case asks for them."""
+    case = whole.case
+    if not asks_for_outputs(case):
+        return None
+    return remembered(
+        MechanicalOutputs,
+        keys.elasticity,
+        lambda: mechanical_outputs(
+            case,
+            whole.parts.structure,
+            whole.spaces,
+            whole.materials,
+            field(),
+            whole.springs,
+            forces,
+        ),
+        also=f"under {load_patterns(case)} gives {asked(case)}",
+    )
+
+
+def _modes(whole: _Whole, keys: _Keys, condensed: ElasticCondensation) -> ThermalModes | None:
+    """The reduced thermal model, if the case marches on one."""
+    march = whole.case.march
+    if march.thermal != "reduced":
+        return None
+    return remembered(
+        ThermalModes,
+        keys.heat,
+        lambda: thermal_modes(
+            whole.heat,
+            whole.operators,
+            condensed,
+            csr_array(vstack([whole.rows, whole.ends])),
+            march.step_s,
+            march.solver,
+            whole.warm,
+        ),
+        also=f"from {shortest(march.step_s)!r} s",
+    )
+
+
+def _machine(
+    whole: _Whole,
+    condensed: ElasticCondensation,
+    loads: LoadInfluence | None,
+    modes: ThermalModes | None,
+) -> CondensedMachine:
+    """What marches, its bolts not yet tight."""
+    case, parts, heat = whole.case, whole.parts, whole.heat
+    step = case.march.step_s
+    if modes is None:
+        thermal, elastic = condense_heat(heat, whole.operators, step, case.march.solver), condensed
+    else:
+        thermal = project_heat(heat, whole.operators, step, modes)
+        elastic = project_elasticity(condensed, modes)
+    return CondensedMachine(
+        thermal,
+        ContactProblem(elastic, parts.laws, holds=parts.holds, loads=loads),
+        start=start_field(heat, whole.warm, modes),
+        variable=variable_heat(
+            case, parts.structure, whole.spaces.heat, whole.materials, parts.joints, heat
+        ),
+        growth=growth(case, parts.structure, whole.spaces.heat),
     )
 
 
