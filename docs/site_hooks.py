@@ -23,7 +23,11 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 #: Pages that stand outside the folder of the documentation.
-OUTSIDE = {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}
+OUTSIDE = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
 #: Linked files that are shown as pages; any other kind is copied as it is.
 SHOWN = (".csv", ".py", ".toml")
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)\s#]+)")

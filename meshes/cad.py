@@ -9,6 +9,8 @@ on them; those without a name are gathered as ``BODY_outer``.
 from __future__ import annotations
 
 import re
+import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import combinations, product
@@ -132,7 +134,8 @@ def _gmsh_session() -> Iterator[Any]:
             f"Gmsh is not to be had ({error}); pip install -e '.[gmsh]', and its system "
             "libraries (Debian: libglu1-mesa libxcursor1 libxft2 libxinerama1)"
         ) from error
-    gmsh.initialize(interruptible=False)
+    with _broken_pipes_as_errors():
+        gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
@@ -140,6 +143,22 @@ def _gmsh_session() -> Iterator[Any]:
         yield gmsh
     finally:
         gmsh.finalize()
+
+
+@contextmanager
+def _broken_pipes_as_errors() -> Iterator[None]:
+    """Undo what Gmsh changes for the whole process when it starts.
+
+    It sets SIGPIPE to its default action: from then on the process would end without a word when it
+    writes to a connection that its reader has closed, where Python raises `BrokenPipeError`.
+    """
+    before = signal.getsignal(signal.SIGPIPE) if hasattr(signal, "SIGPIPE") else None
+    try:
+        yield
+    finally:
+        # Handlers can be set in the main thread only; None is one that Python did not set.
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGPIPE, before)
 
 
 def _group(gmsh: Any, dimension: int, tags: Sequence[int], name: str) -> None:  # noqa: ANN401

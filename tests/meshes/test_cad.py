@@ -1,5 +1,6 @@
 """CAD parts become meshes with names; needs Gmsh, but for what is said when it is not there."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -178,3 +179,30 @@ def test_a_file_of_names_is_checked(tmp_path, text, message):
 def test_a_byte_order_mark_may_lead_a_file_of_names(tmp_path):
     (tmp_path / "names.toml").write_text("[surfaces_mm]\nfoot = [[0, 0, 0]]\n", "utf-8-sig")
     assert read_names(tmp_path / "names.toml") == {"foot": [(0.0, 0.0, 0.0)]}
+
+
+AFTERWARDS = """
+import socket, sys
+from pathlib import Path
+from meshes.cad import mesh_cad
+
+mesh_cad(Path(sys.argv[1]), Path(sys.argv[2]), 0.05)
+ours, theirs = socket.socketpair()
+theirs.close()
+try:
+    ours.send(b"to nobody")
+except BrokenPipeError:
+    print("told")
+"""
+
+
+@needs_gmsh
+def test_a_reader_who_left_does_not_end_the_process_after_meshing(step, tmp_path):
+    """Gmsh lets the signal of a broken pipe end its process, without a word."""
+    done = subprocess.run(
+        [sys.executable, "-c", AFTERWARDS, str(step), str(tmp_path / "part.msh")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "told\n"), done.stderr

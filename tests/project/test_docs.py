@@ -5,7 +5,10 @@ import re
 import pytest
 from repository import ROOT
 
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    *(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 LINK = re.compile(r"\]\((?!\w+:)([^)\s]+)\)")
 MODULE = re.compile(r"`((?:[a-z_]+/)+[a-z_0-9]+\.py)`")
 
@@ -38,5 +41,5 @@ def test_a_module_that_a_page_names_is_there(page):
 
 def test_the_site_shows_every_page():
     shown = set(re.findall(r": ([\w-]+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M))
-    made = {"index.md", "changelog.md", "reference.md"}
+    made = {"index.md", "changelog.md", "contributing.md", "reference.md"}
     assert shown == made | {page.name for page in (ROOT / "docs").glob("*.md")}
