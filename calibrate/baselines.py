@@ -51,7 +51,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     axes = tuple(axes_of(responses[0]))
     times = [steps.times(response) for response in responses]
     interval = steps.even_interval(times[0], "baselines")
-    length = max(float(one[-1]) for one in times)
+    length = max(float(time[-1]) for time in times)
     runs = [response.isel(time=at > 0.0) for response, at in zip(responses, times, strict=True)]
     inputs = [rises(run) for run in runs]
     outputs = [MEGA * columns_of(run, "displacement", axes) for run in runs]
@@ -71,7 +71,7 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
         ridge=Regression(constants, _by_axis(axes, _ridge(filtered, target))),
         arx={
             axis: fit_autoregression(
-                inputs, [one[:, k] / MEGA for one in outputs], interval, SLOWEST / length
+                inputs, [output[:, k] / MEGA for output in outputs], interval, SLOWEST / length
             )
             for k, axis in enumerate(axes)
         },
@@ -91,7 +91,7 @@ def baselines_of(calibrated: Calibrated, responses: Sequence[xr.Dataset]) -> Bas
     """Return the baselines of calibration responses, with the sensors and axes of the model."""
     roles = {} if calibrated.placement is None else calibrated.placement.roles
     axes = list(calibrated.model.linear.deformation)
-    return fit_baselines([with_roles(one, roles).sel(axis=axes) for one in responses])
+    return fit_baselines([with_roles(response, roles).sel(axis=axes) for response in responses])
 
 
 def fit_autoregression(
@@ -116,8 +116,8 @@ def fit_autoregression(
     """
     target = MEGA * np.concatenate(outputs)
     lagged = [
-        np.column_stack([_delayed(MEGA * one, lag)[:, None] for lag in range(1, PAST + 1)])
-        for one in outputs
+        np.column_stack([_delayed(MEGA * output, lag)[:, None] for lag in range(1, PAST + 1)])
+        for output in outputs
     ]
     stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
     table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
@@ -146,7 +146,7 @@ def bounded_past(past: Array, radius: float) -> Array:
 
 
 def _filtered(denominator: Array, runs: Sequence[Array]) -> Array:
-    return np.concatenate([lfilter([1.0], denominator, one, axis=0) for one in runs])
+    return np.concatenate([lfilter([1.0], denominator, run, axis=0) for run in runs])
 
 
 def _delayed(values: Array, lag: int) -> Array:

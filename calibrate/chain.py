@@ -229,7 +229,7 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
     interval, length = float(np.diff(times).min()), float(times[-1] - times[0])
     factor = 1.0
     while factor <= MOST_RAISED:
-        raised = [_raised(one.regularisation, factor) for one in model.sources]
+        raised = [_raised(source.regularisation, factor) for source in model.sources]
         if unstable_zeros(rings, raised, interval, length, "inverse of the sources") == 0:
             sources = zip(model.sources, raised, strict=True)
             return replace(

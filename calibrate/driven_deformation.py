@@ -136,7 +136,7 @@ def fit_driven_deformation(
             f"{deviations.shape} do not fit {t.size} times; give one value per input and time"
         )
     after = steps.even_interval(t, "fictitious sources") * np.arange(1, t.size + 1)
-    drivers = [driver(one) for one in strengths]
+    drivers = [driver(strength) for strength in strengths]
     problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
-    found = fit(problem, starts=starts, seed=seed, ridge=ridge)
-    return eq18_models(found, sources), found
+    best = fit(problem, starts=starts, seed=seed, ridge=ridge)
+    return eq18_models(best, sources), best

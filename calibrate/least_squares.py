@@ -152,7 +152,7 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
 
     lower, upper = np.log(problem.lower), np.log(problem.upper)
     inset = 1e-9 * (upper - lower)
-    found = least_squares(
+    solution = least_squares(
         residual,
         np.clip(np.log(start), lower + inset, upper - inset),
         jac=jacobian,
@@ -162,7 +162,7 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
         gtol=1e-14,
         max_nfev=limit,
     )
-    return _End(np.exp(found.x), float(found.cost), evaluations, found.message)
+    return _End(np.exp(solution.x), float(solution.cost), evaluations, solution.message)
 
 
 def _starts(problem: Separable, count: int, seed: int) -> np.ndarray:

@@ -131,15 +131,15 @@ def fit_ring(
     if not r0 > 0.0:
         raise InputError(f"calibrate: ring radius r0 = {r0} m must be positive")
     thin = steps.thinned(t.size)
-    found = fit(
+    best = fit(
         ring_problem(t, data, r0),
         coarse=ring_problem(t[thin], data[thin], r0),
         starts=starts,
         polished=polished,
         seed=seed,
     )
-    value = found.values
-    return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), found
+    value = best.values
+    return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), best
 
 
 def _deformation_problem(
@@ -176,14 +176,14 @@ def fit_deformation(
     """
     thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
     names = ("C", "D", "E")
-    found = fit(
+    best = fit(
         _deformation_problem(t, data, deformation.basis, names, bounds),
         coarse=_deformation_problem(t[thin], data[thin], deformation.basis, names, bounds),
         starts=starts,
         seed=seed,
     )
-    coefficients = [found.values[name] for name in names]
-    return deformation.model_from(coefficients, [found.values[name] for name in "cde"]), found
+    coefficients = [best.values[name] for name in names]
+    return deformation.model_from(coefficients, [best.values[name] for name in "cde"]), best
 
 
 def fit_flat_deformation(
@@ -195,15 +195,15 @@ def fit_flat_deformation(
     """
     thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
     names = ("C", "D")
-    found = fit(
+    best = fit(
         _deformation_problem(t, data, deformation.flat_basis, names, bounds),
         coarse=_deformation_problem(t[thin], data[thin], deformation.flat_basis, names, bounds),
         starts=starts,
         seed=seed,
     )
-    rates = [found.values[name] for name in "cde"]
-    full = deformation.full_coefficients([found.values[name] for name in names], rates)
-    return deformation.model_from(full, rates), found
+    rates = [best.values[name] for name in "cde"]
+    full = deformation.full_coefficients([best.values[name] for name in names], rates)
+    return deformation.model_from(full, rates), best
 
 
 def fit_relaxation(

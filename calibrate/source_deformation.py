@@ -127,11 +127,11 @@ def fit_source_deformation(
     guess: list[float] = []
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
-        found = fit(single, starts=starts, seed=seed, ridge=RIDGE)
-        guess += _in_order([found.values[name] for name in single.names])
+        best = fit(single, starts=starts, seed=seed, ridge=RIDGE)
+        guess += _in_order([best.values[name] for name in single.names])
     problem = _step_problem(t, deviations, strengths)
-    found = fit(problem, coarse=coarse, starts=0, guesses=[guess], ridge=RIDGE)
-    return eq18_models(found, sources), found
+    best = fit(problem, coarse=coarse, starts=0, guesses=[guess], ridge=RIDGE)
+    return eq18_models(best, sources), best
 
 
 def _in_order(rates: Sequence[float]) -> list[float]:

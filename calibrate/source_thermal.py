@@ -246,13 +246,13 @@ def fit_jointly(
     """
     _check_deviations(t, deviations, inputs, geometry)
     thin = steps.thinned(t.size)
-    found = fit(
+    best = fit(
         _problem(t, deviations, inputs, geometry),
         coarse=_problem(t[thin], deviations[:, :, thin], inputs, geometry),
         starts=starts,
         seed=seed,
     )
-    return _source_fit(found, geometry.distances.shape[0], len(inputs))
+    return _source_fit(best, geometry.distances.shape[0], len(inputs))
 
 
 def fit_by_averaging(
@@ -314,8 +314,8 @@ def fit_by_averaging(
         if index and float(np.abs(np.log(averages / history[-2].averages)).max()) < tolerance:
             reason = f"the means stopped moving after {index + 1} rounds; the inputs differ"
             break
-    found = fit_linear(_problem(t, deviations, inputs, geometry), history[-1].averages.tolist())
-    result = _source_fit(found, geometry.distances.shape[0], len(inputs))
+    best = fit_linear(_problem(t, deviations, inputs, geometry), history[-1].averages.tolist())
+    result = _source_fit(best, geometry.distances.shape[0], len(inputs))
     return Averaging(result, tuple(history), converged, reason)
 
 

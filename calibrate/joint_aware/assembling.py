@@ -64,14 +64,14 @@ def make_observer(
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)
     system = linear_system(modes, fit.remainder, machine.power, machine.step)
-    found, after = design_filter(system, modes, machine.power, machine.step, noise)
+    design, after = design_filter(system, modes, machine.power, machine.step, noise)
     # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
     hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
     relaxations = system.decay.size - modes.rates.size
     scale = np.concatenate(
         [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
     )
-    steady = replace(found, scale=scale)
+    steady = replace(design, scale=scale)
     moved = np.hstack(
         [
             sticking_tangent(modes.elastic, fitted.laws),

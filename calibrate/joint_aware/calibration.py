@@ -77,14 +77,14 @@ def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ..
     InputError
         There is none.
     """
-    shared = set.intersection(*(set(probes_of(one)) for one in responses.values()))
-    found = tuple(name for name in case.probes if name in shared)
-    if not found:
+    shared = set.intersection(*(set(probes_of(response)) for response in responses.values()))
+    sensors = tuple(name for name in case.probes if name in shared)
+    if not sensors:
         raise InputError(
             "joint-aware: the case names no probe that every response has; add [probes.NAME] where "
             "the sensors are"
         )
-    return found
+    return sensors
 
 
 @threadpool_limits.wrap(limits=1)
@@ -148,8 +148,8 @@ def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> lis
     """Axes along which something moves."""
     peaks = np.max(
         [
-            np.abs(columns_of(one, "displacement", machine.axes)).max(axis=0)
-            for one in responses.values()
+            np.abs(columns_of(response, "displacement", machine.axes)).max(axis=0)
+            for response in responses.values()
         ],
         axis=0,
     )

@@ -128,7 +128,7 @@ def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list
     levels = random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size)
     day = _planned(machine, fit, levels, DAY)
     moved = _day_sensitivity(machine, runs, day, fit)
-    found = []
+    further = []
     planned = (
         {"none": None}
         | {name: _heated(machine, fit, heat, *lasts) for name, lasts in CANDIDATES.items()}
@@ -141,14 +141,14 @@ def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list
             information = information + added.T @ added
         covariance = np.linalg.inv(information)
         variance = np.einsum("nak,kl,nal->na", moved, covariance, moved)
-        found.append(
+        further.append(
             FurtherRun(
                 name,
                 fit.spread * np.sqrt(np.diag(covariance)),
                 np.sqrt(variance.mean(axis=0)),
             )
         )
-    return found
+    return further
 
 
 def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> Run:

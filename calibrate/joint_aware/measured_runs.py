@@ -126,6 +126,8 @@ def _power(log: Log) -> Array:
     """Total heat of all sources, W."""
     names = log.of("power")
     if len(names) != 1:
-        found = ", ".join(names) or "none"
-        raise InputError(f"log: one column of the heat in W is needed, e.g. heat_W; found {found}")
+        present = ", ".join(names) or "none"
+        raise InputError(
+            f"log: one column of the heat in W is needed, e.g. heat_W; found {present}"
+        )
     return log.at(names[0])

@@ -153,7 +153,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     constant = np.column_stack([states, np.ones(len(states))])
 
     def taus(values: Sequence[Array]) -> Array:
-        return SHARE / level * np.max([np.abs(one).max(axis=0) for one in values], axis=0)
+        return SHARE / level * np.max([np.abs(value).max(axis=0) for value in values], axis=0)
 
     return Problem(
         machine,

@@ -107,7 +107,7 @@ class Fit:
     @property
     def spread(self) -> Array:
         """Prior standard deviations of the logarithms, (k,)."""
-        return np.array([one.spread for one in self.parameters])
+        return np.array([parameter.spread for parameter in self.parameters])
 
     @property
     def directions(self) -> tuple[Array, Array]:
@@ -156,7 +156,7 @@ def fit_physics(
     if not parameters:
         return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
     problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
-    spread = np.array([one.spread for one in parameters])
+    spread = np.array([parameter.spread for parameter in parameters])
     now = np.zeros(spread.size)
     defect, evaluations, tried = _defect(whole, problem, parameters, now), 2, []
     for begun in _starts(parameters, starts):
@@ -194,7 +194,7 @@ def _defect(
     whole: Problem, problem: Problem, parameters: tuple[Parameter, ...], scaled: Array
 ) -> Array:
     """Difference between the residuals at full and at coarse time resolution."""
-    logarithms = scaled * [one.spread for one in parameters]
+    logarithms = scaled * [parameter.spread for parameter in parameters]
     return residuals(whole, parameters, logarithms) - residuals(problem, parameters, logarithms)
 
 
@@ -205,7 +205,7 @@ def _search(
     defect: Array,
     close: float,
 ) -> OptimizeResult:
-    spread = np.array([one.spread for one in parameters])
+    spread = np.array([parameter.spread for parameter in parameters])
     first: list[Array] = []
 
     def of(scaled: Array) -> Array:
@@ -245,7 +245,7 @@ def _fit(
     starts: tuple[Start, ...],
     evaluations: int,
 ) -> Fit:
-    logarithms = np.array([one.spread for one in parameters]) * scaled
+    logarithms = np.array([parameter.spread for parameter in parameters]) * scaled
     linear = fit_linear(problem, *errors(problem, parameters, logarithms))
     return Fit(
         parameters=parameters,

@@ -27,11 +27,11 @@ def random_levels(
         Each has levels of its own.
     """
     rng = np.random.default_rng(seed)
-    found = np.zeros((round(length / step), sources))
+    levels = np.zeros((round(length / step), sources))
     for source in range(sources):
         at = 0
-        while at < len(found):
+        while at < len(levels):
             lasts = max(1, round(rng.uniform(*LASTS) / step))
-            found[at : at + lasts, source] = rng.uniform(0.0, highest)
+            levels[at : at + lasts, source] = rng.uniform(0.0, highest)
             at += lasts
-    return found
+    return levels

@@ -37,7 +37,7 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     machine, runs, fit = calibrated.machine, calibrated.runs, calibrated.fit
     sensors = calibrated.model.sensors
     after = np.sqrt(np.diag(fit.covariance))
-    names = [one.name for one in fit.parameters]
+    names = [parameter.name for parameter in fit.parameters]
     return report(fit) | {
         "offsets_K": dict(zip(sensors, fit.offset.tolist(), strict=True)),
         "noise_K": dict(zip(sensors, fit.noise.tolist(), strict=True)),
@@ -49,19 +49,21 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
         "starts": _starts(fit),
         "profiles": [
             {
-                "parameter": one.parameter,
-                "factor": one.factor.tolist(),
-                "cost_above_fit": one.cost.tolist(),
+                "parameter": profile.parameter,
+                "factor": profile.factor.tolist(),
+                "cost_above_fit": profile.cost.tolist(),
             }
-            for one in profiles(machine, runs, fit)
+            for profile in profiles(machine, runs, fit)
         ],
         "further_runs": [
             {
-                "run": one.name,
-                "std": dict(zip(names, one.deviation.tolist(), strict=True)),
-                "day_std_um": dict(zip(machine.axes, (1e6 * one.day).tolist(), strict=True)),
+                "run": further_run.name,
+                "std": dict(zip(names, further_run.deviation.tolist(), strict=True)),
+                "day_std_um": dict(
+                    zip(machine.axes, (1e6 * further_run.day).tolist(), strict=True)
+                ),
             }
-            for one in further_runs(machine, runs, fit)
+            for further_run in further_runs(machine, runs, fit)
         ],
         "condensation": {"reuse_one": names, "need_a_new_one": list(NEW_CONDENSATION)},
     }
@@ -70,13 +72,13 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
 def _starts(fit: Fit) -> list[dict[str, Any]]:
     if not fit.starts:
         return []
-    best = min(one.cost for one in fit.starts)
+    best = min(start.cost for start in fit.starts)
     known = np.linalg.cholesky(np.linalg.inv(fit.covariance)).T
     return [
         {
-            "cost_above_best": one.cost - best,
-            "distance": float(np.linalg.norm(known @ (one.found - fit.logarithms))),
-            "agrees": bool(one.cost - best <= AGREE),
+            "cost_above_best": start.cost - best,
+            "distance": float(np.linalg.norm(known @ (start.found - fit.logarithms))),
+            "agrees": bool(start.cost - best <= AGREE),
         }
-        for one in fit.starts
+        for start in fit.starts
     ]

@@ -64,7 +64,7 @@ def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -
     spread[n:] = 1.0
     standard = _scaled(blocks, 1.0 / spread)
     rows = blocks.whole.count / blocks.penalty
-    found = weights_of(standard, at, [rows * one for one in penalties])
+    found = weights_of(standard, at, [rows * penalty for penalty in penalties])
     errors = np.array([held_out(standard, own[:-1]).mean(axis=0) for own in found])
     best = errors.argmin(axis=0)
     axes = errors.shape[1]
@@ -87,14 +87,14 @@ def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -
 
 
 def _scaled(blocks: Blocks, factor: Array) -> Blocks:
-    def turned(one: Sums) -> Sums:
+    def turned(sums: Sums) -> Sums:
         return replace(
-            one, products=one.products * np.outer(factor, factor), total=one.total * factor
+            sums, products=sums.products * np.outer(factor, factor), total=sums.total * factor
         )
 
     return replace(
         blocks,
         whole=turned(blocks.whole),
-        fits=tuple(turned(one) for one in blocks.fits),
+        fits=tuple(turned(fit) for fit in blocks.fits),
         held=tuple(turned(one) for one in blocks.held),
     )

@@ -128,10 +128,10 @@ def weights_of(
     outer = np.stack([one[at, blocks.features :] for one in centred])
     eye = blocks.penalty * np.eye(len(at))
     axes = outer.shape[-1]
-    found = np.zeros((len(priors), len(centred), blocks.features, axes))
+    weights = np.zeros((len(priors), len(centred), blocks.features, axes))
     for k, prior in enumerate(priors):
-        found[k][:, at] = np.linalg.solve(inner + prior * eye, outer)
-    return found
+        weights[k][:, at] = np.linalg.solve(inner + prior * eye, outer)
+    return weights
 
 
 def held_out(blocks: Blocks, weights: Array) -> Array:

@@ -37,7 +37,7 @@ class Cleaned:
 
     def at(self, name: str) -> Array:
         """Return a column, SI, shape (k,)."""
-        names = [one.name for one in self.table.columns]
+        names = [column.name for column in self.table.columns]
         return np.asarray(self.table.values[:, names.index(name)])
 
 
@@ -145,7 +145,7 @@ def _levels(speeds: Array) -> int:
 
 def _changes_of(table: Table, drives: list[str]) -> Array:
     """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
-    names = [one.name for one in table.columns]
+    names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:
         values = table.values[:, names.index(name)]

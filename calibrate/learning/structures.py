@@ -54,17 +54,19 @@ def structures(drives: bool, length: float) -> tuple[Structure, ...]:
 
 def candidates(cleaned: Cleaned) -> tuple[Feature, ...]:
     """Return every feature that a structure may have."""
-    quantities = {one.name: one.quantity for one in cleaned.table.columns}
-    found = []
+    quantities = {column.name: column.quantity for column in cleaned.table.columns}
+    features = []
     for name in cleaned.sensors:
         values = cleaned.at(name)
         for tau in (0.0, *SLOW):
-            found.append(Feature(name, tau, reference=float(np.mean(values))))
+            features.append(Feature(name, tau, reference=float(np.mean(values))))
     for name in cleaned.drives:
         largest = float(np.abs(cleaned.at(name)).max())
         exponents = EXPONENTS if quantities[name] == "speed" else (1.0,)
-        found += [Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in HEAT]
-    return tuple(found)
+        features += [
+            Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in HEAT
+        ]
+    return tuple(features)
 
 
 def index_of(
@@ -73,10 +75,10 @@ def index_of(
     """Return where the features of a structure on some sensors stand."""
     taus = (0.0, *structure.slow)
     loads = {
-        one.column
-        for one in features
-        if one.exponent == 1.0
-        and not any(o.column == one.column and o.exponent not in (0.0, 1.0) for o in features)
+        feature.column
+        for feature in features
+        if feature.exponent == 1.0
+        and not any(o.column == feature.column and o.exponent not in (0.0, 1.0) for o in features)
     }
     return [
         k
@@ -97,7 +99,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     only what happens within each.
     """
     table = cleaned.table
-    names = [one.name for one in table.columns]
+    names = [column.name for column in table.columns]
     size = sizes(features)
     at = [names.index(name) for name in cleaned.displacements]
     ends = [*table.starts[1:], len(table.times)]
@@ -135,9 +137,9 @@ def _within_runs(runs: list[Array]) -> Array:
     whole = np.concatenate(runs)
     if len(runs) == 1:
         return whole
-    return np.concatenate([one - one.mean(axis=0) for one in runs]) + whole.mean(axis=0)
+    return np.concatenate([run - run.mean(axis=0) for run in runs]) + whole.mean(axis=0)
 
 
 def sizes(features: tuple[Feature, ...]) -> Array:
     """Return the a priori size of each weight, µm, shape (n,)."""
-    return np.array([HEAT_GAIN if one.exponent else GAIN for one in features])
+    return np.array([HEAT_GAIN if feature.exponent else GAIN for feature in features])

@@ -143,10 +143,10 @@ def _coarser(
     rows: list[tuple[float, Array]], starts: list[int], interval: float
 ) -> tuple[list[tuple[float, Array]], list[int]]:
     """Return rows over intervals twice as long, run by run."""
-    found: list[tuple[float, Array]] = []
+    means: list[tuple[float, Array]] = []
     begins: list[int] = []
     for first, end in zip(starts, [*starts[1:], len(rows)], strict=True):
-        begins.append(len(found))
+        begins.append(len(means))
         times = np.array([time for time, _ in rows[first:end]])
-        found += _means(times, np.array([values for _, values in rows[first:end]]), interval)
-    return found, begins
+        means += _means(times, np.array([values for _, values in rows[first:end]]), interval)
+    return means, begins

@@ -268,16 +268,16 @@ def _best(problem: _Problem, chosen: Sequence[int]) -> int:
 
 def _exchanged(problem: _Problem, chosen: Sequence[int], kept: int) -> list[int]:
     """Sensors of which none, but for the first `kept`, can be exchanged for a better one."""
-    found, now = list(chosen), _criterion(problem, chosen)
+    sensors, now = list(chosen), _criterion(problem, chosen)
     for _ in range(ROUNDS):
         begun = now
-        for at in range(kept, len(found)):
-            rest = [*found[:at], *found[at + 1 :]]
+        for at in range(kept, len(sensors)):
+            rest = [*sensors[:at], *sensors[at + 1 :]]
             other = _best(problem, rest)
-            tried = [*found[:at], other, *found[at + 1 :]]
+            tried = [*sensors[:at], other, *sensors[at + 1 :]]
             value = _criterion(problem, tried)
             if value < (1.0 - WORTH) * now:
-                found, now = tried, value
+                sensors, now = tried, value
         if now >= begun:
             break
-    return found
+    return sensors

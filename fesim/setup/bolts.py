@@ -125,12 +125,12 @@ def _disc(structure: Structure, end: BoltEndSection, axis: Array, where: str) ->
     angle = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     points = centre + np.concatenate([r * circle for r in radius]) @ across
-    found = cells_at(structure.mesh, points, cells)
-    inside = found >= 0
+    containing = cells_at(structure.mesh, points, cells)
+    inside = containing >= 0
     if not inside.any():
         raise InputError(
             f"{where}: the disc around {shown_point(centre)} m lies in no cell of body "
             f"{end.body!r}; move it into the body"
         )
     count = int(inside.sum())
-    return Patch(points[inside].T, found[inside], np.full(count, 1.0 / count))
+    return Patch(points[inside].T, containing[inside], np.full(count, 1.0 / count))

@@ -127,7 +127,7 @@ def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) ->
             f"{snapshot.path}: its structure has {there} bodies, this one {here}; take a snapshot "
             "of the same machine"
         )
-    found = np.zeros(basis.N)
+    temperatures = np.zeros(basis.N)
     source = CellBasis(snapshot.mesh, basis.elem, intorder=1)
     # The unknowns of the snapshot's basis are its nodes, maybe in another order.
     values = np.empty(source.N)
@@ -139,13 +139,13 @@ def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) ->
         at = cells_at(snapshot.mesh, points.T, own)
         inside = at >= 0
         rows = interpolation(source, points[:, inside], at[inside], row_count=int(inside.sum()))
-        found[nodes[inside]] = rows @ values
+        temperatures[nodes[inside]] = rows @ values
         if not inside.all():
             corners = np.unique(snapshot.mesh.t[:, own])
             outside = points[:, ~inside]
             next_to = _nearest(snapshot, corners, outside, name)
-            found[nodes[~inside]] = snapshot.temperature[next_to]
-    return found
+            temperatures[nodes[~inside]] = snapshot.temperature[next_to]
+    return temperatures
 
 
 def _nearest(

@@ -179,11 +179,11 @@ def read_conductance_table(path: Path) -> ConductanceTable:
     InputError
         It is no such table.
     """
-    found = read_columns(
+    columns = read_columns(
         path, ("pressure_MPa", "conductance_W_m2K"), "conductance table", ("rise_K",)
     )
-    pressure, value = 1e6 * found["pressure_MPa"], found["conductance_W_m2K"]
-    rise = found.get("rise_K", np.zeros(len(pressure)))
+    pressure, value = 1e6 * columns["pressure_MPa"], columns["conductance_W_m2K"]
+    rise = columns.get("rise_K", np.zeros(len(pressure)))
     # Blocks of one temperature after another, as they stand in the file.
     starts = np.flatnonzero(np.append(len(rise) > 0, np.diff(rise) != 0.0))
     blocks = np.split(np.arange(len(rise)), starts[1:])

@@ -60,7 +60,7 @@ def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
     InputError
         A load names a surface or a body that is not there.
     """
-    found: list[Load] = []
+    loads: list[Load] = []
     for name, load in case.loads.items():
         where = f"loads.{name}"
         if load.acceleration_m_s2 is not None:
@@ -69,16 +69,16 @@ def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
             bodies = every if load.bodies is None else tuple(load.bodies)
             for body in bodies:
                 structure.body(body, f"{where}.bodies")
-            found.append(BodyForce(bodies, load.acceleration_m_s2))
+            loads.append(BodyForce(bodies, load.acceleration_m_s2))
             continue
         surface = load.surface or ""
         structure.surface(surface, f"{where}.surface")
         if load.force_N is not None:
             x, y, z = (component / structure.symmetry_factor for component in load.force_N)
-            found.append(SurfaceForce(surface, (x, y, z)))
+            loads.append(SurfaceForce(surface, (x, y, z)))
         elif load.pressure_MPa is not None:
-            found.append(SurfacePressure(surface, 1e6 * load.pressure_MPa))
-    return found
+            loads.append(SurfacePressure(surface, 1e6 * load.pressure_MPa))
+    return loads
 
 
 def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
@@ -128,16 +128,16 @@ def input_table(case: Case) -> Callable[[NDArray[np.float64]], NDArray[np.float6
     behind = [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
 
     def inputs(times: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = np.zeros((len(times), layout.count + len(behind)))
-        for column, (power, history) in zip(found.T[layout.source_columns], sources, strict=True):
+        rows = np.zeros((len(times), layout.count + len(behind)))
+        for column, (power, history) in zip(rows.T[layout.source_columns], sources, strict=True):
             column[:] = power * history(times)
         if ambient:
-            found[:, layout.ambient] = ambient(times) - ambient(np.zeros(1))
-        for column, history in zip(found.T[layout.held_columns], held, strict=True):
+            rows[:, layout.ambient] = ambient(times) - ambient(np.zeros(1))
+        for column, history in zip(rows.T[layout.held_columns], held, strict=True):
             column[:] = history(times)
-        for column, history in zip(found.T[layout.count :], behind, strict=True):
+        for column, history in zip(rows.T[layout.count :], behind, strict=True):
             column[:] = history(times)
-        return found
+        return rows
 
     return inputs
 

@@ -39,15 +39,15 @@ def checked(function: OfPosition, where: str, least: float = -math.inf) -> OfPos
     """Return a function of position that refuses values that are not finite or below `least`."""
 
     def values(points: Array) -> Array:
-        found = function(points)
+        result = function(points)
         # Written so that NaN fails too.
-        bad = np.flatnonzero(~(np.isfinite(found) & (found >= least)))
+        bad = np.flatnonzero(~(np.isfinite(result) & (result >= least)))
         if bad.size:
             at = bad[0]
             floor = f"; it may not fall below {least:g}" if np.isfinite(least) else ""
             raise InputError(
-                f"{where}: is {found[at]:g} at {shown_point(points[:, at])} m{floor}; mend it"
+                f"{where}: is {result[at]:g} at {shown_point(points[:, at])} m{floor}; mend it"
             )
-        return found
+        return result
 
     return values

@@ -111,7 +111,7 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
 
     A candidate is called after its position in mm, e.g. ``s575_700_150``.
     """
-    found: dict[str, Probe] = {}
+    probes: dict[str, Probe] = {}
     for section in case.candidates:
         cells = structure.body(section.body, "candidates.body")
         if math.prod(_lattice_counts(section)) > MOST_CANDIDATES:
@@ -123,8 +123,8 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
         for point, cell in zip(lattice, at, strict=True):
             if cell >= 0:
                 name = "s" + "_".join(f"{value:g}" for value in point)
-                found[name] = Probe(_metres(point), section.body)
-    return found
+                probes[name] = Probe(_metres(point), section.body)
+    return probes
 
 
 def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:

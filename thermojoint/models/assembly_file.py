@@ -116,12 +116,12 @@ def _digest(body: dict[str, Any]) -> str:
 
 
 def _bank_content(bank: Bank) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     for name in _ARRAYS:
         array = np.asarray(getattr(bank, name))
         split = np.stack((array.real, array.imag), axis=-1) if name in _COMPLEX else array
-        found[name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
-    return found | {"leak": bank.leak}
+        content[name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
+    return content | {"leak": bank.leak}
 
 
 def _bank(content: dict[str, Any]) -> Bank:

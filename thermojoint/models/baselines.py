@@ -118,19 +118,19 @@ def read_baselines(path: Path) -> Baselines:
         The file is missing, truncated, of another kind or version, or its parts do not fit.
     """
     content = read_json(path, FILE)
-    found = validated(_BASELINES, content, str(path), FILE.remedy)
+    baselines = validated(_BASELINES, content, str(path), FILE.remedy)
     channels = len(ROLES)
     sizes = [
         (len(weights), channels * (1 + len(one.time_constants)))
-        for one in (found.mlr, found.ridge)
+        for one in (baselines.mlr, baselines.ridge)
         for weights in one.weights.values()
-    ] + [(len(row), channels) for one in found.arx.values() for row in one.inputs]
-    same = all(set(one.weights) == set(found.arx) for one in (found.mlr, found.ridge))
+    ] + [(len(row), channels) for one in baselines.arx.values() for row in one.inputs]
+    same = all(set(one.weights) == set(baselines.arx) for one in (baselines.mlr, baselines.ridge))
     if not same or any(given != wanted for given, wanted in sizes):
         raise InputError(f"{path}: axes or numbers of weights do not fit together; {FILE.remedy}")
-    if set(found.span.temperatures) != set(ROLES):
+    if set(baselines.span.temperatures) != set(ROLES):
         raise InputError(f"{path}: span.temperatures: give {', '.join(ROLES)}; {FILE.remedy}")
-    return found
+    return baselines
 
 
 def taus_of(time_constants: Sequence[float], channels: int) -> Array:

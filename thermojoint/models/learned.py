@@ -199,18 +199,18 @@ class LearnedModel:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Columns that a log must have, in the order of the first feature of each."""
-        return tuple(dict.fromkeys(one.column for one in self.features))
+        return tuple(dict.fromkeys(feature.column for feature in self.features))
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
         """Temperatures among the columns."""
-        heats = {one.column for one in self.features if one.exponent}
+        heats = {feature.column for feature in self.features if feature.exponent}
         return tuple(name for name in self.columns if name not in heats)
 
     @cached_property
     def taus(self) -> Array:
         """Time constant of each feature, s."""
-        return np.array([one.tau_s for one in self.features])
+        return np.array([feature.tau_s for feature in self.features])
 
     @cached_property
     def digest(self) -> str:
@@ -225,7 +225,9 @@ _MODEL: TypeAdapter[LearnedModel] = TypeAdapter(LearnedModel)
 def signals(features: Sequence[Feature], columns: Sequence[str], values: Array) -> Array:
     """Return the signal of each feature, shape (..., features), of values (..., columns) in SI."""
     at = {name: k for k, name in enumerate(columns)}
-    return np.stack([one.signal(values[..., at[one.column]]) for one in features], axis=-1)
+    return np.stack(
+        [feature.signal(values[..., at[feature.column]]) for feature in features], axis=-1
+    )
 
 
 def at_rest(features: Sequence[Feature], first: Array) -> Array:
@@ -233,7 +235,7 @@ def at_rest(features: Sequence[Feature], first: Array) -> Array:
 
     Temperatures have long been as they are; no heat has gone in before.
     """
-    heats = np.array([one.exponent > 0.0 for one in features], dtype=bool)
+    heats = np.array([feature.exponent > 0.0 for feature in features], dtype=bool)
     return np.where(heats, 0.0, first)
 
 
@@ -242,9 +244,9 @@ def features_of(
 ) -> Array:
     """Return the features of one run, shape (k, features); `run` is times and values in SI."""
     times, values = run
-    found = signals(features, columns, values)
-    taus = np.array([one.tau_s for one in features])
-    return relax_all(times, found, taus, at_rest(features, found[0]))
+    inputs = signals(features, columns, values)
+    taus = np.array([feature.tau_s for feature in features])
+    return relax_all(times, inputs, taus, at_rest(features, inputs[0]))
 
 
 def write_learned(model: LearnedModel, path: Path | str) -> None:
@@ -284,16 +286,16 @@ def read_learned(path: Path | str) -> LearnedModel:
         The file is missing, truncated, of another kind or version, or its parts do not fit.
     """
     content = read_json(path, FILE)
-    found = validated(_MODEL, content, str(path), FILE.remedy)
-    count = len(found.features)
-    for one in found.channels:
-        shape = {len(one.weights), len(one.covariance), *map(len, one.covariance)}
+    model = validated(_MODEL, content, str(path), FILE.remedy)
+    count = len(model.features)
+    for channel in model.channels:
+        shape = {len(channel.weights), len(channel.covariance), *map(len, channel.covariance)}
         if shape != {count}:
-            raise InputError(f"{path}: {one.name}: {count} weights and their covariance needed")
-    missing = set(found.columns) - set(found.spans)
-    end = found.log_end
-    if end and (len(end.values), len(end.relaxations)) != (len(found.columns), count):
+            raise InputError(f"{path}: {channel.name}: {count} weights and their covariance needed")
+    missing = set(model.columns) - set(model.spans)
+    end = model.log_end
+    if end and (len(end.values), len(end.relaxations)) != (len(model.columns), count):
         raise InputError(f"{path}: log_end: a value for each column and feature needed")
-    if missing or not found.channels:
+    if missing or not model.channels:
         raise InputError(f"{path}: spans or channels are missing; learn again")
-    return found
+    return model

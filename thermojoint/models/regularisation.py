@@ -70,13 +70,13 @@ def steepest_rise(ring: RingModel) -> tuple[float, float]:
     scale = abs(float(ring_source.impulse_response(delay / ring.alpha, **asdict(ring))))
     if scale == 0.0:
         raise InputError("ring source: the response is zero; K must not be 0 nor a, r that large")
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         falling,
         bounds=(np.log(delay) - 12.0, np.log(delay) + 1.0),
         method="bounded",
         options={"xatol": 1e-9},
     )
-    time = float(np.exp(found.x)) / ring.alpha
+    time = float(np.exp(optimum.x)) / ring.alpha
     return time, float(ring_source.impulse_response(time, **asdict(ring)))
 
 

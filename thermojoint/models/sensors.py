@@ -123,21 +123,21 @@ def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
         A role has no probe.
     """
     names = probes_of(response)
-    found = {}
+    roles = {}
     for role in (*HEAT_SENSORS, *model.linear.direct):
         if "probe_position" not in response or role not in model.sensors:
-            found[role] = role  # whether it exists is checked where it is read
+            roles[role] = role  # whether it exists is checked where it is read
             continue
         apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
         distance = np.linalg.norm(apart, axis=1)
         if role in names and distance[names.index(role)] <= SAME_PLACE:
-            found[role] = role
+            roles[role] = role
         elif distance.min() <= SAME_PLACE:
-            found[role] = names[int(distance.argmin())]
+            roles[role] = names[int(distance.argmin())]
         else:
             raise InputError(
                 f"response: no probe at sensor {role!r} of the model, "
                 f"{shown_point(model.sensors[role])} m; the nearest, "
                 f"{names[int(distance.argmin())]!r}, is {distance.min():.3g} m away"
             )
-    return found
+    return roles

@@ -182,14 +182,14 @@ def settle_plainly(
     if not physics.contacts:
         return joint, free
     thermal_gap = elastic.thermal_gap @ amplitudes
-    found, _ = settle_along(physics.contact, joint, thermal_gap)
-    value = found.traction.value
-    remainder = value.ravel() + elastic.reference * found.gap.ravel()
+    settled, _ = settle_along(physics.contact, joint, thermal_gap)
+    value = settled.traction.value
+    remainder = value.ravel() + elastic.reference * settled.gap.ravel()
     after = JointState(
-        found.gap,
-        found.traction.slip,
+        settled.gap,
+        settled.traction.slip,
         physics.preload + value[0],
-        found.gap - joint.gap,
+        settled.gap - joint.gap,
     )
     return after, free + elastic.probe_compliance @ (elastic.area * remainder)
 

@@ -99,8 +99,8 @@ class Ridge:
     def whitened(self, signal: Array, sigma: float, tau: float) -> Array:
         """Return what Z does not explain of a signal (n,), in units of sigma."""
         kept = np.sqrt(sigma**2 / (sigma**2 + (tau * self.values) ** 2))
-        found: Array = (signal - self.left @ ((1.0 - kept) * (self.left.T @ signal))) / sigma
-        return found
+        white: Array = (signal - self.left @ ((1.0 - kept) * (self.left.T @ signal))) / sigma
+        return white
 
     def gains(self, signal: Array, sigma: float, tau: float) -> tuple[Array, Array]:
         """Return the gains (c,) that fit a signal (n,), and what is left of it."""
@@ -110,8 +110,8 @@ class Ridge:
     def uncertainty(self, sigma: float, tau: float) -> Array:
         """Return a root of the covariance of fitted gains, shape (c, k)."""
         left = sigma * tau / np.sqrt(sigma**2 + (tau * self.values) ** 2)
-        found: Array = self.shape[:, None] * self.right.T * left
-        return found
+        factor: Array = self.shape[:, None] * self.right.T * left
+        return factor
 
 
 def make_ridge(states: Array, shape: Array) -> Ridge:

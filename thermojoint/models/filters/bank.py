@@ -80,7 +80,7 @@ class Bank:
         the same number on every processor and in every exported program.
         """
         terms = (self.gain / -self.poles).real[:, :, None] * self.drive
-        sums = [[fsum(column) for column in one.T] for one in terms]
+        sums = [[fsum(column) for column in term.T] for term in terms]
         return self.constant + np.array(sums).reshape(self.constant.shape)
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
@@ -178,7 +178,9 @@ def _over_leaking_interval(bank: Bank, dt: float) -> Interval:
     """
     at, z = -bank.leak * dt, bank.poles * dt
     phi0, phi1 = phi_functions(z)[:2]
-    _, flow, mean_flow = (float(one.real[0]) for one in phi_functions(np.array([at + 0j]))[:3])
+    _, flow, mean_flow = (
+        float(phi_function.real[0]) for phi_function in phi_functions(np.array([at + 0j]))[:3]
+    )
     direct, mean = divided_differences(at, z)
     pair = np.flatnonzero(bank.poles.imag > 0.0)
     basis = np.concatenate((np.eye(z.size), 1j * np.eye(z.size)[:, pair]), axis=1)
