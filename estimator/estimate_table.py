@@ -7,9 +7,8 @@ every axis (half of the width in which the displacement lies with 95 %; empty wh
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,9 @@ from estimator.interface import Channel, Estimate, Estimator
 from estimator.quality import quality_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.cells import is_missing, number_in
+from thermojoint.artefacts.tables.dialect import Dialect, cells_of, dialect_of, is_row, trimmed
+from thermojoint.artefacts.tables.layout import HEAD
 from thermojoint.artefacts.units import MEGA, MICRO
 
 _VALUE, _BAND = "_um", "_band_um"
@@ -48,7 +50,7 @@ def header(estimator: Estimator) -> list[str]:
     axes = [axis_name(axis) for axis in estimator.axes]
     return [
         "time_s",
-        *(_column(channel) for channel in estimator.details),
+        *(detail_name(channel) for channel in estimator.details),
         *(f"{axis}{ending}" for ending in (_VALUE, _BAND) for axis in axes),
         "status",
         "quality",
@@ -75,8 +77,8 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     Parameters
     ----------
     lines : iterable of str
-        A CSV with the columns ``time_s``, ``NAME_um`` and ``NAME_band_um`` of every axis, and
-        ``status``; other columns are ignored.
+        A table in any dialect, with the columns ``time_s``, ``NAME_um`` and ``NAME_band_um`` of
+        every axis, and ``status``; other columns are ignored.
     where : str
         Name of the file, for error messages.
 
@@ -85,36 +87,36 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     InputError
         A column is missing, a value is no number, time does not increase, or there is no row.
     """
-    reader = csv.reader(lines)
-    try:
-        table = [(reader.line_num, cells) for cells in reader if cells]
-    except csv.Error as error:
-        raise InputError(f"{where}: not readable as CSV ({error}); mend the file") from error
-    names = [name.strip().lstrip("\ufeff") for name in table[0][1]] if table else []
+    table = list(lines)
+    dialect = _dialect(table, where)
+    names = list(dialect.names) if dialect else []
     axes = tuple(
         name.removesuffix(_BAND)
         for name in names
         if name.endswith(_BAND) and name.removesuffix(_BAND) + _VALUE in names
     )
-    if not axes or "time_s" not in names or "status" not in names:
+    if dialect is None or not axes or not {"time_s", "status"} <= {*names}:
         raise InputError(
             f"{where}: no estimate, columns {', '.join(names) or 'none'}; give what "
             "`thermojoint estimate` writes"
         )
     rows: list[Row] = []
-    for number, cells in table[1:]:
-        line = f"{where}, line {number}"
+    for number, found in cells_of(table[dialect.first :], dialect.separator, where):
+        if not is_row(found):
+            continue
+        line, cells = f"{where}, line {dialect.first + number}", trimmed(found, len(names))
         if len(cells) != len(names):
             raise InputError(f"{line}: {len(cells)} values, expected {len(names)}; mend the row")
         at = dict(zip(names, cells, strict=True))
-        time = _number(at["time_s"], line)
+        time = _number(at["time_s"], dialect.decimal, line)
         last = rows[-1].time if rows else -math.inf
         if not last < time < math.inf:
             raise InputError(
                 f"{line}: time {time:g} s does not come after {last:g} s; drop or re-order it"
             )
         values, bands = (
-            MICRO * np.array([_number(at[f"{axis}{ending}"], line) for axis in axes])
+            MICRO
+            * np.array([_number(at[f"{axis}{ending}"], dialect.decimal, line) for axis in axes])
             for ending in (_VALUE, _BAND)
         )
         rows.append(Row(time, values, bands, at["status"].strip()))
@@ -123,13 +125,24 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     return axes, rows
 
 
-def _column(channel: Channel) -> str:
+def detail_name(channel: Channel) -> str:
+    """Return the column of a detail: ``heat_spindle_W``, ``linear_x_um``, ``heat_input``."""
     suffix = {"m": _VALUE, "1": ""}.get(channel.unit, f"_{channel.unit}")
     return f"{channel.name}{suffix}"
 
 
-def _number(text: str, line: str) -> float:
+def _dialect(table: Sequence[str], where: str) -> Dialect | None:
+    """How the table is to be read; None for one without a header."""
     try:
-        return float(text) if text.strip() else math.nan
-    except ValueError:
-        raise InputError(f"{line}: {text!r} is no number; mend the row") from None
+        return dialect_of(table[:HEAD], where, whole=True)
+    except InputError:
+        return None
+
+
+def _number(text: str, decimal: str, line: str) -> float:
+    if is_missing(text):
+        return math.nan
+    value = number_in(text, decimal)
+    if value is None:
+        raise InputError(f"{line}: {text!r} is no number; mend the row")
+    return value

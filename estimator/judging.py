@@ -52,12 +52,6 @@ class Conditions:
             if value is not None:
                 raise InputError(f"{option}: not for {name}; leave it out")
 
-    def nothing(self, name: str) -> None:
-        """Refuse all conditions."""
-        self.only_noise(name)
-        if self.noise_pp is not None:
-            raise InputError(f"noise: not for {name}; leave it out")
-
     def named(self, case: str) -> str:
         """Return a case's name with the noise."""
         # Not "-noise": that is the paper's own case, with its noise on T1 and T2 alone.

@@ -179,6 +179,8 @@ class Kind(Generic[M, E]):
         (kind, model, name to response, conditions) to errors; None for a kind that only logs judge.
     judge_logs : callable, optional
         (model, name to path of a log) to errors; None for a kind that only responses judge.
+    residuals : callable, optional
+        (estimator, state, sample as `channels`) to reading minus model, NaN for what is missing.
     program : callable, optional
         (estimator, precision, nominal interval s) to what it gives to a program for a control.
     """
@@ -199,4 +201,5 @@ class Kind(Generic[M, E]):
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     judge_logs: Callable[[M, Mapping[str, Path]], Figures] | None = None
+    residuals: Callable[[E, Array, Array], Array] | None = None
     program: Callable[[E, Precision, float], Contents] | None = None

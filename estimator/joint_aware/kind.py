@@ -13,6 +13,7 @@ from estimator.joint_aware.log import read_log
 from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.residuals import residuals
 from estimator.kind import Kind, OnFirst, Options
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
@@ -92,6 +93,12 @@ def _ranges(model: ObserverModel) -> tuple[Range, ...]:
     return calibrated_ranges(known.duration_s, (0.0, known.heat), known.temperatures)
 
 
+def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> Array:
+    if isinstance(estimator, AgeingJointAware):
+        raise InputError("residuals: not while the machine's parameters are learnt")
+    return residuals(estimator, state, values)
+
+
 def _program(
     estimator: JointAwareEstimator,
     precision: Precision,
@@ -118,5 +125,6 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     response=_response,
     sensors=_sensors,
     ranges=_ranges,
+    residuals=_residuals,
     program=_program,
 )

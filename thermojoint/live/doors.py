@@ -9,7 +9,6 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from estimator.joint_aware.estimator import JointAware
 from thermojoint.artefacts.arrays import Array
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Place
@@ -62,7 +61,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         {
             name: partial(_residuals_of, place)
             for name, place in running.floor.places.items()
-            if isinstance(place.served.estimator, JointAware)
+            if place.served.residuals is not None
         },
     )
     opened = open_http(section, sources, running.service.folder)

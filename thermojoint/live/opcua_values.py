@@ -10,10 +10,11 @@ from typing import Any
 
 from asyncua import ua
 
+from estimator.estimate_table import detail_name
 from estimator.quality import Quality, reasons_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.compensation.offsets.output import Mode
-from thermojoint.live.publication import Layout, Publication, detail_name
+from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.watchdog import REFUSED, SILENT
 
 _CODES = ua.StatusCodes

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from estimator.estimate_table import detail_name
 from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
@@ -156,12 +157,6 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "missing": list(publication.missing),
         "distrusted": list(publication.distrusted),
     }
-
-
-def detail_name(channel: Channel) -> str:
-    """Return the key of a detail: ``heat_spindle_W``, ``linear_x_um``, ``heat_input``."""
-    suffix = {"m": "_um", "1": ""}.get(channel.unit, f"_{channel.unit}")
-    return f"{channel.name}{suffix}"
 
 
 def _shown(channel: Channel, value: float) -> float:

@@ -8,28 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.observer_state import unpacked
-from thermojoint.artefacts.arrays import Array
 from thermojoint.live.machine import Machine
 from thermojoint.live.served import Served
-
-
-def residuals(estimator: JointAware, state: Array, values: Array) -> Array:
-    """Return reading minus model after a sample, K, shape (channels,); NaN for what is missing.
-
-    Parameters
-    ----------
-    estimator : JointAware
-        Of the state.
-    state : ndarray
-        After the sample.
-    values : ndarray
-        The sample, as `estimator.channels`.
-    """
-    thermal, _ = estimator.separated(values.tolist())
-    linear = unpacked(state, estimator.parts).linear
-    return np.asarray(thermal - estimator.observer.system.rows @ linear)
 
 
 def residuals_of(served: Served, machine: Machine) -> dict[str, float | None] | None:
@@ -38,15 +18,15 @@ def residuals_of(served: Served, machine: Machine) -> dict[str, float | None] | 
     Parameters
     ----------
     served : Served
-        With a joint-aware estimator.
+        With an estimator of a kind that tells residuals; None for any other.
     machine : Machine
         Where it stands.
     """
-    estimator, said = served.estimator, machine.usable
-    if not isinstance(estimator, JointAware) or said.number == 0:
+    residuals, said = served.residuals, machine.usable
+    if residuals is None or said.number == 0:
         return None
     values, _ = served.intake.convert(tuple(said.readings.tolist()), machine.cold)
-    found = residuals(estimator, machine.state, np.array(values)).tolist()
+    found = residuals(served.estimator, machine.state, np.array(values)).tolist()
     return {
         name: round(value, 4) if np.isfinite(value) else None
         for name, value in zip(served.layout.readings, found, strict=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ from estimator.interface import Estimator
 from estimator.kind import Kind, Options
 from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError, unknown_name
 from thermojoint.compensation.offsets.settings import Settings, read_settings
 from thermojoint.live.publication import Layout
@@ -37,6 +38,8 @@ class Served:
         What its machines read.
     ranges : tuple of Range
         What it was calibrated for.
+    residuals : callable, optional
+        (estimator, state, sample) to reading minus model; None for a kind that knows none.
     rule : Rule
         How their samples are made.
     layout : Layout
@@ -50,6 +53,7 @@ class Served:
     file: str
     intake: Intake
     ranges: tuple[Range, ...]
+    residuals: Callable[[Any, Array, Array], Array] | None
     rule: Rule
     layout: Layout
     output: Settings | None
@@ -97,8 +101,17 @@ def served(section: ModelSection, kept: Path) -> Served:
     )
     _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
-    ranges = kind.ranges(model)
-    return Served(estimator, digest, path.name, intake, ranges, rule, layout, output)
+    return Served(
+        estimator,
+        digest,
+        path.name,
+        intake,
+        kind.ranges(model),
+        kind.residuals,
+        rule,
+        layout,
+        output,
+    )
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:

@@ -332,6 +332,19 @@ def test_what_is_no_estimate_is_refused_in_one_line(text, told):
         read_estimate(text.splitlines(), "estimate.csv")
 
 
+def test_an_estimate_that_a_spreadsheet_saved_is_the_same():
+    """Semicolons and decimal commas."""
+    plain = estimate_text([f"{2 * k},1.5,{k}.25,-0.5,,0.5,ok" for k in range(4)])
+    axes, expected = read_estimate(plain.splitlines(), "estimate.csv")
+    saved = plain.replace(",", ";").replace(".", ",")
+    again, rows = read_estimate(saved.splitlines(), "saved.csv")
+    assert again == axes == ("x", "y")
+    for one, other in zip(rows, expected, strict=True):
+        assert (one.time, one.status) == (other.time, other.status)
+        assert np.array_equal(one.displacement, other.displacement)
+        assert np.array_equal(one.band, other.band, equal_nan=True)
+
+
 def test_the_command_refuses_a_response_and_leaves_nothing(files):
     out = files / "offsets.csv"
     command = ["compensate", "r.nc", "--settings", str(files / "offsets.toml"), "--out", str(out)]

@@ -10,10 +10,10 @@ from observed import SENSORS, estimates, observed_data, observer, run, step
 
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.residuals import residuals
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.residuals import residuals
 from thermojoint.live.scene import EYE, front_of, scene_of, upright
 from thermojoint.live.surface import (
     pressures,

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from estimator.estimate_table import detail_name
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 from thermojoint.live.archive import History
 from thermojoint.live.http.sources import About
-from thermojoint.live.publication import Publication, detail_name, iso_time
+from thermojoint.live.publication import Publication, iso_time
 from thermojoint.live.store import Event
 
 
