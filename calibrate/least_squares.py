@@ -17,7 +17,7 @@ the smaller of two solutions that fit alike.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
@@ -235,26 +235,22 @@ def fit(
     finals = [_descend(problem, end.theta, ridge, scale, 200) for end in ends[:polished]]
     winner = min(finals, key=lambda end: end.cost)
     evaluations = sum(end.evaluations for end in (*ends, *finals))
-    return _assess(problem, winner, ridge, len(points), at_best, evaluations)
+    return replace(
+        _assess(problem, winner, ridge),
+        starts=len(points),
+        starts_at_best=at_best,
+        evaluations=evaluations,
+    )
 
 
 def fit_linear(problem: Separable, theta: Sequence[float], ridge: float = 1e-6) -> Fit:
     """Return the fit of the coefficients alone, the nonlinear parameters being given."""
     _check(problem)
     end = _End(np.asarray(theta, dtype=float), 0.0, 1, "nonlinear parameters were given")
-    return _assess(problem, end, ridge, 0, 0, 1, free=False)
+    return _assess(problem, end, ridge, free=False)
 
 
-def _assess(
-    problem: Separable,
-    end: _End,
-    ridge: float,
-    starts: int,
-    at_best: int,
-    evaluations: int,
-    *,
-    free: bool = True,
-) -> Fit:
+def _assess(problem: Separable, end: _End, ridge: float, *, free: bool = True) -> Fit:
     """Return the `Fit` at `end`; `free` says whether the nonlinear parameters were searched."""
     columns, slopes = problem.basis(end.theta)
     coefficients = solve_linear(columns, problem.data, ridge)
@@ -291,8 +287,8 @@ def _assess(
             if free and room < _AT_BOUND
         ),
         indistinct=pairs,
-        starts=starts,
-        starts_at_best=at_best,
-        evaluations=evaluations,
+        starts=0,
+        starts_at_best=0,
+        evaluations=end.evaluations,
         message=end.message,
     )

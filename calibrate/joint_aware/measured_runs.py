@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
@@ -57,57 +56,56 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     every = [*moved.values(), *sensed.values(), power, *([] if room is None else [room])]
     whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
     ends = (*log.starts[1:], len(log.times))
-    return {
-        f"run {number}": _response(
-            f"run {number}",
-            np.flatnonzero(whole[first:end]) + first,
-            end - first,
-            log.times,
-            moved,
-            sensed,
-            power / sum(source_power(source) for source in case.sources.values()),
-            room,
+    heat = power / sum(source_power(source) for source in case.sources.values())
+    found = {}
+    for number, (first, end) in enumerate(zip(log.starts, ends, strict=True), 1):
+        where, kept = f"run {number}", np.flatnonzero(whole[first:end]) + first
+        count = end - first
+        if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
+            raise InputError(
+                f"{where}: {count - len(kept)} of {count} samples lack a reading; mend the log"
+            )
+        found[where] = _response(
+            where,
+            log.times[kept],
+            {axis: read[kept] for axis, read in moved.items()},
+            {name: read[kept] for name, read in sensed.items()},
+            heat[kept],
+            None if room is None else room[kept],
         )
-        for number, (first, end) in enumerate(zip(log.starts, ends, strict=True), 1)
-    }
+    return found
 
 
 def _response(
     where: str,
-    kept: NDArray[np.int64],
-    count: int,
     times: Array,
     moved: dict[str, Array],
     sensed: dict[str, Array],
     heat: Array,
     room: Array | None,
 ) -> xr.Dataset:
-    if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
-        raise InputError(
-            f"{where}: {count - len(kept)} of {count} samples lack a reading; mend the log"
-        )
-    temperatures = np.column_stack(list(sensed.values()))[kept]
+    temperatures = np.column_stack(list(sensed.values()))
     first = temperatures[0]
-    cold = float(np.median(first)) if room is None else float(room[kept[0]])
+    cold = float(np.median(first)) if room is None else float(room[0])
     warmest = int(np.argmax(np.abs(first - cold)))
     if abs(first[warmest] - cold) > COLD:
         raise InputError(
             f"{where}: {list(sensed)[warmest]} begins {first[warmest] - cold:+.1f} K from the "
             f"ambient; begin with the machine at rest, cold through"
         )
-    displacement = np.zeros((len(kept), len(DIRECTIONS)))
+    displacement = np.zeros((len(times), len(DIRECTIONS)))
     for axis, read in moved.items():
-        displacement[:, DIRECTIONS.index(axis)] = read[kept] - read[kept[0]]
+        displacement[:, DIRECTIONS.index(axis)] = read - read[0]
     values = {
-        "heat_input": heat[kept],
+        "heat_input": heat,
         "temperature": temperatures - cold,
         "displacement": displacement,
     }
     if room is not None:
-        values["ambient"] = room[kept] - cold
+        values["ambient"] = room - cold
     return make_response(
         values,
-        {"time": times[kept] - times[kept[0]], "probe": list(sensed), "axis": list(DIRECTIONS)},
+        {"time": times - times[0], "probe": list(sensed), "axis": list(DIRECTIONS)},
     )
 
 

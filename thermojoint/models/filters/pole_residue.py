@@ -102,9 +102,7 @@ def fit_strictly_proper(
     ConvergenceError
         No number of poles reaches the tolerance.
     """
-    frequencies, values = _sample(transfer, band, what)
-    weight = np.full(frequencies.size, 1.0 / np.linalg.norm(values, axis=(1, 2)).max())
-    return _fit(frequencies, values, weight, False, band, tolerance, what)
+    return _fit(transfer, False, band, tolerance, what)
 
 
 def fit_proper(
@@ -114,9 +112,7 @@ def fit_proper(
 
     Parameters and errors as in `fit_strictly_proper`.
     """
-    frequencies, values = _sample(transfer, band, what)
-    weight = 1.0 / np.linalg.norm(values, axis=(1, 2))
-    return _fit(frequencies, values, weight, True, band, tolerance, what)
+    return _fit(transfer, True, band, tolerance, what)
 
 
 def direct_bank(
@@ -159,15 +155,12 @@ def _sample(
 
 
 def _fit(
-    frequencies: np.ndarray,
-    values: np.ndarray,
-    weight: np.ndarray,
-    proper: bool,
-    band: tuple[float, float],
-    tolerance: float,
-    what: str,
+    transfer: Transfer, proper: bool, band: tuple[float, float], tolerance: float, what: str
 ) -> PoleResidue:
     """Raise the number of poles until the weighted error is below `tolerance`."""
+    frequencies, values = _sample(transfer, band, what)
+    size = np.linalg.norm(values, axis=(1, 2))
+    weight = 1.0 / size if proper else np.full(frequencies.size, 1.0 / size.max())
     s = 1j * frequencies
     flat = values.reshape(frequencies.size, -1)
     best = np.inf
