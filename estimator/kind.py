@@ -8,10 +8,10 @@ sample holds what is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from estimator.columns import samples_of
 from estimator.intake import Intake, by_channels
@@ -98,7 +98,7 @@ def _intake(model: Any, above_ambient: bool) -> Intake:  # noqa: ANN401
 
 def _log(
     model: Any,  # noqa: ANN401
-    lines: TextIO,
+    lines: Iterable[str],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[Sample]:
@@ -195,7 +195,7 @@ class Kind(Generic[M, E]):
     carried: Callable[[E], Any] | None = None
     resumed: Callable[[M, Options, Any, str], E] | None = None
     intake: Callable[[M, bool], Intake] = _intake
-    log: Callable[[M, TextIO, str, OnFirst | None], Iterator[Sample]] = _log
+    log: Callable[[M, Iterable[str], str, OnFirst | None], Iterator[Sample]] = _log
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges

@@ -1,7 +1,7 @@
-"""Measured temperatures as CSV, row by row.
+"""Measured temperatures, row by row, from a table in any dialect.
 
-A file has one of two layouts, told apart by their column names; the order is free, other columns
-are ignored:
+A table has one of two layouts, told apart by their column names and units; the order is free, other
+columns are ignored. A row in which a reading is missing is left out; gaps are allowed:
 
 - ``time_s, delta_T_K, T1_K, T2_K``: ΔT = T_a - T_b, and T1, T2 above the current ambient;
 - ``time_s, a_degC, b_degC, T1_degC, T2_degC, ambient_degC``: as thermometers read.
@@ -9,21 +9,25 @@ are ignored:
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import UNITS, Column
+from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
+from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import readings, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
 
-#: No temperature is further from zero, in K or °C; what an open thermocouple reads (9.9e37) is.
-LARGEST = 5000.0
+#: What an exported program and the service refuse as no temperature, in K or °C.
+LARGEST = LARGEST_TEMPERATURE
 #: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
 Sample = tuple[float, ...]
 
@@ -33,6 +37,7 @@ def read_samples(
     sensors: Sequence[str],
     where: str,
     on_first: Callable[[Mapping[str, float]], None] | None = None,
+    rows: int = 1,
 ) -> Iterator[Sample]:
     """Yield the samples of a CSV as its lines come in.
 
@@ -45,7 +50,9 @@ def read_samples(
     where : str
         Name of the file, for error messages.
     on_first : callable, optional
-        Called with the first row as it was read: column to value.
+        Called with the first complete row as it was read: column to value.
+    rows : int
+        Most rows that are read at once (`pieces_in`).
 
     Yields
     ------
@@ -55,60 +62,53 @@ def read_samples(
     Raises
     ------
     InputError
-        The lines are no CSV, a column is missing, a value is no finite number or no temperature, or
-        time does not increase.
+        The lines are no log, a column is missing, or a clock goes back.
     """
-    rows = _rows(lines, where)
-    header = [name.strip().lstrip("\ufeff") for name in next(rows, (0, []))[1]]
-    above_ambient = ["time_s", "delta_T_K", *(f"{name}_K" for name in sensors)]
-    as_read = ["time_s", "a_degC", "b_degC", *(f"{name}_degC" for name in sensors), "ambient_degC"]
-    if set(above_ambient) <= set(header):
-        wanted = above_ambient
-    elif set(as_read) <= set(header):
-        wanted = as_read
-    else:
-        raise InputError(
-            f"{where}: columns {', '.join(header) or 'none'}; give {', '.join(above_ambient)} or "
-            f"{', '.join(as_read)}"
-        )
-    at = [header.index(name) for name in wanted]
     last = -math.inf
-    for number, row in rows:
-        line = f"{where}, line {number}"
-        if len(row) != len(header):
-            raise InputError(f"{line}: {len(row)} values, expected {len(header)}; mend the row")
-        values = [_number(row[k], name, line) for k, name in zip(at, wanted, strict=True)]
-        if not values[0] > last:
-            raise InputError(
-                f"{line}: time {values[0]:g} s does not come after {last:g} s; drop or re-order it"
-            )
-        for value, name in zip(values[1:], wanted[1:], strict=True):
-            if abs(value) > LARGEST:
-                raise InputError(
-                    f"{line}: {name} is {value:g}, no temperature; leave the row out, gaps are "
-                    "allowed"
-                )
-        if on_first is not None and last == -math.inf:
-            on_first(dict(zip(wanted, values, strict=True)))
-        last = values[0]
-        if wanted is above_ambient:
-            yield tuple(values)
-        else:
-            time, hot, cold, *joint, ambient = values
-            yield (time, hot - cold, *(value - ambient for value in joint))
+    for piece in pieces_in(lines, where, rows=rows):
+        if not piece.times[0] > last:
+            raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
+        wanted, values = _wanted(piece, sensors, where)
+        for time, row in zip(piece.times.tolist(), values.tolist(), strict=True):
+            if not all(map(math.isfinite, row)):
+                continue
+            if on_first is not None and last == -math.inf:
+                on_first(_shown(wanted, row))
+            last = time
+            if len(row) == 1 + len(sensors):
+                yield (time, *row)
+            else:
+                hot, cold, *joint, ambient = row
+                yield (time, hot - cold, *(value - ambient for value in joint))
 
 
-def _rows(lines: Iterable[str], where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and values of every line of a CSV that is not empty."""
-    reader = csv.reader(lines)
-    try:
-        for row in reader:
-            if row:
-                yield reader.line_num, row
-    except csv.Error as error:
-        raise InputError(
-            f"{where}, line {reader.line_num}: not readable as CSV ({error}); mend the file"
-        ) from error
+def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column], Array]:
+    """Return the columns of one of the two layouts and their values, in SI."""
+    above_ambient = ["delta_T", *sensors]
+    as_read = ["a", "b", *sensors, "ambient"]
+    for names, above in ((above_ambient, True), (as_read, False)):
+        at = {
+            one.base: k
+            for k, one in enumerate(log.columns)
+            if one.quantity == "temperature" and (one.unit == "K") == above
+        }
+        if set(names) <= set(at):
+            return [log.columns[at[name]] for name in names], log.values[:, [at[n] for n in names]]
+    raise InputError(
+        f"{where}: columns {', '.join(log.names) or 'none'}; give time_s, "
+        f"{', '.join(f'{name}_K' for name in above_ambient)} or time_s, "
+        f"{', '.join(f'{name}_degC' for name in as_read)}"
+    )
+
+
+def _shown(columns: Sequence[Column], values: Sequence[float]) -> dict[str, float]:
+    """Return one row by column, temperatures in K above the ambient or in °C."""
+    zero = UNITS["degC"].offset
+    return {
+        f"{one.base}_K" if one.unit == "K" else f"{one.base}_degC": value
+        - (0.0 if one.unit == "K" else zero)
+        for one, value in zip(columns, values, strict=True)
+    }
 
 
 def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
@@ -145,13 +145,3 @@ def nominal_interval(
     if len(first) < 2:
         raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
     return first[1][0] - first[0][0], chain(first, samples)
-
-
-def _number(text: str, name: str, line: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(f"{line}: {name} is {text!r}, no number; mend the row") from None
-    if not math.isfinite(value):
-        raise InputError(f"{line}: {name} is not finite; leave the row out, gaps are allowed")
-    return value

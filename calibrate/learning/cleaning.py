@@ -10,6 +10,7 @@ from calibrate.learning.rules import Cleaning
 from calibrate.learning.thinning import Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_record import PAUSE
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +108,29 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     )
 
 
+def read_time(table: Table) -> Array:
+    """Return how long the logger had read until each row, s, shape (k,).
+
+    A pause, the night between two days, and the time between two runs are none of it: what nobody
+    read has not stood still.
+    """
+    steps = np.diff(table.times, prepend=table.times[0])
+    steps[list(table.starts)] = 0.0
+    return np.cumsum(np.where(steps > PAUSE * _interval(table), 0.0, steps))
+
+
+def _interval(table: Table) -> float:
+    """Return the usual step between rows, s: a logger may be slower than the table."""
+    steps = np.diff(table.times)
+    steps = steps[steps > 0.0]
+    return max(table.interval, float(np.median(steps)) if steps.size else 0.0)
+
+
 def _length(table: Table) -> float:
+    read = read_time(table)
     ends = [*table.starts[1:], len(table.times)]
     return max(
-        float(table.times[end - 1] - table.times[first])
-        for first, end in zip(table.starts, ends, strict=True)
+        float(read[end - 1] - read[first]) for first, end in zip(table.starts, ends, strict=True)
     )
 
 
@@ -152,7 +171,7 @@ def _changes_of(table: Table, drives: list[str]) -> Array:
         step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
         changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
     # Over a gap anything may have changed as well.
-    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * table.interval
+    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * _interval(table)
     changing[list(table.starts)] = True
     return changing
 
@@ -173,9 +192,9 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
         return f"never moves by more than {rules.still:g} K"
     if table.spikes[k] > rules.spikes * table.samples:
         return f"{int(table.spikes[k])} spikes in {table.samples} samples"
-    times = table.times[there]
-    stuck = _longest_still(seen, times)
-    if stuck > max(rules.stuck * (times[-1] - times[0]), 1800.0):
+    times, read = table.times[there], read_time(table)[there]
+    stuck = _longest_still(seen, read)
+    if stuck > max(rules.stuck * (read[-1] - read[0]), 1800.0):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
     jump = _jump(seen, changes[there], rules)
     if jump is not None:
@@ -186,7 +205,7 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
 
 
 def _longest_still(values: Array, times: Array) -> float:
-    """Return the longest time for which a reading is the same to the last digit, s."""
+    """Return the longest time of reading for which a value is the same to the last digit, s."""
     new = np.flatnonzero(np.abs(np.diff(values)) > 1e-9)
     ends = np.concatenate(([0], new + 1, [len(values) - 1]))
     return float(np.diff(times[ends]).max(initial=0.0))

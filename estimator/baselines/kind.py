@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def _intake(baselines: Baselines, above_ambient: bool) -> Intake:
 
 def _log(
     baselines: Baselines,
-    lines: TextIO,
+    lines: Iterable[str],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
@@ -96,7 +96,9 @@ def _log(
         )
         values = piece.values[:, [piece.index(name) for name in wanted]]
         rise = values if above else values[:, :-1] - values[:, -1:]
-        for time, row in zip(piece.times.tolist(), rise.tolist(), strict=True):
+        # A row in which a reading is missing is left out.
+        there = np.isfinite(rise).all(axis=1)
+        for time, row in zip(piece.times[there].tolist(), rise[there].tolist(), strict=True):
             yield (time, *row)
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from estimator import measured
 from estimator.fchs.estimator import Fchs
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Kind, OnFirst, Options, at_once
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.schema import states
@@ -73,9 +73,10 @@ def _intake(given: Given, above_ambient: bool) -> Intake:
 
 
 def _log(
-    given: Given, lines: TextIO, where: str, on_first: OnFirst | None
+    given: Given, lines: Iterable[str], where: str, on_first: OnFirst | None
 ) -> Iterator[tuple[float, ...]]:
-    return measured.read_samples(lines, list(_model(given).linear.direct), where, on_first)
+    sensors = list(_model(given).linear.direct)
+    return measured.read_samples(lines, sensors, where, on_first, at_once(where))
 
 
 def _response(given: Given, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

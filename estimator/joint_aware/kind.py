@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TextIO
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from estimator.intake import Intake, intake
 from estimator.joint_aware.ageing import AgeingJointAware
@@ -14,7 +14,7 @@ from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Kind, OnFirst, Options, at_once
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -73,11 +73,11 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
 
 def _log(
     model: ObserverModel,
-    lines: TextIO,
+    lines: Iterable[str],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    return read_log(lines, model.sensors, where)
+    return read_log(lines, model.sensors, where, at_once(where))
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

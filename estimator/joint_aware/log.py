@@ -1,25 +1,28 @@
-"""A log of temperatures as CSV, row by row; a cell that is empty or NaN is a missing reading.
+"""Temperatures of the sensors of a joint-aware model, row by row, from a table in any dialect.
 
-A file has one of two layouts, told apart by their column names; the order is free, other columns
-are ignored:
+A table has one of two layouts, told apart by its units; the order is free, other columns are
+ignored, a reading that is missing is NaN:
 
-- ``time_s, NAME_K, ..., ambient_K``: above the ambient at which the machine was cold; without the
+- time, ``NAME_K``, ..., ``ambient_K``: above the ambient at which the machine was cold; without the
   last column the ambient stays as it was;
-- ``time_s, NAME_degC, ..., ambient_degC``: as thermometers read. The machine was cold at the first
-  ambient temperature that the log has.
+- time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
+  the first ambient temperature that the log has.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.tables.pieces import pieces_in
 
 
 def read_log(
-    lines: Iterable[str], sensors: Sequence[str], where: str
+    lines: Iterable[str], sensors: Sequence[str], where: str, rows: int = 1
 ) -> Iterator[tuple[float, ...]]:
     """Yield (time s, temperature of every sensor K, ambient K); NaN for a missing reading.
 
@@ -31,58 +34,50 @@ def read_log(
         Names of the sensors.
     where : str
         Name of the file, for error messages.
+    rows : int
+        Most rows that are read at once (`pieces_in`).
 
     Raises
     ------
     InputError
-        The lines are no CSV, a sensor has no column, a time is missing, or a cell is no number.
+        The lines are no log, a sensor has no column, or a clock goes back.
     """
-    reader = csv.reader(lines)
-    try:
-        header = [name.strip().lstrip("\ufeff") for name in next(reader, [])]
-        above = _columns(header, sensors, "K")
-        read = _columns(header, sensors, "degC") if above is None else None
-        if above is None and read is None:
-            wanted = ", ".join(f"{name}_K" for name in sensors)
-            absolute = ", ".join(f"{name}_degC" for name in (*sensors, "ambient"))
-            raise InputError(
-                f"{where}: columns {', '.join(header) or 'none'}; the model needs time_s, {wanted} "
-                f"or time_s, {absolute}"
-            )
-        at, cold = above or read or [], 0.0 if above is not None else math.nan
-        for row in reader:
-            if not row:
-                continue
-            line = f"{where}, line {reader.line_num}"
-            if len(row) != len(header):
-                raise InputError(f"{line}: {len(row)} values, expected {len(header)}; mend the row")
-            time, *values = [0.0 if k < 0 else _number(row[k], header[k], line) for k in at]
-            if math.isnan(time):
-                raise InputError(f"{line}: the time is missing; drop the row")
-            if math.isnan(cold):
-                cold = values[-1]
-            yield (time, *(value - cold for value in values))
-    except csv.Error as error:
-        raise InputError(
-            f"{where}, line {reader.line_num}: not readable as CSV ({error}); mend the file"
-        ) from error
+    cold = math.nan
+    last = -math.inf
+    for piece in pieces_in(lines, where, rows=rows):
+        if not piece.times[0] > last:
+            raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
+        last = float(piece.times[-1])
+        at, above = _columns(piece, sensors, where)
+        values = piece.values[:, [k for k in at if k >= 0]]
+        if at[-1] < 0:
+            values = np.column_stack((values, np.zeros(len(values))))
+        for time, row in zip(piece.times.tolist(), values, strict=True):
+            if above:
+                cold = 0.0
+            elif math.isnan(cold):
+                cold = float(row[-1])
+            yield (time, *(row - cold).tolist())
 
 
-def _columns(header: Sequence[str], sensors: Sequence[str], unit: str) -> list[int] | None:
-    """Where time, sensors and ambient stand, -1 for an ambient that is not recorded; or None."""
-    wanted = ["time_s", *(f"{name}_{unit}" for name in sensors)]
-    ambient = f"ambient_{unit}"
-    if not set(wanted) <= set(header) or (unit == "degC" and ambient not in header):
-        return None
-    last = header.index(ambient) if ambient in header else -1
-    return [*(header.index(name) for name in wanted), last]
-
-
-def _number(text: str, name: str, line: str) -> float:
-    if not text.strip():
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(f"{line}: {name} is {text!r}, no number; mend the row") from None
-    return value if math.isfinite(value) else math.nan
+def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:
+    """Where sensors and ambient stand, -1 for an ambient that is not recorded; if above it."""
+    wanted = [*sensors, "ambient"]
+    rises, read = (
+        {
+            one.base: k
+            for k, one in enumerate(log.columns)
+            if one.quantity == "temperature" and (one.unit == "K") == above
+        }
+        for above in (True, False)
+    )
+    if set(sensors) <= set(rises):
+        return [rises.get(name, -1) for name in wanted], True
+    if set(wanted) <= set(read):
+        return [read[name] for name in wanted], False
+    above_ambient = ", ".join(f"{name}_K" for name in sensors)
+    absolute = ", ".join(f"{name}_degC" for name in wanted)
+    raise InputError(
+        f"{where}: columns {', '.join(log.names) or 'none'}; the model needs time_s, "
+        f"{above_ambient} or time_s, {absolute}"
+    )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
 
 def _log(
     model: LearnedModel,
-    lines: TextIO,
+    lines: Iterable[str],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fesim.case.columns import read_columns
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.columns import read_columns
 
 History = Callable[[Array], Array]
 

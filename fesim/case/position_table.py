@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fesim.case.columns import read_columns
 from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.columns import read_columns
 
 COLUMNS = ("x_mm", "y_mm", "z_mm")
 

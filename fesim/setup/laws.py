@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case.columns import read_columns
 from fesim.case.joint_sections import ConductanceSection, GapSection, JointSection
 from fesim.case.schema import Case
 from fesim.joint.conductance import (
@@ -32,6 +31,7 @@ from fesim.solid.materials import Material
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.columns import read_columns
 
 #: C and n of Eq. 11 by law.
 CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}

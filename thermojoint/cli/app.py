@@ -12,7 +12,16 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.cli import compensating, exporting, learning, placing, scene, serving, thermal_test
+from thermojoint.cli import (
+    compensating,
+    exporting,
+    learning,
+    looking,
+    placing,
+    scene,
+    serving,
+    thermal_test,
+)
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
 from thermojoint.cli import simulating as simulation
@@ -32,6 +41,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         scene.scene,
     ),
     "Look and check": (
+        looking.look,
         structures.view,
         models.tables,
         thermal_test.iso230_3,

@@ -117,22 +117,21 @@ def distances(text: str) -> list[list[float]]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[TextIO | None]:
-    """Open a CSV, or standard input for ``-``; None for a response.
+def opened(path: Path) -> Iterator[Iterable[str] | None]:
+    """Open a table, or standard input for ``-``; None for a response."""
+    from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of, lines_of
 
-    Bytes that are no UTF-8, e.g. a logger's degree sign in another column, are replaced.
-    """
     if str(path) == "-":
         if isinstance(sys.stdin, io.TextIOWrapper):
-            sys.stdin.reconfigure(encoding="utf-8", errors="replace")
+            peek = getattr(sys.stdin.buffer, "peek", None)
+            encoding = encoding_of(peek(4)[:4]) if peek else "utf-8-sig"
+            sys.stdin.reconfigure(encoding=encoding, errors=OR_CP1252)
         yield sys.stdin
     elif path.suffix == ".nc":
         yield None
-    elif not path.is_file():
-        raise InputError(f"{path}: no such file; give a CSV of temperatures or a response (.nc)")
     else:
-        with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            yield file
+        with lines_of(path, "table of temperatures, or a response (.nc),") as lines:
+            yield lines
 
 
 @contextmanager

@@ -40,10 +40,12 @@ def learn(
     out: Path,
 ) -> None:
     """Fit the machine of a case to the runs of a measured log."""
-    from thermojoint.artefacts.log_file import read_log
+    from thermojoint.artefacts.log import joined
+    from thermojoint.artefacts.log_file import log_pieces
+    from thermojoint.cli.log_reading import said
 
     machine = _machine(case, logs, out, None)
-    log = read_log(logs, renamed)
+    log = joined(said(log_pieces(logs, renamed)))
     from calibrate.joint_aware.measured_runs import runs_of
 
     _fitted(machine, runs_of(log, machine, displacement), out, None)

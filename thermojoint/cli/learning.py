@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds, joint_aware
 
 if TYPE_CHECKING:
@@ -72,15 +70,16 @@ def learn(
     from calibrate.learning.learn import learn as learned
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
+    from thermojoint.cli.log_reading import renamed_by, said
     from thermojoint.models.learned import write_learned
 
-    renamed = _renamed(column, mapping)
+    renamed = renamed_by(column, mapping)
     if kind is LearnedKind.JOINT_AWARE:
         joint_aware.learn(case, logs, displacement, renamed, out)
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
     arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
-    pieces = log_pieces(logs, renamed)
+    pieces = said(log_pieces(logs, renamed))
     files = [path.name for path in logs]
     wanted = cast("Kind", kind.value)
     with console.working("learning"):
@@ -88,21 +87,6 @@ def learn(
     write_learned(model, out)
     _show(model)
     console.wrote(out)
-
-
-def _renamed(column: Sequence[str] | None, mapping: Path | None) -> dict[str, str]:
-    from thermojoint.artefacts.log_file import read_mapping
-    from thermojoint.artefacts.quantities import column_named
-
-    found = read_mapping(mapping) if mapping else {}
-    for text in column or ():
-        theirs, _, ours = text.rpartition("=")
-        if not theirs or column_named(ours) is None:
-            raise InputError(
-                f"--column {text}: write THEIRS=OURS with a unit at the end, e.g. 'Temp 1=T1_degC'"
-            )
-        found[theirs] = ours
-    return found
 
 
 def _show(model: LearnedModel) -> None:

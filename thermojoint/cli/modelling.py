@@ -218,6 +218,7 @@ def estimate(
     from estimator.touches import read_touches, with_touches
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
+    from thermojoint.cli.log_reading import say_file
 
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
@@ -250,6 +251,7 @@ def estimate(
         ageing=() if ageing is None else tuple(name.strip() for name in ageing.split(",")),
         regression=regression,
     )
+    say_file(temperatures)
     with arguments.opened(temperatures) as source:
         samples: Iterator[Sample]
         if source is None:
@@ -375,6 +377,7 @@ def validate(
     from thermojoint import console, plausibility
     from thermojoint.artefacts.files import write_text
     from thermojoint.artefacts.response import read_response
+    from thermojoint.cli.log_reading import say_file
     from thermojoint.models.baselines import read_baselines
     from thermojoint.paper import printing
     from thermojoint.paper.summary import compare_schemes
@@ -391,6 +394,8 @@ def validate(
         arguments.check_taken(kind.name, {name: (one, False) for name, one in beside.items()})
         if kind.judge_logs is None:
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
+        for path in named.values():
+            say_file(path)
         with console.working("validating"):
             figures = kind.judge_logs(given, named)
     else:

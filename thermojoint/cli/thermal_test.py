@@ -116,9 +116,12 @@ def _record(
         if renamed or speed:
             raise InputError(f"{path}: --column and --speed go with a log; leave them out")
         return response_record(read_response(path), channels, temperatures)
-    from thermojoint.artefacts.log_file import read_log
+    from thermojoint.artefacts.log import joined
+    from thermojoint.artefacts.log_file import log_pieces
+    from thermojoint.cli.log_reading import said
 
-    return log_record(read_log([path], renamed), channels, temperatures, speed)
+    log = joined(said(log_pieces([path], renamed)))
+    return log_record(log, channels, temperatures, speed)
 
 
 def _named(option: str, text: str) -> tuple[str, str]:

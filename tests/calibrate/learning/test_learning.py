@@ -21,6 +21,7 @@ from estimator.learned.kind import KIND
 from estimator.registry import resumed, save_state
 from estimator.touches import with_touches
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.learned import read_learned, write_learned
 
@@ -93,6 +94,18 @@ def test_a_faulty_sensor_is_named_and_left_out(fault, said):
     assert "T3_degC" not in found.sensors
     for row in judge("day", Learned(found), DAY):
         assert row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"]
+
+
+def test_a_night_between_two_days_is_no_stillness():
+    day = machine_log(hours=34.0, seed=4)
+    hours = day.times / 3600.0
+    kept = (hours < 10.0) | (hours > 24.0)
+    # As loggers write them, to a tenth: the same value may well be read for some minutes.
+    values = np.where(day.values > 200.0, np.round(day.values, 1), day.values)
+    two_days = Log(day.times[kept], day.columns, values[kept])
+    model = learn([two_days], ["x_um"])
+    assert not [fault for fault in model.learned_from.faults if "stuck" in fault]
+    assert model.sensors
 
 
 def test_a_sound_log_has_no_fault(model):

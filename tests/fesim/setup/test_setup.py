@@ -97,7 +97,11 @@ NAMES = [
     (("probes", "a", "position_mm"), [0.575, 0.6, 9999.0], "outside the mesh"),
     (("probes", "a", "position_mm"), [700.0, 370.0, 100.0], "lies in no cell of body 'column'"),
     (("probes",), {}, "the case names no temperature probe"),
-    (("heat_input",), {"kind": "sampled", "file": "none.csv"}, "none.csv: no such history file"),
+    (
+        ("heat_input",),
+        {"kind": "sampled", "file": "none.csv"},
+        "none.csv: no such file; give a history",
+    ),
     (
         ("candidates",),
         [{"body": "tabel", "low_mm": [0, 0, 0], "high_mm": [1, 1, 1], "spacing_mm": 1}],
@@ -380,7 +384,7 @@ def test_stiff_springs_hold_like_a_support_and_soft_ones_give_way(edit):
             {"body": "scre", "reference_power_W": 1.0},
             "sources.x.body: no body named 'scre'",
         ),
-        (("ambient",), {"file": "none.csv"}, "none.csv: no such history file"),
+        (("ambient",), {"file": "none.csv"}, "none.csv: no such file; give a history"),
     ],
 )
 def test_names_of_the_new_sections_must_exist(edit, place, value, message):

@@ -274,7 +274,7 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
         ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),
         ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
         ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),
-        ("0;1\n1;2\n", "there is no header"),
+        ("0;1\n1;2\n", "log: no header; give a first line"),
     ],
 )
 def test_a_refusal_shows_the_value_and_what_can_be_read(text, message):

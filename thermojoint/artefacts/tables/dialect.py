@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named, unit_named
@@ -21,6 +22,8 @@ _SHOWN = {";": "semicolon", "\t": "tab", ",": "comma", "|": "bar", "  ": "blanks
 _SEP_LINE = re.compile(r'^"?sep=(.)"?\s*$', re.IGNORECASE)
 #: A date or a time of day at the beginning of a cell.
 _MOMENT = re.compile(r"^\d{1,4}[-./:]\d{1,2}[-./:T ]?")
+#: What a row of values mostly begins with; an empty cell is looked at.
+_DIGITS = frozenset("0123456789")
 #: A comment, and not a spreadsheet's error value.
 _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)", re.IGNORECASE)
 
@@ -95,6 +98,48 @@ def trimmed(cells: list[str], count: int) -> list[str]:
     return cells
 
 
+class Row(NamedTuple):
+    """One row of values and the line it ends in."""
+
+    line: int
+    cells: list[str]
+
+
+def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]:
+    """Yield the rows of values; a header, and units, that stand there again are none.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        From the first row on.
+    dialect : Dialect
+        How to read them.
+    where : str
+        Name of the file, for error messages.
+
+    Raises
+    ------
+    InputError
+        A row has another number of cells than the header.
+    """
+    header = dialect.given
+    count = len(header)
+    for number, row in cells_of(lines, dialect.separator, where):
+        line = number + dialect.first
+        if len(row) == count and row[0][:1] in _DIGITS:
+            yield Row(line, row)
+            continue
+        if not is_row(row):
+            continue
+        cells = trimmed(row, count)
+        if len(cells) != count:
+            raise InputError(
+                f"{where}, line {line}: {len(cells)} cells, expected {count}; mend or drop the row"
+            )
+        if tuple(map(str.strip, cells)) not in (header, dialect.units):
+            yield Row(line, cells)
+
+
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     """Return how the lines of a table are to be read, by its first lines.
 
@@ -125,8 +170,8 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
         return None
     if not found:
         raise InputError(
-            f"{where}: no clock among the columns, there is no header; give a first line that "
-            "names the columns, e.g. time_s,T1_degC,x_um"
+            f"{where}: no header; give a first line that names the columns, e.g. "
+            "time_s,T1_degC,x_um"
         )
     best = max(
         rows or found, key=lambda one: (one.fits, one.separator not in _BLANKS, len(one.header))

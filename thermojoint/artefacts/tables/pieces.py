@@ -17,7 +17,7 @@ from thermojoint.artefacts.log_record import Record, with_times
 from thermojoint.artefacts.quantities import Column
 from thermojoint.artefacts.tables.cells import numbers, without_error_values
 from thermojoint.artefacts.tables.clock import FORMS, Hands, moment, passed
-from thermojoint.artefacts.tables.dialect import cells_of, is_row, trimmed
+from thermojoint.artefacts.tables.dialect import Row, rows_of
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 
 #: Rows in a piece.
@@ -28,13 +28,6 @@ _KELVIN = (223.0, 400.0)
 _LARGEST_LENGTH = 0.05
 #: A clock that goes back to where it began has begun anew if so many rows came before.
 _FEWEST = 3
-#: What a row of values mostly begins with; an empty cell is looked at.
-_DIGITS = frozenset("0123456789")
-
-
-class _Row(NamedTuple):
-    line: int
-    cells: list[str]
 
 
 class _At(NamedTuple):
@@ -43,13 +36,13 @@ class _At(NamedTuple):
     hands: Hands = Hands()
     first: float = np.inf
     rows: int = 0
-    before: _Row = _Row(0, [])
+    before: Row = Row(0, [])
 
 
 class _Part(NamedTuple):
     """Consecutive rows of one run, their times (s), the time before them, and what was said."""
 
-    rows: list[_Row]
+    rows: list[Row]
     times: list[float]
     last: float
     notes: list[str]
@@ -83,7 +76,7 @@ def pieces_in(
     layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
     record = Record(where, layout.form, layout.columns, layout.ignored, layout.clock.dated)
     notes, at, twice = layout.notes, _At(), 0
-    body = _body(chain(head[layout.dialect.first :], source), layout)
+    body = rows_of(chain(head[layout.dialect.first :], source), layout.dialect, where)
     while part := list(islice(body, rows)):
         for told, after in _parts(layout, part, at):
             at, twice = after, twice + told.twice
@@ -109,28 +102,7 @@ def _begun(
     return layout, head
 
 
-def _body(lines: Iterable[str], layout: Layout) -> Iterator[_Row]:
-    """Yield the rows of values; a header, and units, that stand there again are none."""
-    dialect, header = layout.dialect, layout.dialect.given
-    count = len(header)
-    for number, row in cells_of(lines, dialect.separator, layout.where):
-        line = number + dialect.first
-        if len(row) == count and row[0][:1] in _DIGITS:
-            yield _Row(line, row)
-            continue
-        if not is_row(row):
-            continue
-        cells = trimmed(row, count)
-        if len(cells) != count:
-            raise InputError(
-                f"{layout.where}, line {line}: {len(cells)} cells, expected {count}; mend or "
-                "drop the row"
-            )
-        if tuple(map(str.strip, cells)) not in (header, dialect.units):
-            yield _Row(line, cells)
-
-
-def _parts(layout: Layout, rows: Sequence[_Row], at: _At) -> Iterator[tuple[_Part, _At]]:
+def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part, _At]]:
     """Yield rows run by run with their times, and where the reading stands after each."""
     clock, where = layout.clock, layout.where
     times = _counted(layout, rows, at)
@@ -169,7 +141,7 @@ def _parts(layout: Layout, rows: Sequence[_Row], at: _At) -> Iterator[tuple[_Par
     yield part, at
 
 
-def _counted(layout: Layout, rows: Sequence[_Row], at: _At) -> list[float] | None:
+def _counted(layout: Layout, rows: Sequence[Row], at: _At) -> list[float] | None:
     """Return the times of rows whose clock is a number that does nothing but increase."""
     if layout.clock.form != "number":
         return None
@@ -181,7 +153,7 @@ def _counted(layout: Layout, rows: Sequence[_Row], at: _At) -> list[float] | Non
     return None
 
 
-def _check_twice(layout: Layout, one: _Row, other: _Row) -> None:
+def _check_twice(layout: Layout, one: Row, other: Row) -> None:
     """Refuse two rows of one time that do not say the same."""
     for k in layout.kept:
         first, second = one.cells[k].strip(), other.cells[k].strip()
@@ -193,7 +165,7 @@ def _check_twice(layout: Layout, one: _Row, other: _Row) -> None:
             )
 
 
-def _no_time(layout: Layout, row: _Row, text: str) -> InputError:
+def _no_time(layout: Layout, row: Row, text: str) -> InputError:
     names = " + ".join(layout.names[k] for k in layout.clock.columns)
     if not text:
         return InputError(f"{layout.where}, line {row.line}: the time is missing; drop the row")

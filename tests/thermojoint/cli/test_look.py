@@ -1,0 +1,101 @@
+"""`thermojoint look`, the examples of docs/tables.md, and the same model from any dialect."""
+
+import re
+import shlex
+import sys
+
+import numpy as np
+import pytest
+from in_process import undisturbed
+from machine_logs import as_csv, machine_log
+from repository import ROOT
+
+from calibrate.learning.learn import learn
+from thermojoint.artefacts.log import joined
+from thermojoint.artefacts.log_file import log_pieces
+from thermojoint.artefacts.tables.pieces import pieces_in
+from thermojoint.cli import main as cli
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """Run the command line in a folder of its own; gives exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        with undisturbed(), pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return run
+
+
+def test_every_example_of_the_page_is_the_same_log():
+    page = (ROOT / "docs" / "tables.md").read_text("utf-8")
+    examples = re.findall(r"```csv\n(.*?)```", page, re.DOTALL)
+    assert len(examples) == 5
+    first, *others = [joined(pieces_in(one.splitlines(keepends=True), "page")) for one in examples]
+    for log in others:
+        np.testing.assert_array_equal(log.times, first.times)
+        np.testing.assert_array_equal(log.values, first.values)
+
+
+def test_a_look_says_what_was_read_and_what_to_do_next(command, tmp_path):
+    night = "".join(
+        f"{t},20.5,{t % 7},---\n" for t in (*range(0, 7200, 60), *range(50_000, 57_200, 60))
+    )
+    (tmp_path / "log.csv").write_text("time_s,T1_degC,x_um,T2_degC\n" + night)
+    code, out, _ = command("look", "log.csv", "--out", "log.png")
+    assert code == 0
+    assert "2 runs, 1 pause" in out
+    assert "T2_degC: readings missing: 240 x ---" in out
+    assert "next: thermojoint learn log.csv --displacement x_um --out model.json" in out
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+    # What it names is a command line as it stands.
+    line = next(one for one in out.splitlines() if one.startswith("next: "))
+    assert shlex.split(line)[1:3] == ["thermojoint", "learn"]
+
+
+def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):
+    (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
+    code, out, err = command("look", "log.csv", "--out", "log.png")
+    assert (code, out) == (2, "")
+    assert "time is 'noon', no time known here; write seconds" in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "log.png").exists()
+
+
+def rows_of(path):
+    header, *rows = path.read_text("utf-8").splitlines()
+    return [name.rpartition("_") for name in header.split(",")], [row.split(",") for row in rows]
+
+
+def german(header, rows):
+    units = {"s": "s", "rpm": "min-1", "um": "µm", "degC": "°C"}
+    names = ";".join(f"{base} [{units[unit]}]" for base, _, unit in header)
+    lines = (";".join(cell.replace(".", ",") for cell in row) for row in rows)
+    return "\n".join(["Messung 4;7", names, *lines]).encode("cp1252")
+
+
+def units_below(header, rows):
+    names = "\t".join(base for base, _, _ in header)
+    units = "\t".join(unit for _, _, unit in header)
+    return "\n".join([names, units, *("\t".join(row) for row in rows)]).encode("utf-16")
+
+
+def blanks(header, rows):
+    names = "  ".join("".join(parts) for parts in header)
+    return "\n".join(["# one day", f"# {names}", *("  ".join(row) for row in rows)]).encode()
+
+
+def test_a_learned_model_is_the_same_to_the_last_bit_from_three_dialects(tmp_path):
+    plain = as_csv(machine_log(hours=5.0), tmp_path / "plain.csv")
+    expected = learn(log_pieces([plain]), ["x"])
+    for dialect in (german, units_below, blanks):
+        path = tmp_path / f"{dialect.__name__}.csv"
+        path.write_bytes(dialect(*rows_of(plain)))
+        found = learn(log_pieces([path]), ["x"])
+        assert found.channels[0].weights == expected.channels[0].weights
+        assert found.learned_from.errors_um == expected.learned_from.errors_um

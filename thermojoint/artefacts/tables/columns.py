@@ -1,0 +1,103 @@
+"""Named columns of a small table: a history, a grid of positions, conductances over pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.quantities import column_named, place_of
+from thermojoint.artefacts.tables.cells import numbers, without_error_values
+from thermojoint.artefacts.tables.clock import FORMS, Clock, Hands, clock_of, moment, passed
+from thermojoint.artefacts.tables.dialect import Dialect, Row, dialect_of, rows_of
+from thermojoint.artefacts.tables.source import lines_of
+
+_CLOCK = "time_s"
+
+
+def read_columns(
+    path: Path, wanted: Sequence[str], kind: str, optional: Sequence[str] = ()
+) -> dict[str, Array]:
+    """Read columns of numbers from a table in any dialect (docs/tables.md).
+
+    Parameters
+    ----------
+    path : Path
+        CSV, .xlsx or Parquet with a header; lines that begin with ``#`` are left out.
+    wanted : sequence of str
+        Columns that must be there, under these names or with another unit of the same quantity.
+        ``time_s`` may be any clock; one that tells the date counts from the first row.
+    kind : str
+        What the file is, for the error message, e.g. "history".
+    optional : sequence of str
+        Columns that are read if they are there.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (rows,)
+        In the units that were asked for; NaN where a value is missing.
+
+    Raises
+    ------
+    UnreadableError
+        The file is missing or cannot be opened.
+    InputError
+        It is no table, a column is missing or a value is no number.
+    """
+    path = Path(path)
+    with lines_of(path, kind) as source:
+        lines = list(source)
+    dialect = dialect_of(lines, str(path), whole=True)
+    assert dialect is not None
+    rows = list(rows_of(lines[dialect.first :], dialect, str(path)))
+    found: dict[str, Array] = {}
+    for name in (*wanted, *optional):
+        clock, bad = None, ""
+        if name == _CLOCK and name not in dialect.names:
+            clock, bad = clock_of(dialect.names, [row.cells for row in rows], dialect.decimal)
+        if clock is not None:
+            found[name] = _times(clock, dialect, rows, str(path))
+        elif (values := _column(name, dialect, rows, str(path))) is not None:
+            found[name] = values
+        elif name in wanted:
+            given = ", ".join(dialect.given)
+            raise InputError(
+                f"{path}: column {name!r} is missing; found {given}{f'; {bad}' if bad else ''}"
+            )
+    return found
+
+
+def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Array | None:
+    place = place_of(name, dialect.names)
+    if place is None:
+        return None
+    read = numbers([row.cells[place.at] for row in rows], dialect.decimal)
+    if read.unreadable is not None:
+        row = rows[read.unreadable]
+        raise InputError(
+            f"{where}: line {row.line}: {row.cells[place.at].strip()!r} is no number; write it "
+            "like 20.5 or 20,5"
+        )
+    values = place.values(read.values)
+    column = column_named(name)
+    if column is not None and column.quantity == "temperature":
+        values, _ = without_error_values(values, column.quantity)
+    return values
+
+
+def _times(clock: Clock, dialect: Dialect, rows: Sequence[Row], where: str) -> Array:
+    """Return the times of rows, s; from the first one on where the clock tells the date."""
+    times, hands = [], Hands()
+    for row in rows:
+        cells = [row.cells[k] for k in clock.columns]
+        told = moment(clock, cells, dialect.decimal)
+        if told is None:
+            raise InputError(
+                f"{where}: line {row.line}: {' '.join(cells).strip()!r} is no time; write {FORMS}"
+            )
+        hands, _ = passed(clock, hands, told)
+        times.append(hands.last)
+    return np.array(times) - (times[0] if times and clock.dated else 0.0)

@@ -1,0 +1,68 @@
+"""The command `look`: what a log holds, a picture of it, and the command that goes on from it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thermojoint.cli import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from thermojoint.artefacts.log import Log
+
+
+def look(
+    logs: Annotated[list[Path], typer.Argument(help="Logs: CSV, .xlsx or Parquet.")],
+    out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="THEIRS=OURS: what a column of the log is called, with its unit."),
+    ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(help="For many, TOML: \\[columns], 'Temp 1' = 'T1_degC'.")
+    ] = None,
+) -> None:
+    """Show a log as every command reads it: columns, units, clock, pauses, missing readings.
+
+    Example: [bold]thermojoint look log.csv[/bold]
+
+    Example: [bold]thermojoint look monday.xlsx tuesday.xlsx --column 'Fühler 1=T1_degC' --out
+    log.png[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.artefacts.log_file import read_log
+    from thermojoint.artefacts.log_record import described
+    from thermojoint.cli.log_reading import renamed_by
+
+    if out:
+        from thermojoint.pictures.figures import check_png
+
+        check_png(out)
+    arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [*logs, mapping])
+    log = read_log(logs, renamed_by(column, mapping))
+    for line in described(log.records):
+        print(line)
+    print(f"next: {suggested(log, logs, column or (), mapping)}")
+    if out:
+        from thermojoint.pictures.log import write_log_picture
+
+        write_log_picture(log, out)
+    console.wrote(out)
+
+
+def suggested(log: Log, logs: Iterable[Path], column: Iterable[str], mapping: Path | None) -> str:
+    """Return the command that goes on from a log: what can be learned from it, if anything."""
+    files = [str(path) for path in logs]
+    names = [part for text in column for part in ("--column", text)]
+    names += ["--mapping", str(mapping)] if mapping else []
+    lengths = log.of("length")
+    if lengths and (log.of("temperature") or log.of("speed") or log.of("power")):
+        told = [part for name in lengths for part in ("--displacement", name)]
+        return shlex.join(["thermojoint", "learn", *files, *told, *names, "--out", "model.json"])
+    if log.of("temperature") and len(files) == 1:
+        return shlex.join(["thermojoint", "estimate", "MODEL", *files, "--out", "estimate.csv"])
+    return shlex.join(["thermojoint", "look", *files, "--column", "THEIRS=T1_degC"])

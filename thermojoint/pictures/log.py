@@ -1,0 +1,74 @@
+"""A log as a picture: one panel for each quantity over the same time, pauses in grey."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.log import Log
+
+#: Points that a panel shows of a curve.
+_POINTS = 4000
+_HOUR = 3600.0
+_LABELS = {
+    "temperature": "temperature (°C)",
+    "length": "displacement (µm)",
+    "speed": "speed (rpm)",
+    "power": "power (W)",
+    "current": "current (A)",
+    "torque": "torque (N m)",
+    "load": "load (%)",
+}
+#: From SI to the unit of the label: scale and zero.
+_SHOWN = {"length": (1e6, 0.0), "speed": (30.0 / np.pi, 0.0), "load": (100.0, 0.0)}
+
+
+def write_log_picture(log: Log, path: Path) -> None:
+    """Draw every column of a log over the hours since its first sample.
+
+    Parameters
+    ----------
+    log : Log
+        Any number of runs; a clock that begins anew is drawn behind the run before it.
+    path : Path
+        PNG, whole or not at all.
+    """
+    quantities = [one for one in _LABELS if log.of(one)]
+    figure = Figure(figsize=(9.0, 1.0 + 2.2 * len(quantities)), layout="constrained")
+    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    hours = _hours(log)
+    step = max(1, len(hours) // _POINTS)
+    for panel, quantity in zip(panels, quantities, strict=True):
+        scale, zero = _SHOWN.get(quantity, (1.0, 0.0))
+        for column in (one for one in log.columns if one.quantity == quantity):
+            absolute = quantity == "temperature" and column.unit != "K"
+            values = scale * log.at(column.name) - (273.15 if absolute else zero)
+            panel.plot(hours[::step], values[::step], linewidth=1.0, label=column.name)
+        for begin, end in _pauses(log):
+            panel.axvspan(begin, end, color="0.9", linewidth=0.0)
+        panel.set_ylabel(_LABELS[quantity])
+        panel.grid(alpha=0.3)
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+    panels[-1].set_xlabel("time since the first sample (h)")
+    with whole_file(path) as part:
+        figure.savefig(part, format="png", dpi=110)
+
+
+def _hours(log: Log) -> np.ndarray:
+    """Return the hours since the first sample; a run whose clock begins anew goes on."""
+    steps = np.diff(log.times, prepend=log.times[0])
+    steps[list(log.starts)] = 0.0
+    return np.asarray(np.cumsum(steps) / _HOUR)
+
+
+def _pauses(log: Log) -> list[tuple[float, float]]:
+    if len(log.starts) > 1:
+        return []
+    return [
+        ((begin - log.times[0]) / _HOUR, (end - log.times[0]) / _HOUR)
+        for record in log.records
+        for begin, end in record.pauses
+    ]
