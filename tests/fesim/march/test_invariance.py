@@ -58,7 +58,7 @@ def run(made, values, advance, start=None, count=COUNT):
 
 
 @given(machines(), levels, coupling)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance):
     made = assembled(parts)
     machine = made.machine
@@ -78,7 +78,7 @@ def test_heat_is_neither_made_nor_lost_and_no_joint_pulls(parts, values, advance
 
 
 @given(machines())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_compliance_is_reciprocal_and_gives_way_to_every_load(parts):
     """Betti, to the rounding of two solves that the condensation takes out; energy is positive."""
     made = assembled(parts)
@@ -104,7 +104,7 @@ def turned(structure, rotation, shift):
 
 
 @given(machines(), levels, st.integers(0, 2**32 - 1))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_a_turned_structure_does_the_same(parts, values, seed):
     random = np.random.default_rng(seed)
     rotation, shift = Rotation.random(random_state=random), random.uniform(-1.0, 1.0, 3)
@@ -154,7 +154,7 @@ def renumbered(structure, seed):
 
 
 @given(machines(), levels, st.integers(0, 2**32 - 1))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_numbers_of_nodes_and_cells_mean_nothing(parts, values, seed):
     here = run(assembled(parts), values, staggered)[-1]
     other = assembled(parts | {"structure": renumbered(parts["structure"], seed)})
@@ -168,7 +168,7 @@ def test_numbers_of_nodes_and_cells_mean_nothing(parts, values, seed):
 
 
 @given(machines(), levels, st.integers(1, COUNT - 1), coupling)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_a_run_cut_in_two_is_the_same_to_the_last_bit(parts, values, at, advance):
     made = assembled(parts)
     whole = run(made, values, advance)

@@ -4,8 +4,6 @@ import json
 import subprocess
 import sys
 
-import pytest
-
 HEAVY = {
     *(
         "control",
@@ -22,27 +20,42 @@ HEAVY = {
     *("xarray", "zarr"),
 }
 
+#: Each command in a process of its own, forked from one that has loaded the modules named first.
 LOADED = """
-import json, os, sys
+import importlib, json, os, sys
 from thermojoint.cli import main as cli
-try:
-    cli.main()
-except SystemExit:
-    pass
-os.write(2, json.dumps(sorted({name.split(".")[0] for name in sys.modules})).encode())
+
+for name in json.loads(sys.argv[1]):
+    importlib.import_module(name)
+for arguments in json.loads(sys.argv[2]):
+    if not os.fork():
+        sys.argv[1:] = arguments
+        try:
+            cli.main()
+        except SystemExit:
+            pass
+        os.write(2, json.dumps(sorted({name.split(".")[0] for name in sys.modules})).encode())
+        os.write(2, b"\\n")
+        os._exit(0)
+    os.wait()
 """
 
 
-def loaded(*arguments):
+def loaded(commands, before=()):
+    """What has been loaded by the end of each command."""
     done = subprocess.run(
-        [sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=True
+        [sys.executable, "-c", LOADED, json.dumps(before), json.dumps(commands)],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    return {*json.loads(done.stderr.splitlines()[-1])}
+    found = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("[")]
+    assert len(found) == len(commands)
+    return [set(one) for one in found]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_help_and_version_load_none_of_the_libraries():
+    commands = [
         ["--help"],
         ["--version"],
         ["simulate", "--help"],
@@ -51,16 +64,18 @@ def loaded(*arguments):
         ["control", "--help"],
         ["export", "--help"],
         ["serve", "--help"],
-    ],
-)
-def test_help_and_version_load_none_of_the_libraries(arguments):
-    assert not loaded(*arguments) & HEAVY
+    ]
+    for arguments, found in zip(commands, loaded(commands), strict=True):
+        assert not found & HEAVY, arguments
 
 
 def test_a_command_loads_what_it_works_with_and_nothing_else():
     """Before its work, that is: the input is not there."""
     drawn_or_kept = {"matplotlib", "numba", "pandas", "xarray", "zarr"}
-    for arguments in (
+    elements = {"meshio", "skfem"}
+    estimate = ["estimate", "no.json", "no.csv", "--out", "no.csv"]
+    without_elements = [["tables", "no.json"], estimate]
+    commands = [
         ["simulate", "no.toml", "--out", "no.nc"],
         ["calibrate", "--reference", "no.nc", "--input", "2=no.nc", "--out", "no.json"],
         ["reproduce", "--case", "no.toml", "--out", "no"],
@@ -69,9 +84,9 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
         ["batch", "no.toml", "--out", "no"],
         ["compensate", "no.csv", "--settings", "no.toml", "--out", "o.csv"],
         ["control", "no.toml"],
-    ):
-        assert not loaded(*arguments) & drawn_or_kept
-    elements = {"meshio", "skfem"}
-    assert not loaded("tables", "no.json") & (drawn_or_kept | elements)
-    estimate = ["estimate", "no.json", "no.csv", "--out", "no.csv"]
-    assert not loaded(*estimate) & (drawn_or_kept | elements)
+        *without_elements,
+    ]
+    # What all of them need is loaded once, before.
+    for arguments, found in zip(commands, loaded(commands, ["numpy", "scipy.sparse"]), strict=True):
+        assert not found & drawn_or_kept, arguments
+        assert arguments not in without_elements or not found & elements, arguments
