@@ -63,9 +63,13 @@ def set_verbosity(wanted: Verbosity) -> None:
     _verbosity = wanted
 
 
-def out() -> Console:
-    """Return the console for results, as wide as the terminal, or 100 columns in a file."""
-    console = Console(highlight=False, markup=False, quiet=_verbosity is Verbosity.QUIET)
+def out(as_json: Path | None = None) -> Console:
+    """Return the console for results, as wide as the terminal, or 100 columns in a file.
+
+    It is silent if they go to standard output as JSON, for which `as_json` is ``-``.
+    """
+    silent = _verbosity is Verbosity.QUIET or _is_stream(as_json)
+    console = Console(highlight=False, markup=False, quiet=silent)
     if not console.is_terminal:
         console.width = 100
     return console
@@ -188,8 +192,12 @@ def _print(line: str) -> None:
 def wrote(*paths: Path | None) -> None:
     """Say which files were written."""
     for path in paths:
-        if path is not None:
+        if path is not None and not _is_stream(path):
             say(f"wrote {path}")
+
+
+def _is_stream(path: Path | None) -> bool:
+    return str(path) == "-"
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -90,8 +90,8 @@ def test_a_kind_from_outside_is_estimated_with_saved_and_resumed(here):
 
 
 def test_a_kind_from_outside_is_validated_with_noise_and_compensated(here):
-    command("validate", "rod.json", "step.nc", "--out", "v.json")
-    command("validate", "rod.json", "step.nc", "--noise-pp", "0.1", "--out", "noisy.json")
+    command("validate", "rod.json", "step.nc", "--json", "v.json")
+    command("validate", "rod.json", "step.nc", "--noise-pp", "0.1", "--json", "noisy.json")
     (free,), (noisy,) = (json.loads(Path(f).read_text())["rows"] for f in ("v.json", "noisy.json"))
     assert free["peak_total_um"] == pytest.approx(40.0, rel=0.1)
     assert 0.0 < free["rms_error_um"] < 15.0

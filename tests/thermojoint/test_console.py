@@ -138,7 +138,7 @@ def test_every_command_can_be_quiet_and_verbose(name, monkeypatch, capsys):
 
 
 def test_the_page_lists_every_exit_code():
-    page = (Path(__file__).parents[1] / "docs" / "files.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text("utf-8")
     table = page.split("## Exit codes")[1].split("##")[0]
     codes = {0, OUT_OF_TOLERANCE, BAD_INPUT, *(128 + number for number in ENDING)}
     assert codes == {

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
+
+import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.folders import check_replaceable
 from thermojoint.cli.file_kinds import Kind
+
+#: The one option for results as JSON.
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="Results as JSON; '-' prints them, and nothing else, on standard output.",
+        allow_dash=True,
+    ),
+]
 
 
 def shown(path: Path) -> str:
@@ -142,6 +156,13 @@ def output(path: Path) -> Iterator[TextIO]:
         return
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         yield file
+
+
+def write_json(path: Path | None, content: object) -> None:
+    """Write what --json asks for: to a file, to standard output for ``-``, nowhere for None."""
+    if path is not None:
+        with output(path) as file:
+            file.write(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def only_for(what: str, given: Mapping[str, object]) -> None:

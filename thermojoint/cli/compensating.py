@@ -47,22 +47,20 @@ def compensate(
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow(header(wanted))
         writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
-    console.wrote(None if str(out) == "-" else out)
+    console.wrote(out)
 
 
 def control(
     loop: Annotated[Path, typer.Argument(help="File of the closed loop (TOML).")],
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
-    figures: Annotated[
-        Path | None, typer.Option(help="Margins and residuals to write (JSON).")
-    ] = None,
+    figures: arguments.Json = None,
 ) -> None:
     """Close the loop: a marched machine, its estimator, a heater under PID, offsets of the axes.
 
     The controller is tuned by the model's transfer functions to the margins that the file asks
     for; the machine it is then tried on is not the model.
 
-    Example: [bold]thermojoint control step.toml --out step.html --figures step.json[/bold]
+    Example: [bold]thermojoint control step.toml --out step.html --json step.json[/bold]
     """
     from fesim.case.schema import read_case
     from thermojoint.compensation.loop.schema import read_loop
@@ -73,14 +71,14 @@ def control(
     from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.compensation.loop.judging import as_content
-    from thermojoint.compensation.loop.report import report_html, write_content, write_report
+    from thermojoint.compensation.loop.report import report_html, write_report
     from thermojoint.compensation.loop.run import close_loop
 
     machine = read_case(given.plant.case)
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.LOOP_REPORT),
-            "--figures": (figures, file_kinds.LOOP_FIGURES),
+            "--json": (figures, file_kinds.LOOP_FIGURES),
         },
         [loop, *files_of(given), *files_of(machine)],
     )
@@ -89,7 +87,6 @@ def control(
     content = as_content(closed)
     if out:
         write_report(report_html(closed, content), out)
-    if figures:
-        write_content(content, figures)
-    results.show_loop(console.out(), content)
+    arguments.write_json(figures, content)
+    results.show_loop(console.out(figures), content)
     console.wrote(out, figures)

@@ -147,6 +147,7 @@ ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimat
 ESTIMATE = Kind("an estimate", _is_estimate)
 ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"))
 FMU = Kind("an FMU of this program", _is_fmu)
+TABLES = Kind("tables of a model", _json("table1", "table2", "table3"))
 VALIDATION = Kind("a validation", _is_validation)
 VERIFICATION = Kind("a verification", _json("cases"))
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))

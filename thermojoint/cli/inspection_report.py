@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,11 +17,6 @@ _ANY_WIDTH = 100_000
 Row = tuple[str, ...]
 #: Names of the columns, and the rows; what a row is about stands first.
 Rows = tuple[Row, list[Row]]
-
-
-def as_json(found: Inspection) -> str:
-    """Return everything found as JSON, SI units."""
-    return json.dumps(dataclasses.asdict(found), indent=2) + "\n"
 
 
 def show(console: Console, name: str, found: Inspection) -> None:

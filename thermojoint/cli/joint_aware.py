@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,7 +62,7 @@ def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Pa
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.OBSERVER),
-            "--report": (report_file, file_kinds.CALIBRATION_REPORT),
+            "--json": (report_file, file_kinds.CALIBRATION_REPORT),
         },
         [case, *files_of(machine), *data],
     )
@@ -79,14 +78,12 @@ def _fitted(
     from calibrate.joint_aware.report import whole_report
     from estimator.joint_aware.model_file import write_observer
     from thermojoint import console
-    from thermojoint.artefacts.files import write_text
     from thermojoint.cli import results
 
     with console.working("calibrating"):
         calibrated = calibrate_joint_aware(machine, read)
         told = whole_report(calibrated) if report_file else report(calibrated.fit)
     write_observer(calibrated.model, out)
-    if report_file:
-        write_text(report_file, json.dumps(told, indent=2, allow_nan=False) + "\n")
-    results.show_physics(console.out(), told)
-    console.wrote(out)
+    arguments.write_json(report_file, told)
+    results.show_physics(console.out(report_file), told)
+    console.wrote(out, report_file)

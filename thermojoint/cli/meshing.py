@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -71,7 +71,7 @@ def inspect(
         Unit, typer.Option(help="Unit of a mesh file's coordinates; a case says its own.")
     ] = Unit.m,
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
-    as_json: Annotated[Path | None, typer.Option("--json", help="JSON to write.")] = None,
+    as_json: arguments.Json = None,
     skeleton: Annotated[
         Path | None, typer.Option("--case", help="Case file to start from, to write (TOML).")
     ] = None,
@@ -116,9 +116,8 @@ def inspect(
         with console.working("inspecting"):
             structure = read_structure(source, UNITS[unit.value])
             found = look_over(structure)
-    inspection_report.show(console.out(), str(source), found)
-    if as_json:
-        write_text(as_json, inspection_report.as_json(found))
+    inspection_report.show(console.out(as_json), str(source), found)
+    arguments.write_json(as_json, asdict(found))
     if skeleton:
         write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
     if out:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from enum import StrEnum
@@ -65,12 +64,7 @@ def calibrate(
     case: Annotated[
         Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
     ] = None,
-    report_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--report", help="Report to write (JSON), for --kind joint-aware: what the runs tell."
-        ),
-    ] = None,
+    report_file: arguments.Json = None,
 ) -> None:
     """Calibrate an estimator: the generalised models of Tables 1-3, or the machine's physics.
 
@@ -101,7 +95,7 @@ def calibrate(
         return
     if not pairs:
         raise InputError("--input: the paper's models need two steps beside the reference; give it")
-    arguments.only_for("--kind joint-aware", {"--case": case, "--report": report_file})
+    arguments.only_for("--kind joint-aware", {"--case": case, "--json": report_file})
     arguments.check_outputs(
         {"--out": (out, file_kinds.MODEL), "--baselines": (baselines, file_kinds.BASELINES)}, inputs
     )
@@ -128,25 +122,25 @@ def calibrate(
 
 def tables(
     model: ModelFile,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: arguments.Json = None,
 ) -> None:
     """Print Tables 1-3 of a model with the paper's values beside them.
 
     Example: [bold]thermojoint tables model.json[/bold]
 
-    Example: [bold]thermojoint tables model.json --json > tables.json[/bold]
+    Example: [bold]thermojoint tables model.json --json tables.json[/bold]
     """
     from thermojoint import console
     from thermojoint.models.model_file import read_model, read_provenance
     from thermojoint.paper import printing
     from thermojoint.paper.tables import printed_tables, tables_json
 
+    arguments.check_outputs({"--json": (as_json, file_kinds.TABLES)}, [model])
     provenance = read_provenance(model)
     content = tables_json(read_model(model), provenance)
-    if as_json:
-        print(json.dumps(content, indent=2, allow_nan=False))
-    else:
-        printing.show_tables(console.out(), printed_tables(content, provenance.at_bound))
+    arguments.write_json(as_json, content)
+    printing.show_tables(console.out(as_json), printed_tables(content, provenance.at_bound))
+    console.wrote(as_json)
 
 
 def estimate(
@@ -278,7 +272,7 @@ def estimate(
             samples = with_touches(samples, *read_touches(readings, estimator.axes))
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep)
-    console.wrote(None if str(out) == "-" else out, save)
+    console.wrote(out, save)
 
 
 def _write_estimates(
@@ -364,7 +358,7 @@ def validate(
     baselines: Annotated[
         Path | None, typer.Option(help="Baselines to judge beside it ('calibrate --baselines').")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    out: arguments.Json = None,
 ) -> None:
     """Judge the estimator: it sees the temperatures, the displacement is the judge.
 
@@ -375,7 +369,6 @@ def validate(
     from estimator.judging import Conditions
     from estimator.registry import kind_of_file
     from thermojoint import console, plausibility
-    from thermojoint.artefacts.files import write_text
     from thermojoint.artefacts.response import read_response
     from thermojoint.cli.log_reading import say_file
     from thermojoint.models.baselines import read_baselines
@@ -383,7 +376,7 @@ def validate(
     from thermojoint.paper.summary import compare_schemes
 
     inputs = [model, baselines, reference, *data]
-    arguments.check_outputs({"--out": (out, file_kinds.VALIDATION)}, inputs)
+    arguments.check_outputs({"--json": (out, file_kinds.VALIDATION)}, inputs)
     named = {path.stem: path for path in data}
     if len(named) < len(data):
         raise InputError("validate: two files have the same name; rename one")
@@ -410,13 +403,13 @@ def validate(
         )
         with console.working("validating"):
             figures = kind.judge(kind, given, responses, conditions)
-    if out:
-        write_text(out, json.dumps(figures, indent=2, allow_nan=False) + "\n")
-    printing.show_validation(console.out(), figures["rows"])
+    arguments.write_json(out, figures)
+    printer = console.out(out)
+    printing.show_validation(printer, figures["rows"])
     if "as_printed" in figures:
         schemes = compare_schemes(figures["rows"], figures["as_printed"], figures["vectors"])
-        printing.show_schemes(console.out(), schemes)
-        printing.show_blocks(console.out(), figures["blocks"])
+        printing.show_schemes(printer, schemes)
+        printing.show_blocks(printer, figures["blocks"])
     console.wrote(out)
 
 

@@ -125,7 +125,7 @@ def batch(
 
 
 def verify(
-    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    out: arguments.Json = None,
     markdown: Annotated[
         Path | None, typer.Option(help="Page to write (Markdown), as in the docs.")
     ] = None,
@@ -134,21 +134,26 @@ def verify(
 
     Example: [bold]thermojoint verify[/bold]
 
-    Example: [bold]thermojoint verify --out verify.json[/bold]
+    Example: [bold]thermojoint verify --json verify.json[/bold]
     """
     from thermojoint import console
+    from thermojoint.artefacts.files import write_text
     from thermojoint.cli import verification_run
+    from thermojoint.verification.report import markdown as verification_page
+    from thermojoint.verification.report import results_data
 
     arguments.check_outputs(
         {
-            "--out": (out, file_kinds.VERIFICATION),
+            "--json": (out, file_kinds.VERIFICATION),
             "--markdown": (markdown, file_kinds.VERIFICATION_PAGE),
         }
     )
     with console.progress_bars() as report:
         compared = verification_run.run_all(report)
-    verification_run.show(console.out(), compared)
-    verification_run.write(compared, out, markdown)
+    arguments.write_json(out, results_data(compared))
+    verification_run.show(console.out(out), compared)
+    if markdown:
+        write_text(markdown, verification_page(compared))
     console.wrote(out, markdown)
     if not all(result.passed for result in compared):
         raise typer.Exit(OUT_OF_TOLERANCE)

@@ -21,7 +21,7 @@ def iso230_3(
     ],
     test: Annotated[Protocol, typer.Option(help="Which test was recorded.")],
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
-    parameters: Annotated[Path | None, typer.Option(help="Parameters to write (JSON).")] = None,
+    parameters: arguments.Json = None,
     displacement: Annotated[
         list[str] | None,
         typer.Option(help="Column or axis to evaluate, also NAME=COLUMN; default: all."),
@@ -59,7 +59,7 @@ def iso230_3(
     Example: [bold]thermojoint iso230-3 warm_up.csv --test spindle --displacement X1=disp1_um
     --displacement X2=disp3_um --tilt B=X1,X2 --distance-mm 150 --out report.html[/bold]
 
-    Example: [bold]thermojoint iso230-3 etve.nc --test etve --out etve.html --parameters
+    Example: [bold]thermojoint iso230-3 etve.nc --test etve --out etve.html --json
     etve.json[/bold]
     """
     from thermojoint import console
@@ -71,7 +71,7 @@ def iso230_3(
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.TEST_REPORT),
-            "--parameters": (parameters, file_kinds.TEST_PARAMETERS),
+            "--json": (parameters, file_kinds.TEST_PARAMETERS),
         },
         [given, second],
     )
@@ -95,9 +95,8 @@ def iso230_3(
     if out:
         report.write_report(report.report_html(record, found, given.name, facts), out)
     content = report.parameters_json(found, given.name)
-    if parameters:
-        report.write_parameters(content, parameters)
-    results.show_test(console.out(), test.heading, content)
+    arguments.write_json(parameters, content)
+    results.show_test(console.out(parameters), test.heading, content)
     console.wrote(out, parameters)
 
 

@@ -1,17 +1,14 @@
-"""The command `verify`: runs the suite, prints its table and writes JSON and the docs page."""
+"""The command `verify`: runs the suite and prints its tables."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from thermojoint.artefacts.files import write_text
 from thermojoint.console import Report
-from thermojoint.verification.report import markdown, results_data, shown
+from thermojoint.verification.report import shown
 from thermojoint.verification.suite import GROUPS, Result, run
 
 
@@ -43,11 +40,3 @@ def show(console: Console, results: Sequence[Result]) -> None:
     console.print(f"\n{len(checks) - len(failed)} of {len(checks)} checks are within tolerance.")
     for name in failed:
         console.print(f"out of tolerance: {name}", style="bold red")
-
-
-def write(results: Sequence[Result], out: Path | None, page: Path | None) -> None:
-    """Write the JSON and the page that were asked for."""
-    if out:
-        write_text(out, json.dumps(results_data(results), indent=2, allow_nan=False) + "\n")
-    if page:
-        write_text(page, markdown(results))

@@ -25,7 +25,7 @@ _HEAD = """# Verification
 This page is written by the suite itself:
 
 ```sh
-thermojoint verify --out verify.json --markdown docs/verification.md
+thermojoint verify --json verify.json --markdown docs/verification.md
 ```
 
 The command prints the same table, writes it as JSON and ends with exit code 1 if anything is out of
@@ -40,7 +40,7 @@ said otherwise.
 def results_data(
     results: Sequence[Result],
 ) -> dict[str, list[dict[str, str | float | None]]]:
-    """Return the content of ``verify --out``: {"cases": [...]}, one entry for each check.
+    """Return the content of ``verify --json``: {"cases": [...]}, one entry for each check.
 
     A number that is not finite (its check fails) becomes None: JSON knows only finite ones.
     """

@@ -520,7 +520,7 @@ def test_the_command_line_estimates_and_validates_with_a_model_file(estimator, r
     assert len(rows) == 61
     assert read_state(state).values[0] == pytest.approx(118.0)
     judged = tmp_path / "validation.json"
-    command("validate", model, run_file, "--out", judged)
+    command("validate", model, run_file, "--json", judged)
     found = json.loads(judged.read_text())["rows"]
     assert {row["estimator"] for row in found} == {"joint-aware"}
     assert max(row["max_abs_error_um"] for row in found) < 0.05

@@ -120,9 +120,9 @@ MISTAKES = {
         ["simulate", "case.toml", "--continue", "truncated.npz", "--out"],
         "truncated.npz",
     ),
-    "truncated response": (["validate", "model.json", "truncated.nc", "--out"], "truncated"),
+    "truncated response": (["validate", "model.json", "truncated.nc", "--json"], "truncated"),
     "a model for baselines": (
-        ["validate", "model.json", "response.nc", "--baselines", "model.json", "--out"],
+        ["validate", "model.json", "response.nc", "--baselines", "model.json", "--json"],
         "thermojoint-baselines",
     ),
     "truncated reference": (
@@ -506,9 +506,37 @@ def test_tables_of_a_model_as_tables_and_as_json(command, files_at_hand):
     code, out, _ = command("tables", files_at_hand / "model.json")
     assert code == 0
     assert "Table 3" in out
-    code, out, _ = command("tables", files_at_hand / "model.json", "--json")
+    code, out, _ = command("tables", files_at_hand / "model.json", "--json", "-")
     assert code == 0
     assert json.loads(out)["table1"]["thermal"]["K"] == 3.372
+
+
+def test_json_on_standard_output_is_nothing_but_json(command, files_at_hand, tmp_path):
+    for arguments in (
+        ["tables", files_at_hand / "model.json"],
+        ["validate", files_at_hand / "model.json", files_at_hand / "response.nc"],
+        ["inspect", files_at_hand / "case.toml"],
+    ):
+        code, out, err = command(*arguments, "--json", "-")
+        assert (code, err) == (0, "")
+        code, table, _ = command(*arguments, "--json", tmp_path / "results.json")
+        assert code == 0
+        assert table
+        assert json.loads(out) == json.loads((tmp_path / "results.json").read_text())
+        (tmp_path / "results.json").unlink()
+
+
+def test_results_as_json_have_one_option_everywhere():
+    for name, command in HELPED.items():
+        for option in command.params:
+            words = f"{getattr(option, 'help', '')}".lower()
+            if "results as json" in words:
+                assert option.opts == ["--json"], name
+    assert {"tables", "validate", "verify", "inspect", "control", "iso230-3", "calibrate"} == {
+        name
+        for name, command in HELPED.items()
+        if any("--json" in option.opts for option in command.params)
+    }
 
 
 def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, coarse_response):
@@ -533,7 +561,7 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
         arguments = ["validate", results / "model.json", results / "responses" / "triangle.nc"]
         reference = ["--reference", results / "responses" / "step-1.0.nc"]
         noise = ["--noise-pp", "0.12", "--seed", seed]
-        code, text, _ = command(*arguments, *reference, *noise, "--out", out)
+        code, text, _ = command(*arguments, *reference, *noise, "--json", out)
         assert code == 0
         assert "triangle" in text
         found.append(json.loads(out.read_text())["rows"])
@@ -562,7 +590,7 @@ def test_reproduce_validates_every_case_with_every_estimator(results):
 
 
 def test_reproduce_writes_the_tables_of_its_own_model(command, results):
-    code, out, _ = command("tables", results / "model.json", "--json")
+    code, out, _ = command("tables", results / "model.json", "--json", "-")
     assert code == 0
     assert json.loads(out) == json.loads((results / "tables.json").read_text())
 

@@ -348,7 +348,7 @@ def inline(value):
 def test_the_command_writes_margins_residuals_and_a_page(folder):
     outputs = folder / "loop.html", folder / "loop.json"
     command = ["control", str(folder / "loop.toml"), "--out", str(outputs[0])]
-    done = CliRunner().invoke(app, [*command, "--figures", str(outputs[1])])
+    done = CliRunner().invoke(app, [*command, "--json", str(outputs[1])])
     assert done.exit_code == 0, done.output
     content = json.loads(outputs[1].read_text("utf-8"))
     assert [one["run"] for one in content["runs"]] == ["free", "heater", "delay 30 s"]

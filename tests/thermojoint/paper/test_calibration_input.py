@@ -152,7 +152,7 @@ def test_every_command_takes_a_model_of_other_axes(page, capsys, monkeypatch):
     truth = 1e6 * measured(2.0, estimate["time_s"])["z"]
     assert np.abs(estimate["z_um"] - truth).max() < 0.05 * np.abs(truth).max()
     arguments = ["validate", "model.json", "step-2.0.nc", "--reference", "step-1.0.nc"]
-    app([*arguments, "--out", "errors.json"], standalone_mode=False)
+    app([*arguments, "--json", "errors.json"], standalone_mode=False)
     rows = json.loads(Path("errors.json").read_text())["rows"]
     assert {row["axis"] for row in rows} == {"x", "z"}
 

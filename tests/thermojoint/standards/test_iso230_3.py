@@ -294,7 +294,7 @@ def test_the_command_writes_the_report_and_the_parameters(command, log, tmp_path
     page, content = tmp_path / "page.html", tmp_path / "found.json"
     channels = ["--displacement", "X1=front_um", "--displacement", "X2=back_um"]
     tilts = ["--tilt", "B=X1,X2", "--distance-mm", "150"]
-    written = ["--out", str(page), "--parameters", str(content)]
+    written = ["--out", str(page), "--json", str(content)]
     for _ in range(2):  # its own files it replaces
         assert command(log, "--test", "spindle", *channels, *tilts, *written)[0] == 0
     rows = {row["symbol"]: row for row in json.loads(content.read_text("utf-8"))["parameters"]}
@@ -307,7 +307,7 @@ def test_the_command_takes_a_response(command, coarse_response, tmp_path):
     """Which is one minute long: too short for a test with motion, long enough for the other."""
     path = tmp_path / "response.nc"
     write_response(coarse_response, path)
-    assert command(path, "--test", "etve", "--parameters", tmp_path / "etve.json")[0] == 0
+    assert command(path, "--test", "etve", "--json", tmp_path / "etve.json")[0] == 0
     assert "first 60 min" in refused(command, path, "--test", "spindle")
 
 

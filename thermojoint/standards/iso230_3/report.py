@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -72,12 +71,6 @@ def report_html(
 def write_report(page: str, path: Path) -> None:
     """Write a page to `path`, whole or not at all."""
     write_text(Path(path), page)
-
-
-def write_parameters(content: dict[str, Any], path: Path) -> None:
-    """Write parameters to `path` (JSON), whole or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
-    write_text(Path(path), text + "\n")
 
 
 def _row(parameter: Parameter) -> dict[str, Any]:
