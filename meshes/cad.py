@@ -8,6 +8,7 @@ on them; those without a name are gathered as ``BODY_outer``.
 
 from __future__ import annotations
 
+import math
 import re
 import signal
 import threading
@@ -23,6 +24,8 @@ from thermojoint.artefacts.settings.read import read_settings
 from thermojoint.artefacts.settings.section import Point, Section
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
+#: Cells of a part beyond which neither Gmsh nor the simulator ends in a day.
+MOST_CELLS = 2e7
 #: A face may be this far from a point that names it, relative to the size of the part.
 NEAR = 1e-4
 #: Faces that share less than this fraction of the smaller one touch only at an edge.
@@ -103,6 +106,7 @@ def mesh_cad(
                 _group(gmsh, 3, [volume], name)
             for name, faces in surfaces.items():
                 _group(gmsh, 2, faces, name)
+            _check_size(gmsh, part, size)
             gmsh.option.setNumber("Mesh.MeshSizeMax", size)
             gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
             gmsh.model.mesh.generate(3)
@@ -111,6 +115,25 @@ def mesh_cad(
                 gmsh.model.mesh.optimize("HighOrderElastic")
             with whole_file(out) as unfinished:
                 gmsh.write(str(unfinished))
+
+
+def _check_size(gmsh: Any, part: Path, size: float) -> None:  # noqa: ANN401
+    """Refuse an element size that gives more cells than can be simulated.
+
+    Regular tetrahedra of that edge fill the volume, regular triangles cover the surface.
+    """
+    volume, area = (
+        sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dimension))
+        for dimension in (3, 2)
+    )
+    by_volume, by_area = 6.0 * math.sqrt(2.0) * volume, 4.0 / math.sqrt(3.0) * area
+    cells = max(by_volume / size**3, by_area / size**2)
+    if cells > MOST_CELLS:
+        least = max(math.cbrt(by_volume / MOST_CELLS), math.sqrt(by_area / MOST_CELLS))
+        raise InputError(
+            f"{part}: elements of {1e3 * size:g} mm would be some {cells:.0e}, of which "
+            f"{MOST_CELLS:.0e} can be simulated; take {1.05e3 * least:.2g} mm or larger"
+        )
 
 
 @contextmanager

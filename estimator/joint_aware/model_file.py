@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from fesim.case.joint_sections import JointSection
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.machine import Joint, Modes
 from thermojoint.reduced.remainder import Remainder
 
@@ -49,11 +50,13 @@ _BAND = ("tangent", "steady", "constant", "history", "open", "square")
 def write_observer(model: ObserverModel, path: Path) -> None:
     """Write a model to `path` (HDF5), whole or not at all."""
     header, arrays = _header(model), _arrays(model)
-    with whole_file(Path(path)) as part, h5py.File(part, "w") as file:
+    made = BytesIO()
+    with h5py.File(made, "w") as file:
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
         file.attrs["header"] = header
         file.attrs["fingerprint"] = _digest(header, arrays)
+    write_bytes(Path(path), made.getvalue())
 
 
 def read_observer(path: Path) -> ObserverModel:

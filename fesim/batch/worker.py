@@ -19,8 +19,7 @@ from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError, UnreadableError
-from thermojoint.artefacts.files import temporary_folder
-from thermojoint.artefacts.response import write_response
+from thermojoint.artefacts.response import response_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -113,7 +112,7 @@ def run(task: Task) -> Outcome:
         if task.keep == "displacement":
             response = response[["displacement"]]
         else:
-            encoded = _encode(response)
+            encoded = response_bytes(response)
     except (*PASSING, *LASTING) as error:
         return Outcome(
             id=task.id,
@@ -177,11 +176,3 @@ def _line(error: BaseException) -> str:
     text = " ".join(str(error).split())
     expected = isinstance(error, InputError | ConvergenceError)
     return text if expected else f"{type(error).__name__}: {text}"
-
-
-def _encode(response: xr.Dataset) -> bytes:
-    """Encode here, so that the main process only has to write the bytes."""
-    with temporary_folder() as folder:
-        path = folder / "response.nc"
-        write_response(response, path)
-        return path.read_bytes()

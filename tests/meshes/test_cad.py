@@ -101,6 +101,12 @@ def test_a_failure_inside_of_gmsh_is_told_in_one_line(step, tmp_path, monkeypatc
 
 
 @needs_gmsh
+def test_an_element_size_that_would_never_end_is_refused_with_one_that_does(step, tmp_path):
+    with pytest.raises(InputError, match=r"elements of 0\.012 mm .* take [0-9.]+ mm or larger"):
+        mesh_cad(step, tmp_path / "out.msh", 1.2e-5)
+    assert not list(tmp_path.iterdir())
+
+
 def test_curved_cells_are_rounder(step, tmp_path):
     volume = np.pi * 0.01**2 * 0.03
     errors = []

@@ -56,6 +56,10 @@ def whole_file(path: Path) -> Iterator[Path]:
             with part.open("r+b") as file:
                 os.fsync(file.fileno())
             part.replace(path)
+        except OSError as error:
+            # A full disk is told without a name.
+            error.filename = error.filename or str(path)
+            raise
         finally:
             remove()
 
@@ -71,6 +75,15 @@ def temporary_folder() -> Iterator[Path]:
             yield place
         finally:
             remove()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write `content` to `path`, whole or not at all.
+
+    HDF5 is made in memory and written by this: its library ends the process where a disk is full.
+    """
+    with whole_file(path) as part:
+        part.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:

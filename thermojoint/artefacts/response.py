@@ -10,6 +10,7 @@ xarray is imported where a response is made or read: it takes as long as most of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.files import write_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -167,13 +168,19 @@ def write_response(response: xr.Dataset, path: Path | str) -> None:
     path : Path or str
         NetCDF to write.
     """
+    write_bytes(Path(path), response_bytes(response))
+
+
+def response_bytes(response: xr.Dataset) -> bytes:
+    """Return the content of a response's NetCDF file."""
     packed = {
         str(name): {"zlib": True, "complevel": 4}
         for name, variable in response.data_vars.items()
         if variable.dtype.kind == "f"
     }
-    with whole_file(Path(path)) as part:
-        response.to_netcdf(part, engine="h5netcdf", encoding=packed)
+    made = BytesIO()
+    response.to_netcdf(made, engine="h5netcdf", encoding=packed)
+    return made.getvalue()
 
 
 def read_response(path: Path | str) -> xr.Dataset:

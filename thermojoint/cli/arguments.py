@@ -52,7 +52,7 @@ def check_outputs(
     ------
     InputError
         An output is a folder or cannot be written, is an input (by whatever name or link) or
-        another output, or exists and is of another kind.
+        another output, exists and is of another kind, or has the ending of one.
     """
     taken = [("an input", one) for one in inputs if one is not None and _named(one)]
     for option, (path, kind) in outputs.items():
@@ -71,6 +71,9 @@ def check_outputs(
             raise InputError(
                 f"{option} {path}: exists and is not {kind.name}; give another name, or remove it"
             )
+        if kind.suffix and path.suffix and path.suffix.lower() != kind.suffix:
+            better = path.with_suffix(kind.suffix).name
+            raise InputError(f"{option} {path}: {kind.name} is written; name it {better}")
 
 
 def check_whole_folder(path: Path) -> None:

@@ -23,10 +23,13 @@ class Kind:
         What it is, for a message.
     holds : callable
         Says whether an existing file is one.
+    suffix : str
+        What its name ends in; empty if whoever writes it looks at that.
     """
 
     name: str
     holds: Callable[[Path], bool]
+    suffix: str = ""
 
 
 def _starts(*starts: bytes) -> Callable[[Path], bool]:
@@ -133,32 +136,38 @@ def _is_picture(path: Path) -> bool:
     )
 
 
-RESPONSE = Kind("a simulated response", _is_simulated)
-MARCH_STATE = Kind("the state of a simulation", _is_march_state)
-MODEL = Kind("a model file", _schema("thermojoint-model"))
-LEARNED = Kind("a learned model", _schema("thermojoint-learned-model"))
-OBSERVER = Kind("a joint-aware model", _schema("thermojoint-joint-aware-model"))
-SURFACE = Kind("the surface of a machine", _schema("thermojoint-surface"))
+RESPONSE = Kind("a simulated response", _is_simulated, ".nc")
+MARCH_STATE = Kind("the state of a simulation", _is_march_state, ".npz")
+MODEL = Kind("a model file", _schema("thermojoint-model"), ".json")
+LEARNED = Kind("a learned model", _schema("thermojoint-learned-model"), ".json")
+OBSERVER = Kind("a joint-aware model", _schema("thermojoint-joint-aware-model"), ".h5")
+SURFACE = Kind("the surface of a machine", _schema("thermojoint-surface"), ".h5")
 CALIBRATION_REPORT = Kind(
-    "the report of a calibration", _json("parameters", "directions", "profiles", "further_runs")
+    "the report of a calibration",
+    _json("parameters", "directions", "profiles", "further_runs"),
+    ".json",
 )
-BASELINES = Kind("a file of baselines", _schema("thermojoint-baselines"))
-ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimator-state"))
-ESTIMATE = Kind("an estimate", _is_estimate)
-ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"))
-FMU = Kind("an FMU of this program", _is_fmu)
-TABLES = Kind("tables of a model", _json("table1", "table2", "table3"))
-VALIDATION = Kind("a validation", _is_validation)
-VERIFICATION = Kind("a verification", _json("cases"))
-VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"))
-OFFSETS = Kind("a preview of offsets", _is_offsets)
-TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"))
-TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"))
-SENSORS = Kind("a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"))
-LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"))
-LOOP_FIGURES = Kind("figures of a closed loop", _schema("thermojoint-control"))
+BASELINES = Kind("a file of baselines", _schema("thermojoint-baselines"), ".json")
+ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimator-state"), ".json")
+ESTIMATE = Kind("an estimate", _is_estimate, ".csv")
+ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"), ".json")
+FMU = Kind("an FMU of this program", _is_fmu, ".fmu")
+TABLES = Kind("tables of a model", _json("table1", "table2", "table3"), ".json")
+VALIDATION = Kind("a validation", _is_validation, ".json")
+VERIFICATION = Kind("a verification", _json("cases"), ".json")
+VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"), ".md")
+OFFSETS = Kind("a preview of offsets", _is_offsets, ".csv")
+TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"), ".html")
+TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"), ".json")
+SENSORS = Kind(
+    "a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"), ".toml"
+)
+LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"), ".html")
+LOOP_FIGURES = Kind("figures of a closed loop", _schema("thermojoint-control"), ".json")
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
-INSPECTION = Kind("an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"))
+INSPECTION = Kind(
+    "an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"), ".json"
+)
 #: A case that exists may be finished: no draft replaces it.
 DRAFT = Kind("to be replaced by a draft", lambda path: False)
 PICTURE = Kind("a picture of this program", _is_picture)

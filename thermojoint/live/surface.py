@@ -9,6 +9,7 @@ the model's amplitudes say of the temperature at their corners, and the contact 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import h5py
@@ -24,7 +25,7 @@ from fesim.outside import contacts_of, outside_of
 from fesim.setup.machine import Setup
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.machine import (
     Modes,
     along,
@@ -158,11 +159,13 @@ def pressures(surface: Surface, estimator: JointAware, state: Array) -> Array:
 
 def write_surface(surface: Surface, path: Path) -> None:
     """Write a surface to `path` (HDF5), whole or not at all."""
-    with whole_file(Path(path)) as part, h5py.File(part, "w") as file:
+    made = BytesIO()
+    with h5py.File(made, "w") as file:
         for name in _ARRAYS:
             file.create_dataset(name, data=getattr(surface, name), compression="gzip")
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         file.attrs["model"] = surface.model
+    write_bytes(Path(path), made.getvalue())
 
 
 def read_surface(path: Path, model: ObserverModel) -> Surface:

@@ -159,6 +159,10 @@ MISTAKES = {
 }
 
 
+#: What commands write; the others write pictures.
+WRITTEN = {"simulate": "nc", "estimate": "csv", "validate": "json", "calibrate": "json"}
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_line_exit_code_2_and_no_file(
     mistake, command, files_at_hand, tmp_path, monkeypatch
@@ -166,7 +170,7 @@ def test_a_mistake_is_one_line_exit_code_2_and_no_file(
     arguments, said = MISTAKES[mistake]
     monkeypatch.chdir(files_at_hand)
     before = sorted(files_at_hand.iterdir())
-    code, out, err = command(*arguments, tmp_path / "out.png")
+    code, out, err = command(*arguments, tmp_path / f"out.{WRITTEN.get(arguments[0], 'png')}")
     assert code == 2
     assert err.startswith("thermojoint: ")
     assert err.count("\n") == 1

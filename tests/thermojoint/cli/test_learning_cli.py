@@ -156,13 +156,14 @@ def test_a_mistake_ends_in_one_line_and_nothing_is_written(here, command, argume
     text = (here / "log.csv").read_text("utf-8").splitlines()
     text[1:] = [re.sub(r",2(\d\.\d+)$", r",29\1", line) for line in text[1:]]
     (here / "kelvin.csv").write_text("\n".join(text) + "\n", encoding="utf-8")
-    code, told = command(*arguments, "--out", "out.file")
+    name = {"estimate": "out.csv"}.get(arguments[0], "out.json")
+    code, told = command(*arguments, "--json" if arguments[0] == "validate" else "--out", name)
     assert code == 2
     # Above the mistake stands what was read; the mistake is one line.
     *read, mistake = told.strip().splitlines()
     assert said in mistake
     assert not [line for line in read if line.startswith("thermojoint:")]
-    assert not (here / "out.file").exists()
+    assert not (here / name).exists()
 
 
 def test_readings_go_with_learned_models_only(here, command):

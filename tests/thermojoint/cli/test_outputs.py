@@ -1,5 +1,6 @@
 """No command costs anybody a file: inputs and files of another kind are never overwritten."""
 
+import subprocess
 import sys
 
 import pytest
@@ -144,6 +145,46 @@ def test_a_state_may_be_replaced_by_its_successor(command, at_hand):
     code, err = command(*going_on, "--continue", "state.json", "--save-state", "state.json")
     assert (code, err.count("\n")) == (0, 2)
     assert (at_hand / "state.json").read_bytes() != before
+
+
+#: The last argument names a file of a kind that is not written.
+MISNAMED = {
+    "o.nc": ["simulate", "case.toml", "--out", "o.csv"],
+    "s.npz": ["simulate", "case.toml", "--out", "o.nc", "--save-state", "s.json"],
+    "e.csv": ["estimate", "model.json", "samples.csv", "--out", "e.json"],
+    "v.json": ["validate", "model.json", "response.nc", "--json", "v.csv"],
+}
+
+
+@pytest.mark.parametrize("better", MISNAMED)
+def test_a_name_that_promises_another_kind_of_file_is_refused(better, command, at_hand, originals):
+    code, err = command(*MISNAMED[better])
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"name it {better}" in err
+    assert untouched(at_hand, originals)
+
+
+#: Writes a response to a disk that is full after 4 KiB.
+FULL = """
+import resource, sys, types
+from thermojoint.artefacts.response import read_response, write_response
+from thermojoint.cli import main as cli
+
+def work(**_):
+    response = read_response("response.nc")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+    write_response(response, "out.nc")
+
+sys.modules["thermojoint.cli.app"] = types.SimpleNamespace(app=work)
+cli.main()
+"""
+
+
+def test_a_full_disk_ends_in_one_line_and_leaves_nothing(at_hand, originals):
+    done = subprocess.run([sys.executable, "-c", FULL], capture_output=True, text=True, check=False)
+    told = "thermojoint: out.nc: File too large; choose another place\n"
+    assert (done.returncode, done.stderr) == (2, told)
+    assert untouched(at_hand, originals)
 
 
 def test_an_empty_file_is_no_loss(command, at_hand):
