@@ -3,6 +3,7 @@
 import json
 import math
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from asyncua import ua
@@ -151,3 +152,16 @@ def test_every_doubt_has_a_status_code_of_opcuas_own(quality, number, status, co
     said = Said()
     said.quality, said.number, said.status = quality, number, status
     assert ua.StatusCode(status_of(said)).name == code
+
+
+def test_a_line_of_the_pipe_has_the_numbers_and_missing_readings_of_every_table():
+    pipe = csv_pipe.Pipe("mill", Path("-"), ("a_degC", "b_degC"), 2, 0.0, follow=True)
+    header = csv_pipe.header_of("time_s,a_degC,b_degC", pipe)
+    assert csv_pipe.row_of("10,20.5,21", header, 0.0) == (10.0, [20.5, 21.0])
+    time, (a, b) = csv_pipe.row_of("11,---,OL", header, 0.0)
+    assert time == 11.0
+    assert math.isnan(a)
+    assert math.isnan(b)
+    for line in ("12,1_0,20", "1_3,20,20", ",20,20"):
+        with pytest.raises(ValueError, match=r"no number|time is missing"):
+            csv_pipe.row_of(line, header, 0.0)

@@ -1,8 +1,9 @@
 """Lines of CSV: a file that grows, a FIFO, or standard input; read on from the last kept sample.
 
 The first line names the columns: a time (``time_s``, or ``timestamp`` in ISO 8601) and readings. An
-empty cell is a missing reading. Of a file the position is kept, so nothing is lost or read twice
-whenever the service ends; of a pipe it cannot be.
+empty cell, ``---``, ``OL`` and the like are missing readings, as in every table. Of a file the
+position is kept, so nothing is lost or read twice whenever the service ends; of a pipe it cannot
+be.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.cells import is_missing, number_in
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.times import seconds_of
 
@@ -107,14 +109,20 @@ def row_of(line: str, header: Header, starts: float) -> tuple[float, list[float]
     if len(cells) != header.width:
         raise ValueError(f"{len(cells)} values, expected {header.width}")
     text = cells[header.time]
-    time = seconds_of(text.strip()) if header.iso else starts + float(text)
+    time = seconds_of(text.strip()) if header.iso else starts + _number(text)
+    if not math.isfinite(time):
+        raise ValueError("the time is missing")
     return time, [_number(cells[k]) if k >= 0 else math.nan for k in header.at]
 
 
 def _number(cell: str) -> float:
     if not cell or cell.isspace():
         return math.nan
-    value = float(cell)
+    value = number_in(cell, ".")
+    if value is None:
+        if not is_missing(cell):
+            raise ValueError(f"{cell.strip()!r} is no number")
+        return math.nan
     return value if math.isfinite(value) else math.nan
 
 
