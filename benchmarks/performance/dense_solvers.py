@@ -29,9 +29,10 @@ from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
 from fesim.joint.anchor import new_anchors
 from fesim.joint.blocks import one_block
-from fesim.joint.compiled_gap import solve_in_place
+from fesim.joint.compiled_gap import solve_in_place, trial_at
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
 from fesim.joint.modified_newton import settle_near
+from fesim.march.compiled_step import gap_kernel
 from fesim.march.kernel import joint_kernel
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import initial_state
@@ -169,21 +170,18 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
     blocks = one_block(joint.springs, joint.compliance, joint.columns)
-    anchors, slip = new_anchors(blocks.starts), np.zeros((2, count))
-    value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
+    anchors, slip = new_anchors(blocks), np.zeros((2, count))
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
     def solve(step: int) -> Array:
         gap, free = 2.0 * gaps[1] - gaps[0], program.free_gaps[step]
-        law = joint.laws, free, slip, joint.tolerance
+        kernel, trial = gap_kernel(joint), trial_at(gap)
         if kept:
-            settle_near(
-                joint.springs, joint.columns, blocks, *law, anchors, gap, value, moved, tangent,
-            )  # fmt: skip
+            settle_near(kernel, joint.columns, anchors, free, slip, trial)
         else:
-            solve_in_place(joint.springs, joint.compliance, *law, gap, value, moved, tangent)
-        slip[:], gaps[0], gaps[1] = moved, gaps[1], gap
-        return np.asarray(1.0 + value[0] / joint.preload)
+            solve_in_place(kernel, free, slip, trial)
+        slip[:], gaps[0], gaps[1] = trial.moved, gaps[1], trial.gap
+        return np.asarray(1.0 + trial.value[0] / joint.preload)
 
     return solve
 

@@ -15,7 +15,13 @@ import numpy as np
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
 from fesim.machine_code import compiled
-from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
+from fesim.march.compiled_step import (
+    HeatStep,
+    JointKernel,
+    JointState,
+    conduct_step,
+    settle_step,
+)
 from thermojoint.artefacts.arrays import Array
 
 
@@ -122,15 +128,8 @@ def usual_sample(
     for k in range(size):
         for c in range(channels):
             linear[k] += own.gain[k, c] * innovation[c]
-    if settle_step(
-        joint,
-        linear[:modes],
-        state.gap,
-        state.slip,
-        state.pressure,
-        state.change,
-        displacement,
-    ):
+    now = JointState(state.gap, state.slip, state.pressure, state.change)
+    if settle_step(joint, linear[:modes], now, displacement) != 0:
         return False
     displacement += np.dot(own.remainder, relaxed)
     kept = math.exp(-own.forgetting * length)

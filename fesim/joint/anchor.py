@@ -7,6 +7,9 @@ rows are corrected exactly (Woodbury's formula); what has merely drifted is left
 
 All that is kept follows from the anchor: a march that goes on from a saved one gives the same bits.
 Blocks of contact elements (`fesim.joint.blocks`) have an anchor each, one behind the other.
+
+Start at `correct`, which says the formula. That an anchor, wherever it is, changes nothing of the
+equilibrium is a test of `tests/fesim/joint/test_modified_newton.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
+from fesim.joint.blocks import Block, Blocks
+from fesim.joint.compiled_gap import ALONG, lacking, lacking_rows, lacking_system
 from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
@@ -67,6 +71,8 @@ class Anchors(NamedTuple):
 
     Attributes
     ----------
+    blocks : Blocks
+        They stay as they are.
     every : Anchor
         The storage of all: its arrays are flat, one block behind the other; `about` is (b, 3).
     begins : ndarray of int, shape (4, b + 1)
@@ -74,16 +80,14 @@ class Anchors(NamedTuple):
         slots times contact elements.
     """
 
+    blocks: Blocks
     every: Anchor
     begins: NDArray[np.int64]
 
 
-def new_anchors(starts: NDArray[np.int64]) -> Anchors:
-    """Return anchors that are nowhere yet, for blocks of contact elements that begin at `starts`.
-
-    The last of `starts` (b + 1,) is the number of contact elements.
-    """
-    counts = np.diff(starts)
+def new_anchors(blocks: Blocks) -> Anchors:
+    """Return anchors of blocks of contact elements that are nowhere yet."""
+    counts = np.diff(blocks.starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
     every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
     storage = Anchor(
@@ -97,9 +101,9 @@ def new_anchors(starts: NDArray[np.int64]) -> Anchors:
         columns=np.zeros(kept),
         moved=np.zeros(kept),
     )
-    begins = np.zeros((4, starts.size), dtype=np.int64)
+    begins = np.zeros((4, blocks.starts.size), dtype=np.int64)
     np.cumsum([counts, slots, counts * counts, slots * counts], axis=1, out=begins[:, 1:])
-    return Anchors(storage, begins)
+    return Anchors(blocks, storage, begins)
 
 
 @compiled
@@ -122,11 +126,9 @@ def block_anchor(anchors: Anchors, block: int) -> Anchor:
 
 
 @compiled
-def put_tangents(anchors: Anchors, elements: NDArray[np.int64], found: Array) -> None:
-    """Put the tangents of the anchors that are made into `found` (6, m), zero for the others.
-
-    `elements` (m,) are the contact elements, block after block.
-    """
+def put_tangents(anchors: Anchors, found: Array) -> None:
+    """Put the tangents of the anchors that are made into `found` (6, m), zero for the others."""
+    elements = anchors.blocks.elements
     for block in range(anchors.begins.shape[1] - 1):
         first, last = anchors.begins[0, block], anchors.begins[0, block + 1]
         at, made = 6 * first, anchors.every.about[block, MADE] == 1
@@ -136,15 +138,40 @@ def put_tangents(anchors: Anchors, elements: NDArray[np.int64], found: Array) ->
                 at += 1
 
 
+class Lacking(NamedTuple):
+    """What the law's tractions lack of those that the gaps were made with, in one iteration.
+
+    Attributes
+    ----------
+    tangent : ndarray, shape (6, m)
+        Of the law there.
+    lack : ndarray, shape (3 m,)
+        Pa.
+    least : float
+        What a contact element that sticks lacks is left alone up to this, a gap in m.
+    """
+
+    tangent: Array
+    lack: Array
+    least: float
+
+
+class Correction(NamedTuple):
+    """Newton's step: y, tractions (3 m,), Pa, and F y, gaps (3 m,), m; written in place."""
+
+    step: Array
+    shift: Array
+
+
 @compiled
-def make_anchor(anchor: Anchor, springs: Array, compliance: Array) -> None:
+def make_anchor(anchor: Anchor, block: Block) -> None:
     """Invert the tangent that stands in an anchor."""
-    size = lacking_rows(springs, anchor.tangent, anchor.rows)
+    size = lacking_rows(block.springs, anchor.tangent, anchor.rows)
     anchor.place[:] = -1
     for k in range(size):
         anchor.place[anchor.rows[k]] = k
     matrix = np.empty((size, size))
-    lacking_system(springs, compliance, anchor.tangent, anchor.rows, matrix)
+    lacking_system(block.springs, block.compliance, anchor.tangent, anchor.rows, matrix)
     anchor.inverse[: size * size] = np.linalg.inv(matrix).ravel()
     anchor.slot[:] = -1
     anchor.element[:] = -1
@@ -190,15 +217,9 @@ def _solve_at_anchor(anchor: Anchor, right_side: Array, found: Array) -> None:
 
 
 @compiled
-def _changed(
-    anchor: Anchor,
-    springs: Array,
-    tangent: Array,
-    lack: Array,
-    least: float,
-    found: NDArray[np.int64],
-) -> int:
+def _changed(anchor: Anchor, springs: Array, now: Lacking, found: NDArray[np.int64]) -> int:
     """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
+    tangent, lack, least = now.tangent, now.lack, now.least
     count, number = tangent.shape[1], 0
     for e in range(count):
         first, second = count + e, 2 * count + e
@@ -207,7 +228,7 @@ def _changed(
         lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
         differs = anchor.place[first] < 0 and lacks
         for k in range(6):
-            scale = CHANGED * (springs[e] if k < 3 else springs[first])
+            scale = CHANGED * (springs[e] if k < ALONG else springs[first])
             differs = differs or abs(tangent[k, e] - anchor.tangent[k, e]) > scale
         if differs:
             if number == found.size:
@@ -218,10 +239,9 @@ def _changed(
 
 
 @compiled
-def _keep_columns(
-    anchor: Anchor, springs: Array, columns: Array, changed: NDArray[np.int64], number: int
-) -> None:
+def _keep_columns(anchor: Anchor, block: Block, changed: NDArray[np.int64], number: int) -> None:
     """See to it that each of the contact elements has its columns of the inverse in a slot."""
+    springs, columns = block.springs, block.columns
     count = anchor.slot.size
     needed = np.zeros(count, dtype=np.bool_)
     for k in range(number):
@@ -262,39 +282,30 @@ def _keep_columns(
 
 
 @compiled
-def correct(
-    anchor: Anchor,
-    springs: Array,
-    columns: Array,
-    tangent: Array,
-    lack: Array,
-    least: float,
-    step: Array,
-    shift: Array,
-) -> bool:
-    """Newton's step for what is lacking: y into `step`, F y into `shift`; False: too much changed.
-
-    What a contact element that sticks lacks is left alone up to `least`, a gap in m.
+def correct(anchor: Anchor, block: Block, now: Lacking, correction: Correction) -> bool:
+    """Newton's step for what is lacking; False: too much changed.
 
     With E = dT - dT_anchor of the changed contact elements (rows P) and A the system at the anchor:
     (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
     """
+    springs, tangent, lack = block.springs, now.tangent, now.lack
+    step, shift = correction.step, correction.shift
     count = tangent.shape[1]
     changed = np.empty(anchor.element.size, dtype=np.int64)
-    number = _changed(anchor, springs, tangent, lack, least, changed)
+    number = _changed(anchor, springs, now, changed)
     if number < 0:
         return False
-    _keep_columns(anchor, springs, columns, changed, number)
+    _keep_columns(anchor, block, changed, number)
     _solve_at_anchor(anchor, lack, step)
     shift[:] = 0.0
-    add_product(columns, step, shift)
+    add_product(block.columns, step, shift)
     factors, width = np.zeros(3 * number), 3 * number
     for k in range(number):
         for i in range(1, 3):
             row = i * count + changed[k]
             if anchor.place[row] < 0:
                 factors[3 * k + i] = lack[row]
-    _combine(anchor, changed, factors, step, shift)
+    _combine(anchor, changed, factors, correction)
     if number == 0:
         return True
     system = np.empty((width, width))
@@ -302,8 +313,8 @@ def correct(
         e = changed[k]
         for i in range(3):
             row = i * count + e
-            now, then = lacking(springs, tangent, row), lacking(springs, anchor.tangent, row)
-            first, second, third = now[0] - then[0], now[1] - then[1], now[2] - then[2]
+            here, then = lacking(springs, tangent, row), lacking(springs, anchor.tangent, row)
+            first, second, third = here[0] - then[0], here[1] - then[1], here[2] - then[2]
             factors[3 * k + i] = (
                 first * shift[e] + second * shift[count + e] + third * shift[2 * count + e]
             )
@@ -315,15 +326,16 @@ def correct(
                     )
             system[3 * k + i, 3 * k + i] += 1.0
     factors[:] = np.linalg.solve(system, factors)
-    _combine(anchor, changed, factors, step, shift)
+    _combine(anchor, changed, factors, correction)
     return True
 
 
 @compiled
 def _combine(
-    anchor: Anchor, changed: NDArray[np.int64], factors: Array, step: Array, shift: Array
+    anchor: Anchor, changed: NDArray[np.int64], factors: Array, correction: Correction
 ) -> None:
-    """Add the kept columns, each by its factor, to `step`, and F times them to `shift`."""
+    """Add the kept columns, each by its factor, to the step, and F times them to the shift."""
+    step, shift = correction.step, correction.shift
     for k in range(factors.size):
         if factors[k] != 0.0:
             at = anchor.slot[changed[k // 3]]

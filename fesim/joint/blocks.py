@@ -8,6 +8,9 @@ judged by the whole of F all the same.
 
 Joints that hold the same bodies side by side, as two rails of a table, can slide against each other
 as a whole; then each feels the other more than itself, and they are one block.
+
+Start at `blocks_of`; `tests/fesim/joint/test_blocks.py` holds equilibria and marches in blocks to
+those of one block and of the plain method.
 """
 
 from __future__ import annotations
@@ -50,6 +53,15 @@ class Blocks(NamedTuple):
 
     elements: NDArray[np.int64]
     starts: NDArray[np.int64]
+    springs: Array
+    compliance: Array
+    columns: Array
+
+
+class Block(NamedTuple):
+    """One block: contact elements (n,), springs (3 n,), F and its transpose (3 n, 3 n)."""
+
+    elements: NDArray[np.int64]
     springs: Array
     compliance: Array
     columns: Array
@@ -105,14 +117,14 @@ def blocks_of(
 
 
 @compiled
-def part_of(blocks: Blocks, block: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Contact elements (n,), springs (3 n,), F and its transpose (3 n, 3 n) of one block."""
+def part_of(blocks: Blocks, block: int) -> Block:
+    """One of the blocks."""
     first, last, square = blocks.starts[block], blocks.starts[block + 1], 0
     for before in range(block):
         square += (blocks.starts[before + 1] - blocks.starts[before]) ** 2
     size = 3 * (last - first)
     own = slice(9 * square, 9 * square + size * size)
-    return (
+    return Block(
         blocks.elements[first:last],
         blocks.springs[3 * first : 3 * last],
         blocks.compliance[own].reshape(size, size),

@@ -5,6 +5,9 @@ step. The tangent of the residual is J = I - F dT with dT = T + k0: as the sprin
 as the joint at its preload while it sticks, dT is nonzero only in the pressure of a contact element
 and in the shear of one that slides. So the system to be solved has as many unknowns as there are
 such tractions, not three for each contact element.
+
+Start at `solve_in_place` beside `fesim.joint.gap.solve_gap`: line by line the same method.
+`tests/fesim/joint/test_compiled_gap.py` holds law, equilibria and march to those of the plain one.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +38,51 @@ from thermojoint.artefacts.arrays import Array
 
 #: Columns of the table of laws, one row for each contact element.
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
+#: Rows of a tangent in machine code: entries 00, 10, 20, 11, 12, 22 of the matrix; others are zero
+#: or, as that matrix is, symmetric.
+NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
 _SURFACE, _BACK_BURDEKIN = 0.0, 1.0
 _SOLVED, _STALLED, _UNCONVERGED = range(3)
+
+
+class GapKernel(NamedTuple):
+    """The gap equations of one machine, as machine code takes them.
+
+    Attributes
+    ----------
+    springs : ndarray, shape (3 m,)
+        k0, Pa/m.
+    compliance : ndarray, shape (3 m, 3 m)
+        F, m/Pa.
+    laws : ndarray, shape (m, 7)
+        What the law of each contact element needs.
+    tolerance : float
+        Largest residual accepted, m.
+    """
+
+    springs: Array
+    compliance: Array
+    laws: Array
+    tolerance: float
+
+
+class Trial(NamedTuple):
+    """Gaps that are tried and the law there, written in place.
+
+    Attributes
+    ----------
+    gap, value : ndarray, shape (3, m)
+        Gaps, m, and tractions over the preload, Pa.
+    moved : ndarray, shape (2, m)
+        Slip, m.
+    tangent : ndarray, shape (6, m)
+        Entries of the law's tangent, Pa/m: rows `NORMAL` to `ACROSS`.
+    """
+
+    gap: Array
+    value: Array
+    moved: Array
+    tangent: Array
 
 
 @dataclass(frozen=True)
@@ -57,20 +104,11 @@ class CompiledGap:
         self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
-        gap, value, moved, tangent = _storage(guess)
-        problem = self.problem
+        trial, problem = trial_at(guess), self.problem
+        kernel = GapKernel(problem.springs, problem.compliance, self.laws, tolerance)
         try:
             outcome, size, iterations = solve_in_place(
-                problem.springs,
-                problem.compliance,
-                self.laws,
-                problem.exchange @ thermal_gap,
-                slip,
-                tolerance,
-                gap,
-                value,
-                moved,
-                tangent,
+                kernel, problem.exchange @ thermal_gap, slip, trial
             )
         except np.linalg.LinAlgError as error:
             raise singular() from error
@@ -78,7 +116,8 @@ class CompiledGap:
             raise stalled(size)
         if outcome == _UNCONVERGED:
             raise unconverged(size, tolerance)
-        return Equilibrium(gap, Traction(value, _full(tangent), moved), size, iterations)
+        traction = Traction(trial.value, _full(trial.tangent), trial.moved)
+        return Equilibrium(trial.gap, traction, size, iterations)
 
 
 def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> CompiledGap | None:
@@ -119,9 +158,10 @@ def _row(law: JointLaw) -> list[float] | None:
     return None
 
 
-def _storage(guess: Array) -> tuple[Array, Array, Array, Array]:
-    count = guess.shape[1]
-    return np.array(guess), np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
+def trial_at(gap: Array) -> Trial:
+    """Return storage for a trial that begins at gaps (3, m)."""
+    count = gap.shape[1]
+    return Trial(np.array(gap), np.empty((3, count)), np.empty((2, count)), np.empty((6, count)))
 
 
 def _full(tangent: Array) -> Array:
@@ -147,10 +187,9 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
 
 
 @compiled
-def evaluate_in_place(
-    laws: Array, gap: Array, slip: Array, value: Array, moved: Array, tangent: Array
-) -> None:
-    """`fesim.joint.law.evaluate` into `value`, `moved` and `tangent` (6, m)."""
+def evaluate_in_place(laws: Array, slip: Array, trial: Trial) -> None:
+    """`fesim.joint.law.evaluate` at the gaps of a trial, into it."""
+    gap, value, moved, tangent = trial.gap, trial.value, trial.moved, trial.tangent
     for e in range(laws.shape[0]):
         law = laws[e]
         pressure, slope = _pressure(law, gap[0, e])
@@ -159,12 +198,12 @@ def evaluate_in_place(
         second = -stiffness * (gap[2, e] - slip[1, e])
         size, bound = math.hypot(first, second), law[_FRICTION] * pressure
         value[0, e] = pressure - law[_PRELOAD]
-        tangent[0, e] = slope
+        tangent[NORMAL, e] = slope
         if size <= bound and bound > 0.0:
             value[1, e], value[2, e] = first, second
             moved[0, e], moved[1, e] = slip[0, e], slip[1, e]
-            tangent[1, e] = tangent[2, e] = tangent[4, e] = 0.0
-            tangent[3, e] = tangent[5, e] = -stiffness
+            tangent[FIRST, e] = tangent[SECOND, e] = tangent[CROSS, e] = 0.0
+            tangent[ALONG, e] = tangent[ACROSS, e] = -stiffness
             continue
         along = across = ratio = 0.0
         if size > 0.0:
@@ -172,29 +211,24 @@ def evaluate_in_place(
         value[1, e], value[2, e] = bound * along, bound * across
         moved[0, e] = gap[1, e] + value[1, e] / stiffness
         moved[1, e] = gap[2, e] + value[2, e] / stiffness
-        tangent[1, e] = law[_FRICTION] * slope * along
-        tangent[2, e] = law[_FRICTION] * slope * across
-        tangent[3, e] = -stiffness * ratio * (1.0 - along * along)
-        tangent[4, e] = stiffness * ratio * along * across
-        tangent[5, e] = -stiffness * ratio * (1.0 - across * across)
+        tangent[FIRST, e] = law[_FRICTION] * slope * along
+        tangent[SECOND, e] = law[_FRICTION] * slope * across
+        tangent[ALONG, e] = -stiffness * ratio * (1.0 - along * along)
+        tangent[CROSS, e] = stiffness * ratio * along * across
+        tangent[ACROSS, e] = -stiffness * ratio * (1.0 - across * across)
 
 
 @compiled
 def _residual(
-    springs: Array,
-    compliance: Array,
-    free_gap: Array,
-    gap: Array,
-    value: Array,
-    remainder: Array,
-    residual: Array,
+    kernel: GapKernel, free_gap: Array, trial: Trial, remainder: Array, residual: Array
 ) -> None:
     """r(g) into `residual`; `remainder` is storage."""
+    gap, value, springs = trial.gap, trial.value, kernel.springs
     count = gap.shape[1]
     for i in range(3):
         for e in range(count):
             remainder[i * count + e] = value[i, e] + springs[i * count + e] * gap[i, e]
-    np.dot(compliance, remainder, residual)
+    np.dot(kernel.compliance, remainder, residual)
     for i in range(3):
         for e in range(count):
             at = i * count + e
@@ -212,7 +246,11 @@ def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int
     for e in range(count):
         rows[e] = e
     for e in range(count):
-        if tangent[3, e] != -springs[count + e] or tangent[1, e] != 0.0 or tangent[2, e] != 0.0:
+        if (
+            tangent[ALONG, e] != -springs[count + e]
+            or tangent[FIRST, e] != 0.0
+            or tangent[SECOND, e] != 0.0
+        ):
             rows[size], rows[size + 1] = count + e, 2 * count + e
             size += 2
     return size
@@ -224,10 +262,10 @@ def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, flo
     count = tangent.shape[1]
     part, e = divmod(row, count)
     if part == 0:
-        return tangent[0, e] + springs[e], 0.0, 0.0
+        return tangent[NORMAL, e] + springs[e], 0.0, 0.0
     if part == 1:
-        return tangent[1, e], tangent[3, e] + springs[count + e], tangent[4, e]
-    return tangent[2, e], tangent[4, e], tangent[5, e] + springs[2 * count + e]
+        return tangent[FIRST, e], tangent[ALONG, e] + springs[count + e], tangent[CROSS, e]
+    return tangent[SECOND, e], tangent[CROSS, e], tangent[ACROSS, e] + springs[2 * count + e]
 
 
 @compiled
@@ -250,27 +288,29 @@ def lacking_system(
         matrix[k, k] += 1.0
 
 
+class _Storage(NamedTuple):
+    """Storage of a Newton step."""
+
+    rows: NDArray[np.int64]
+    system: Array
+    forces: Array
+
+
 @compiled
 def _newton_step(
-    springs: Array,
-    compliance: Array,
-    tangent: Array,
-    residual: Array,
-    step: Array,
-    rows: NDArray[np.int64],
-    system: Array,
-    forces: Array,
+    kernel: GapKernel, tangent: Array, residual: Array, step: Array, storage: _Storage
 ) -> None:
-    """-J^-1 r into `step` (3 m,); `rows`, `system` and `forces` are storage.
+    """-J^-1 r into `step` (3 m,).
 
     With y = dT step, the tractions that the springs lack: (I - dT F) y = -dT r on the rows of dT
     that are not zero, and step = F y - r.
     """
+    springs, compliance, rows = kernel.springs, kernel.compliance, storage.rows
     count = tangent.shape[1]
     for i in range(3 * count):
         step[i] = -residual[i]
     size = lacking_rows(springs, tangent, rows)
-    matrix, right_side = system[: size * size].reshape(size, size), forces[:size]
+    matrix, right_side = storage.system[: size * size].reshape(size, size), storage.forces[:size]
     lacking_system(springs, compliance, tangent, rows, matrix)
     for k in range(size):
         normal, along, across = lacking(springs, tangent, rows[k])
@@ -297,40 +337,33 @@ def largest(values: Array) -> float:
 
 @compiled
 def solve_in_place(
-    springs: Array,
-    compliance: Array,
-    laws: Array,
-    free_gap: Array,
-    slip: Array,
-    tolerance: float,
-    gap: Array,
-    value: Array,
-    moved: Array,
-    tangent: Array,
+    kernel: GapKernel, free_gap: Array, slip: Array, trial: Trial
 ) -> tuple[int, float, int]:
-    """Newton's method from `gap`, in place: outcome (0 is solved), residual and iterations."""
+    """Newton's method from the gaps of a trial: outcome (0 is solved), residual and iterations."""
+    gap = trial.gap
     count = gap.shape[1]
     unknowns = 3 * count
     remainder, residual, step = np.empty(unknowns), np.empty(unknowns), np.empty(unknowns)
-    rows, forces = np.empty(unknowns, dtype=np.int64), np.empty(unknowns)
-    system = np.empty(unknowns * unknowns)
+    storage = _Storage(
+        np.empty(unknowns, dtype=np.int64), np.empty(unknowns * unknowns), np.empty(unknowns)
+    )
     before = np.empty_like(gap)
 
-    evaluate_in_place(laws, gap, slip, value, moved, tangent)
-    _residual(springs, compliance, free_gap, gap, value, remainder, residual)
+    evaluate_in_place(kernel.laws, slip, trial)
+    _residual(kernel, free_gap, trial, remainder, residual)
     full_steps, size = MAX_FULL_STEPS, largest(residual)
     for iteration in range(MAX_ITERATIONS):
-        if size <= tolerance and np.spacing(largest(gap)) <= tolerance:
+        if size <= kernel.tolerance and np.spacing(largest(gap)) <= kernel.tolerance:
             return _SOLVED, size, iteration
-        _newton_step(springs, compliance, tangent, residual, step, rows, system, forces)
+        _newton_step(kernel, trial.tangent, residual, step, storage)
         before[:] = gap
         norm, length = math.sqrt(residual @ residual), 1.0
         while True:
             for i in range(3):
                 for e in range(count):
                     gap[i, e] = before[i, e] + length * step[i * count + e]
-            evaluate_in_place(laws, gap, slip, value, moved, tangent)
-            _residual(springs, compliance, free_gap, gap, value, remainder, residual)
+            evaluate_in_place(kernel.laws, slip, trial)
+            _residual(kernel, free_gap, trial, remainder, residual)
             if math.sqrt(residual @ residual) <= (1.0 - 1e-4 * length) * norm:
                 break
             length /= 2.0
@@ -342,8 +375,8 @@ def solve_in_place(
                 for i in range(3):
                     for e in range(count):
                         gap[i, e] = before[i, e] + step[i * count + e]
-                evaluate_in_place(laws, gap, slip, value, moved, tangent)
-                _residual(springs, compliance, free_gap, gap, value, remainder, residual)
+                evaluate_in_place(kernel.laws, slip, trial)
+                _residual(kernel, free_gap, trial, remainder, residual)
                 break
         size = largest(residual)
     return _UNCONVERGED, size, MAX_ITERATIONS

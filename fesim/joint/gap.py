@@ -7,6 +7,10 @@ r(g) = g - J0^-1 g_T - F [z(g) + k0 g], J0 = I - C A (k - k0), F = J0^-1 C A. Th
 same, and r does not depend on k: it is the error of the gaps of a joint that sticks at its preload.
 In the gap, unlike in the tractions, the law has a bounded slope however much the joint slides or
 opens.
+
+Start here: `solve_gap` is the method to read. It stands once more as compiled code for known laws
+(`fesim.joint.compiled_gap`), and a march tries a frozen tangent first
+(`fesim.joint.modified_newton`); their tests compare both with this one.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.joint.compiled_gap import ACROSS, ALONG, CROSS
 from fesim.joint.law import JointLaw, Traction
 from fesim.machine_code import compiled
 from fesim.solid.rigid_motions import Holds, described
@@ -278,9 +279,7 @@ def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
     if watched.table.shape[0] == 0:
         return True
     full = np.zeros((3, 3, pressure.size))
-    full[1, 1] = tangent[3]
-    full[1, 2] = tangent[4]
-    full[2, 2] = tangent[5]
+    full[1, 1], full[1, 2], full[2, 2] = tangent[ALONG], tangent[CROSS], tangent[ACROSS]
     return _as_at_rest(pressure, full, watched.table, watched.needed) or _surely_held(
         pressure, full, watched.table, watched.rows, watched.supports
     )

@@ -4,6 +4,10 @@ Unknown: the tractions w = z(g) + k0 g that the springs lack, with g = J0^-1 g_T
 step solves (I - dT F) y = z(g) + k0 g - w by the inverse of an anchor (`fesim.joint.anchor`), which
 is moved where the iteration converges badly. With several blocks of contact elements a sweep over
 them, each by its own anchor with what those before it have moved (Gauss and Seidel), stands for it.
+
+Start at `settle_near`; read `fesim.joint.gap` first, which solves the same equations plainly.
+`tests/fesim/joint/test_modified_newton.py` holds the equilibria of random joints to those of
+`solve_gap`, `tests/fesim/march/test_reduced_march.py` the march to that of `plainly_staggered`.
 """
 
 from __future__ import annotations
@@ -16,13 +20,15 @@ from fesim.joint.anchor import (
     MADE,
     Anchor,
     Anchors,
+    Correction,
+    Lacking,
     add_product,
     block_anchor,
     correct,
     make_anchor,
 )
-from fesim.joint.blocks import Blocks, part_of
-from fesim.joint.compiled_gap import evaluate_in_place, lacking, largest
+from fesim.joint.blocks import Block, part_of
+from fesim.joint.compiled_gap import GapKernel, Trial, evaluate_in_place, lacking, largest
 from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
@@ -43,16 +49,11 @@ _FAILED, _CORRECTED, _MOVED = range(3)
 @compiled
 def _correct_or_move(
     anchor: Anchor,
-    springs: Array,
-    compliance: Array,
-    columns: Array,
-    tangent: Array,
-    lack: Array,
-    least: float,
+    block: Block,
+    now: Lacking,
     stale: bool,
     may_move: bool,
-    step: Array,
-    shift: Array,
+    correction: Correction,
 ) -> int:
     """`correct`, by an anchor that is moved before if it is stale, or if too much changed."""
     move = stale or anchor.about[MADE] == 0
@@ -60,9 +61,9 @@ def _correct_or_move(
         if move:
             if not may_move:
                 return _FAILED
-            anchor.tangent[:] = tangent
-            make_anchor(anchor, springs, compliance)
-        if correct(anchor, springs, columns, tangent, lack, least, step, shift):
+            anchor.tangent[:] = now.tangent
+            make_anchor(anchor, block)
+        if correct(anchor, block, now, correction):
             return _MOVED if move else _CORRECTED
         if move:
             return _FAILED
@@ -71,71 +72,58 @@ def _correct_or_move(
 
 @compiled
 def _sweep(
-    blocks: Blocks,
     anchors: Anchors,
     columns: Array,
-    tangent: Array,
-    lack: Array,
-    least: float,
+    now: Lacking,
     most: float,
     may_move: bool,
-    step: Array,
-    shift: Array,
+    correction: Correction,
 ) -> int:
-    """One sweep over the blocks: y into `step`, F y into `shift`.
+    """One sweep over the blocks.
 
     The anchor of a block is moved whose own lack is above `most`, a gap in m.
     """
+    tangent, lack = now.tangent, now.lack
+    step, shift = correction.step, correction.shift
     count, outcome = tangent.shape[1], _CORRECTED
     step[:] = 0.0
     shift[:] = 0.0
-    for block in range(blocks.starts.size - 1):
-        elements, springs, compliance, own_columns = part_of(blocks, block)
-        size = elements.size
-        own_tangent, own_lack = np.empty((6, size)), np.empty(3 * size)
-        own_step, own_shift, stale = np.empty(3 * size), np.empty(3 * size), False
-        for k in range(size):
-            e = elements[k]
+    for k in range(anchors.blocks.starts.size - 1):
+        block = part_of(anchors.blocks, k)
+        elements, springs, size = block.elements, block.springs, block.elements.size
+        own_now = Lacking(np.empty((6, size)), np.empty(3 * size), now.least)
+        own, stale = Correction(np.empty(3 * size), np.empty(3 * size)), False
+        for j in range(size):
+            e = elements[j]
             for i in range(6):
-                own_tangent[i, k] = tangent[i, e]
+                own_now.tangent[i, j] = tangent[i, e]
             for i in range(3):
-                row, own = i * count + e, i * size + k
-                stale = stale or abs(lack[row]) > most * springs[own]
-                normal, along, across = lacking(springs, own_tangent, own)
-                own_lack[own] = (
+                row, at = i * count + e, i * size + j
+                stale = stale or abs(lack[row]) > most * springs[at]
+                normal, along, across = lacking(springs, own_now.tangent, at)
+                own_now.lack[at] = (
                     lack[row]
                     + normal * shift[e]
                     + along * shift[count + e]
                     + across * shift[2 * count + e]
                 )
-        found = _correct_or_move(
-            block_anchor(anchors, block),
-            springs,
-            compliance,
-            own_columns,
-            own_tangent,
-            own_lack,
-            least,
-            stale,
-            may_move,
-            own_step,
-            own_shift,
-        )
+        found = _correct_or_move(block_anchor(anchors, k), block, own_now, stale, may_move, own)
         if found == _FAILED:
             return _FAILED
         outcome = max(outcome, found)
-        own_part = np.zeros(3 * count)
+        part = np.zeros(3 * count)
         for i in range(3):
-            for k in range(size):
-                own_part[i * count + elements[k]] = own_step[i * size + k]
-        step += own_part
-        add_product(columns, own_part, shift)
+            for j in range(size):
+                part[i * count + elements[j]] = own.step[i * size + j]
+        step += part
+        add_product(columns, part, shift)
     return outcome
 
 
 @compiled
-def _lack(springs: Array, gap: Array, value: Array, force: Array, lack: Array) -> float:
+def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
     """z(g) + k0 g - w into `lack`; return its largest entry in gaps, m."""
+    gap, value = trial.gap, trial.value
     count, size = gap.shape[1], 0.0
     for i in range(3):
         for e in range(count):
@@ -150,37 +138,34 @@ def _lack(springs: Array, gap: Array, value: Array, force: Array, lack: Array) -
 
 @compiled
 def settle_near(
-    springs: Array,
+    kernel: GapKernel,
     columns: Array,
-    blocks: Blocks,
-    laws: Array,
+    anchors: Anchors,
     free_gap: Array,
     slip: Array,
-    tolerance: float,
-    anchors: Anchors,
-    gap: Array,
-    value: Array,
-    moved: Array,
-    tangent: Array,
+    trial: Trial,
 ) -> tuple[bool, float, int]:
-    """Iterate from `gap`, in place: whether it is solved, the residual and the iterations.
+    """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
 
-    Arguments as in `fesim.joint.compiled_gap.solve_in_place`; `columns` is F transposed, `anchors`
-    are those of the blocks. What is accepted has a residual g - J0^-1 g_T - F (z(g) + k0 g) within
-    the tolerance.
+    Arguments as in `fesim.joint.compiled_gap.solve_in_place`; `columns` is F transposed. What is
+    accepted has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
+    springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     unknowns, flat = springs.size, gap.reshape(-1)
     force, lack = np.zeros(unknowns), np.empty(unknowns)
     step, shift = np.empty(unknowns), np.empty(unknowns)
-    evaluate_in_place(laws, gap, slip, value, moved, tangent)
-    _lack(springs, gap, value, np.zeros(unknowns), force)
+    correction = Correction(step, shift)
+    evaluate_in_place(kernel.laws, slip, trial)
+    _lack(springs, trial, np.zeros(unknowns), force)
     flat[:] = free_gap
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
-    one, first, whole = blocks.starts.size == 2, block_anchor(anchors, 0), part_of(blocks, 0)[2]
+    now = Lacking(trial.tangent, lack, least)
+    one, first = anchors.blocks.starts.size == 2, block_anchor(anchors, 0)
+    whole = part_of(anchors.blocks, 0)
     for iteration in range(MAX_ITERATIONS):
-        evaluate_in_place(laws, gap, slip, value, moved, tangent)
-        size = _lack(springs, gap, value, force, lack)
+        evaluate_in_place(kernel.laws, slip, trial)
+        size = _lack(springs, trial, force, lack)
         if size == math.inf:
             return False, size, iteration
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
@@ -192,33 +177,12 @@ def settle_near(
                 if iteration > PATIENCE:
                     anchors.every.about[:, MADE] = 0
                 return True, residual, iteration
+        may_move = moves < MAX_ANCHORS
         if one:
-            outcome = _correct_or_move(
-                first,
-                springs,
-                whole,
-                columns,
-                tangent,
-                lack,
-                least,
-                size > SLOW * before,
-                moves < MAX_ANCHORS,
-                step,
-                shift,
-            )
+            stale = size > SLOW * before
+            outcome = _correct_or_move(first, whole, now, stale, may_move, correction)
         else:
-            outcome = _sweep(
-                blocks,
-                anchors,
-                columns,
-                tangent,
-                lack,
-                least,
-                SLOW * before,
-                moves < MAX_ANCHORS,
-                step,
-                shift,
-            )
+            outcome = _sweep(anchors, columns, now, SLOW * before, may_move, correction)
         if outcome == _FAILED:
             return False, size, iteration
         moves += outcome == _MOVED

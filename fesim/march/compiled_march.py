@@ -12,33 +12,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.joint.anchor import MADE, Anchors, put_tangents
-from fesim.joint.blocks import Blocks
+from fesim.joint.compiled_gap import Trial
 from fesim.joint.loosening import Watched, surely_held
 from fesim.joint.modified_newton import settle_near
 from fesim.machine_code import compiled
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
+    JointState,
     conduct,
     drive,
+    gap_kernel,
+    new_trial,
     settle_by_newton,
     take,
 )
 from fesim.march.joint_flows import Flows, solve_flows
 from thermojoint.artefacts.arrays import Array
 
+#: Rows of the anchor (7, m) of a `State`: six entries of the tangent, then what was conducted.
+ANCHOR_TANGENT, ANCHOR_CONDUCTED = slice(0, 6), 6
 #: Why a march stopped: it is through; a joint has no equilibrium near; a body may have come loose.
 THROUGH, SNAPS, LOOSE = range(3)
 
 
+class MarchKernel(NamedTuple):
+    """What marches a machine: its heat step, its joints, and what sees a body come loose."""
+
+    heat: HeatStep
+    joint: JointKernel
+    watched: Watched
+
+
 class Moving(NamedTuple):
-    """State between two steps, updated in place; shapes as in `fesim.march.machine.State`."""
+    """State between two steps, updated in place: amplitudes (r,), K, and the joint."""
 
     amplitudes: Array
-    gap: Array
-    slip: Array
-    pressure: Array
-    change: Array
+    joint: JointState
 
 
 class Kept(NamedTuple):
@@ -46,17 +56,23 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
-    blocks : Blocks
-        Of contact elements that hardly feel each other; they stay as they are.
     anchors : Anchors
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
     """
 
-    blocks: Blocks
     anchors: Anchors
     flows: Flows
+
+
+class Solved(NamedTuple):
+    """What a step came to beside its state: heat, W/K and W, (m,); the gap equations' figures."""
+
+    conducted: Array
+    flow: Array
+    residual: float
+    iterations: int
 
 
 class Record(NamedTuple):
@@ -86,50 +102,26 @@ class Record(NamedTuple):
 
 @compiled
 def _settle(
-    joint: JointKernel,
-    kept: Kept,
-    free_gap: Array,
-    now: Moving,
-    found: Array,
-    value: Array,
-    moved: Array,
-    tangent: Array,
+    joint: JointKernel, kept: Kept, free_gap: Array, now: JointState, trial: Trial
 ) -> tuple[bool, float, int]:
     """The kept inverse first, then Newton's method: whether it is solved, residual, iterations."""
-    found[:] = now.gap + now.change
+    trial.gap[:] = now.gap + now.change
     try:
         solved, residual, iterations = settle_near(
-            joint.springs,
-            joint.columns,
-            kept.blocks,
-            joint.laws,
-            free_gap,
-            now.slip,
-            joint.tolerance,
-            kept.anchors,
-            found,
-            value,
-            moved,
-            tangent,
+            gap_kernel(joint), joint.columns, kept.anchors, free_gap, now.slip, trial
         )
     except Exception:  # a singular tangent
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
     kept.anchors.every.about[:, MADE] = 0
-    found[:] = now.gap + now.change
-    return settle_by_newton(joint, free_gap, now.slip, now.gap, found, value, moved, tangent)
+    trial.gap[:] = now.gap + now.change
+    return settle_by_newton(joint, free_gap, now, trial)
 
 
 @compiled
 def march_steps(
-    heat: HeatStep,
-    joint: JointKernel,
-    kept: Kept,
-    inputs: Array,
-    now: Moving,
-    record: Record,
-    watched: Watched,
+    machine: MarchKernel, kept: Kept, inputs: Array, now: Moving, record: Record
 ) -> tuple[int, int]:
     """March through inputs (n, k + l) into `record`, in place.
 
@@ -141,67 +133,46 @@ def march_steps(
         `THROUGH`; `SNAPS`: the next step's gap equations have no near solution, and `now` is what
         it goes on from; `LOOSE`: the last step taken is to be looked at by `Watch.check`.
     """
-    count, thermal = now.pressure.size, heat.drive.shape[1]
-    value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
-    found, flow, conducted = np.empty((3, count)), np.empty(count), np.empty(count)
+    heat, joint = machine.heat, machine.joint
+    count, thermal = now.joint.pressure.size, heat.drive.shape[1]
+    trial, flow, conducted = new_trial(count), np.empty(count), np.empty(count)
     amplitudes = np.empty_like(now.amplitudes)
     for k in range(len(inputs)):
         amplitudes[:] = now.amplitudes
         drive(heat, amplitudes, inputs[k])
-        conduct(joint, now.pressure, conducted)
+        conduct(joint, now.joint.pressure, conducted)
         jump = np.dot(joint.jump, amplitudes)
         solve_flows(heat.joint_influence, conducted - joint.held, jump, kept.flows, flow)
         amplitudes -= np.dot(heat.influence, flow)
         free_gap = np.dot(joint.gap, amplitudes)
         for i in range(joint.loaded.shape[1]):
             free_gap += inputs[k, thermal + i] * joint.loaded_gap[:, i]
-        solved, residual, iterations = _settle(
-            joint, kept, free_gap, now, found, value, moved, tangent
-        )
+        solved, residual, iterations = _settle(joint, kept, free_gap, now.joint, trial)
         if not solved:
             return k, SNAPS
         now.amplitudes[:] = amplitudes
-        take(
-            joint,
-            found,
-            value,
-            moved,
-            now.gap,
-            now.slip,
-            now.pressure,
-            now.change,
-            record.remainder[k],
-        )
+        take(joint, trial, now.joint, record.remainder[k])
         displacement = np.dot(joint.free, amplitudes) + np.dot(joint.moved, record.remainder[k])
         for i in range(joint.loaded.shape[1]):
             displacement += inputs[k, thermal + i] * joint.loaded[:, i]
         record.displacement[k] = displacement
-        _note(record, k, now, kept, conducted, flow, residual, iterations)
-        if not surely_held(watched, now.pressure, tangent):
+        _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
+        if not surely_held(machine.watched, now.joint.pressure, trial.tangent):
             return k + 1, LOOSE
     return len(inputs), THROUGH
 
 
 @compiled
-def _note(
-    record: Record,
-    k: int,
-    now: Moving,
-    kept: Kept,
-    conducted: Array,
-    flow: Array,
-    residual: float,
-    iterations: int,
-) -> None:
+def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> None:
     """Copy what a step has come to into row k of the record."""
     record.amplitudes[k] = now.amplitudes
-    record.gap[k] = now.gap
-    record.slip[k] = now.slip
-    record.pressure[k] = now.pressure
-    record.change[k] = now.change
-    record.conducted[k] = conducted
-    record.heat_flow[k] = flow
-    record.residual[k] = residual
-    record.iterations[k] = iterations
-    record.anchor[k, 6] = kept.flows.conducted
-    put_tangents(kept.anchors, kept.blocks.elements, record.anchor[k, :6])
+    record.gap[k] = now.joint.gap
+    record.slip[k] = now.joint.slip
+    record.pressure[k] = now.joint.pressure
+    record.change[k] = now.joint.change
+    record.conducted[k] = solved.conducted
+    record.heat_flow[k] = solved.flow
+    record.residual[k] = solved.residual
+    record.iterations[k] = solved.iterations
+    record.anchor[k, ANCHOR_CONDUCTED] = kept.flows.conducted
+    put_tangents(kept.anchors, record.anchor[k, ANCHOR_TANGENT])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fesim.joint.compiled_gap import solve_in_place
+from fesim.joint.compiled_gap import GapKernel, Trial, solve_in_place
 from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
@@ -83,6 +83,27 @@ class JointKernel(NamedTuple):
     tolerance: float
 
 
+class JointState(NamedTuple):
+    """The joint after a step; attributes as in `fesim.march.machine.State`.
+
+    Attributes
+    ----------
+    gap : ndarray, shape (3, m)
+        m.
+    slip : ndarray, shape (2, m)
+        m.
+    pressure : ndarray, shape (m,)
+        Pa.
+    change : ndarray, shape (3, m)
+        m.
+    """
+
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+
+
 @compiled
 def drive(heat: HeatStep, amplitudes: Array, inputs: Array) -> None:
     """The amplitudes after a step without joint, in place."""
@@ -129,58 +150,49 @@ def conduct_step(
 
 
 @compiled
-def settle_step(
-    joint: JointKernel,
-    amplitudes: Array,
-    gap: Array,
-    slip: Array,
-    pressure: Array,
-    change: Array,
-    displacement: Array,
-) -> int:
-    """Settle the joint (3, m), (2, m), (m,), (3, m) and read the displacement (axes,), in place.
+def new_trial(count: int) -> Trial:
+    """Storage for a trial of m contact elements."""
+    return Trial(
+        np.empty((3, count)), np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
+    )
+
+
+@compiled
+def gap_kernel(joint: JointKernel) -> GapKernel:
+    """The gap equations of a joint."""
+    return GapKernel(joint.springs, joint.compliance, joint.laws, joint.tolerance)
+
+
+@compiled
+def settle_step(joint: JointKernel, amplitudes: Array, now: JointState, displacement: Array) -> int:
+    """Settle the joint and read the displacement (axes,), in place.
 
     Returns 0, or anything else if no equilibrium was near: then the joint is as it was.
     """
-    count = pressure.size
-    value, moved, tangent = np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
-    found, remainder = gap + change, np.empty(3 * count)
-    free_gap = np.dot(joint.gap, amplitudes)
-    solved, _, _ = settle_by_newton(joint, free_gap, slip, gap, found, value, moved, tangent)
+    trial, remainder = new_trial(now.pressure.size), np.empty(3 * now.pressure.size)
+    trial.gap[:] = now.gap + now.change
+    solved, _, _ = settle_by_newton(joint, np.dot(joint.gap, amplitudes), now, trial)
     if not solved:
         return 1
-    take(joint, found, value, moved, gap, slip, pressure, change, remainder)
+    take(joint, trial, now, remainder)
     displacement[:] = np.dot(joint.free, amplitudes) + np.dot(joint.moved, remainder)
     return 0
 
 
 @compiled
 def settle_by_newton(
-    joint: JointKernel,
-    free_gap: Array,
-    slip: Array,
-    gap: Array,
-    found: Array,
-    value: Array,
-    moved: Array,
-    tangent: Array,
+    joint: JointKernel, free_gap: Array, now: JointState, trial: Trial
 ) -> tuple[bool, float, int]:
-    """Newton's method from `found`, then from `gap`: whether it is solved, residual, iterations."""
+    """Newton's method from a trial, then from where the gaps are.
+
+    Returns whether it is solved, the residual and the iterations.
+    """
     for attempt in range(2):
         if attempt == 1:
-            found[:] = gap
+            trial.gap[:] = now.gap
         try:
             outcome, residual, iterations = solve_in_place(
-                joint.springs,
-                joint.compliance,
-                joint.laws,
-                free_gap,
-                slip,
-                joint.tolerance,
-                found,
-                value,
-                moved,
-                tangent,
+                gap_kernel(joint), free_gap, now.slip, trial
             )
         except Exception:  # a singular tangent: machine code knows no other name for it
             outcome, residual, iterations = 1, np.nan, 0
@@ -190,24 +202,15 @@ def settle_by_newton(
 
 
 @compiled
-def take(
-    joint: JointKernel,
-    found: Array,
-    value: Array,
-    moved: Array,
-    gap: Array,
-    slip: Array,
-    pressure: Array,
-    change: Array,
-    remainder: Array,
-) -> None:
+def take(joint: JointKernel, trial: Trial, now: JointState, remainder: Array) -> None:
     """Put a joint that has settled in the place of what it was, and z + k g into `remainder`."""
-    count = pressure.size
+    found, value, gap, change = trial.gap, trial.value, now.gap, now.change
+    count = now.pressure.size
     for i in range(3):
         for e in range(count):
             change[i, e] = found[i, e] - gap[i, e]
             gap[i, e] = found[i, e]
             remainder[i * count + e] = value[i, e] + joint.reference[i * count + e] * found[i, e]
-    slip[:] = moved
+    now.slip[:] = trial.moved
     for e in range(count):
-        pressure[e] = joint.preload[e] + value[0, e]
+        now.pressure[e] = joint.preload[e] + value[0, e]

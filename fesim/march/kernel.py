@@ -16,9 +16,18 @@ from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.law import JointLaw, PowerLawConductance
-from fesim.joint.loosening import UNWATCHED, Watched
-from fesim.march.compiled_march import LOOSE, Kept, Moving, Record, march_steps
-from fesim.march.compiled_step import HeatStep, JointKernel
+from fesim.joint.loosening import UNWATCHED
+from fesim.march.compiled_march import (
+    ANCHOR_CONDUCTED,
+    ANCHOR_TANGENT,
+    LOOSE,
+    Kept,
+    MarchKernel,
+    Moving,
+    Record,
+    march_steps,
+)
+from fesim.march.compiled_step import HeatStep, JointKernel, JointState
 from fesim.march.contact import ContactProblem
 from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
@@ -31,20 +40,14 @@ class StepKernel:
 
     Attributes
     ----------
-    heat : HeatStep
-        Its heat step.
-    joint : JointKernel
-        Its joints.
+    machine : MarchKernel
+        Its heat step and its joints.
     blocks : Blocks
         Of contact elements that hardly feel each other.
-    watched : Watched
-        What sees a body come loose.
     """
 
-    heat: HeatStep
-    joint: JointKernel
+    machine: MarchKernel
     blocks: Blocks
-    watched: Watched
 
     def run(self, kept: Kept, state: State, inputs: Array) -> tuple[Record, int, bool]:
         """March from a state through inputs (n, k + l).
@@ -67,55 +70,50 @@ class StepKernel:
         loose : bool
             A body may have come loose in the last one.
         """
-        if not np.array_equal(self._anchor(kept), state.anchor):
+        if not np.array_equal(_anchor(kept), state.anchor):
             self._make(kept, state.anchor)
-        now = Moving(
-            *(
-                np.array(one, dtype=np.float64, order="C")
-                for one in (state.temperature, state.gap, state.slip, state.pressure, state.change)
-            )
+        temperature, *joint = (
+            np.array(one, dtype=np.float64, order="C")
+            for one in (state.temperature, state.gap, state.slip, state.pressure, state.change)
         )
-        record = new_record(len(inputs), now, len(self.joint.free))
-        taken, why = march_steps(
-            self.heat,
-            self.joint,
-            kept,
-            np.ascontiguousarray(inputs, dtype=np.float64),
-            now,
-            record,
-            self.watched,
-        )
+        now = Moving(temperature, JointState(*joint))
+        record = new_record(len(inputs), now, len(self.machine.joint.free))
+        driven = np.ascontiguousarray(inputs, dtype=np.float64)
+        taken, why = march_steps(self.machine, kept, driven, now, record)
         return Record._make(one[:taken] for one in record), taken, why == LOOSE
 
     def _make(self, kept: Kept, anchor: Array) -> None:
         """Make what is kept from an anchor (7, m), as in `State`: it follows from that alone."""
         kept.anchors.every.about[:, MADE] = 0
-        for block in range(self.blocks.starts.size - 1):
-            elements, springs, compliance, _ = part_of(self.blocks, block)
-            if anchor[:6, elements].any():
-                own = block_anchor(kept.anchors, block)
-                own.tangent[:] = anchor[:6, elements]
-                make_anchor(own, springs, compliance)
+        for k in range(self.blocks.starts.size - 1):
+            block = part_of(self.blocks, k)
+            tangent = anchor[ANCHOR_TANGENT, block.elements]
+            if tangent.any():
+                own = block_anchor(kept.anchors, k)
+                own.tangent[:] = tangent
+                make_anchor(own, block)
+        conducted = np.ascontiguousarray(anchor[ANCHOR_CONDUCTED])
         kept.flows.conducted[:] = 0.0
-        if anchor[6].any():
-            invert(self.heat.joint_influence, np.ascontiguousarray(anchor[6]), kept.flows)
+        if conducted.any():
+            invert(self.machine.heat.joint_influence, conducted, kept.flows)
 
-    def _anchor(self, kept: Kept) -> Array:
-        """The anchor (7, m) of what is kept, as in `State`."""
-        found = np.empty((7, kept.flows.conducted.size))
-        put_tangents(kept.anchors, self.blocks.elements, found[:6])
-        found[6] = kept.flows.conducted
-        return found
+
+def _anchor(kept: Kept) -> Array:
+    """The anchor (7, m) of what is kept, as in `State`."""
+    found = np.empty((7, kept.flows.conducted.size))
+    put_tangents(kept.anchors, found[ANCHOR_TANGENT])
+    found[ANCHOR_CONDUCTED] = kept.flows.conducted
+    return found
 
 
 def new_kept(blocks: Blocks) -> Kept:
     """Return the inverses of a march that has not begun."""
-    return Kept(blocks, new_anchors(blocks.starts), new_flows(blocks.elements.size))
+    return Kept(new_anchors(blocks), new_flows(blocks.elements.size))
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:
     """Return storage for so many steps."""
-    count = now.pressure.size
+    count = now.joint.pressure.size
     return Record(
         amplitudes=np.empty((steps, now.amplitudes.size)),
         gap=np.empty((steps, 3, count)),
@@ -148,7 +146,7 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
         joint_influence=_own(thermal.joint_influence),
     )
     watched = UNWATCHED if machine.contact.watch is None else machine.contact.watch.watched
-    return StepKernel(heat, joint, _blocks(machine.contact, joint), watched)
+    return StepKernel(MarchKernel(heat, joint, watched), _blocks(machine.contact, joint))
 
 
 def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:

@@ -6,8 +6,7 @@ import numpy as np
 from bars import surface_law
 from hypothesis import strategies as st
 
-from fesim.joint.blocks import one_block
-from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.compiled_gap import GapKernel, compile_gap, trial_at
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import BackBurdekinLaw, evaluate, stiffness_at_rest
 from fesim.joint.modified_newton import settle_near
@@ -88,24 +87,11 @@ def law_of(friction, exponent):
 TIGHT = 1e-16
 
 
-def settled(problem, laws, thermal_gap, slip, guess, anchors, tolerance=TIGHT, blocks=None):
+def settled(problem, laws, thermal_gap, slip, guess, anchors, tolerance=TIGHT):
     """Whether it is solved, the residual, the gaps and the slip."""
-    count = guess.shape[1]
-    gap, value = np.array(guess), np.empty((3, count))
-    moved, tangent = np.empty((2, count)), np.empty((6, count))
+    trial, law = trial_at(guess), compile_gap(problem, laws).laws
+    kernel = GapKernel(problem.springs, problem.compliance, law, tolerance)
     columns = np.ascontiguousarray(problem.compliance.T)
-    found, residual, _ = settle_near(
-        problem.springs,
-        columns,
-        blocks or one_block(problem.springs, problem.compliance, columns),
-        compile_gap(problem, laws).laws,
-        problem.exchange @ thermal_gap,
-        slip,
-        tolerance,
-        anchors,
-        gap,
-        value,
-        moved,
-        tangent,
-    )
-    return found, residual, gap, moved
+    free_gap = problem.exchange @ thermal_gap
+    found, residual, _ = settle_near(kernel, columns, anchors, free_gap, slip, trial)
+    return found, residual, trial.gap, trial.moved

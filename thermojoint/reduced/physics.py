@@ -11,41 +11,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_march import Moving, march_steps
-from fesim.march.compiled_step import HeatStep, JointKernel, conduct_step, settle_step
+from fesim.march.compiled_march import MarchKernel, Moving, march_steps
+from fesim.march.compiled_step import HeatStep, JointKernel, JointState, conduct_step, settle_step
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.settling import settle_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Joint, Modes
-
-
-class JointState(NamedTuple):
-    """The joint after a step; attributes as in `fesim.march.machine.State`.
-
-    Attributes
-    ----------
-    gap : ndarray, shape (3, m)
-        m.
-    slip : ndarray, shape (2, m)
-        m.
-    pressure : ndarray, shape (m,)
-        Pa.
-    change : ndarray, shape (3, m)
-        m.
-    """
-
-    gap: Array
-    slip: Array
-    pressure: Array
-    change: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +146,7 @@ def settle_joint(
     if kernel is not None:
         after = JointState(*map(np.array, joint))
         displacement = np.empty(len(physics.modes.elastic.probe_thermal))
-        if settle_step(kernel, amplitudes, *after, displacement) == 0:
+        if settle_step(kernel, amplitudes, after, displacement) == 0:
             return after, displacement
     return settle_plainly(physics, joint, amplitudes)
 
@@ -227,9 +205,11 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         kept = new_kept(one_block(kernel.springs, kernel.compliance, kernel.columns))
     while k < len(inputs):
         if kernel is not None and kept is not None:
-            now = Moving(amplitudes, *joint)
+            now = Moving(amplitudes, joint)
             record = new_record(len(inputs) - k, now, displacement.shape[1])
-            taken, _ = march_steps(step, kernel, kept, inputs[k:], now, record, UNWATCHED)
+            taken, _ = march_steps(
+                MarchKernel(step, kernel, UNWATCHED), kept, inputs[k:], now, record
+            )
             history[k : k + taken] = record.amplitudes[:taken]
             displacement[k : k + taken] = record.displacement[:taken]
             k += taken

@@ -139,7 +139,7 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
     assert blocks.starts.size == 4
     theirs = solve_gap(problem, thermal_gap, zero[1:], zero, TIGHT)
     given = problem, [(surface_law(0.15), TOTAL)], thermal_gap, zero[1:], zero
-    found, residual, gap, slip = settled(*given, new_anchors(blocks.starts), blocks=blocks)
+    found, residual, gap, slip = settled(*given, new_anchors(blocks))
     assert found
     assert residual <= TIGHT
     np.testing.assert_allclose(gap, theirs.gap, rtol=1e-9, atol=1e-13)
@@ -149,13 +149,13 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
 def test_only_the_anchor_of_a_joint_that_changes_is_moved():
     problem, thermal_gap = coupled_problem(3, 1e-7, 0.15)
     blocks, zero = divided(problem), np.zeros((3, TOTAL))
-    anchors, laws = new_anchors(blocks.starts), [(surface_law(0.15), TOTAL)]
+    anchors, laws = new_anchors(blocks), [(surface_law(0.15), TOTAL)]
     own = np.zeros_like(thermal_gap)
     own[unknowns_of(JOINTS[1], TOTAL)] = thermal_gap[unknowns_of(JOINTS[1], TOTAL)]
     gap, slip = zero, zero[1:]
     for factor in np.linspace(0.0, 8.0, 40):
         driven = problem, laws, factor * own, slip, gap, anchors
-        solved, _, gap, slip = settled(*driven, tolerance=1e-13, blocks=blocks)
+        solved, _, gap, slip = settled(*driven, tolerance=1e-13)
         assert solved
     assert anchors.every.about[1, ANCHORED] > 2
     assert anchors.every.about[[0, 2], ANCHORED].tolist() == [1, 1]

@@ -40,14 +40,14 @@ def test_the_law_is_that_of_the_plain_one(seed, friction, power):
     law = law_of(friction, power)
     problem, _ = random_problem(seed, count, 1e-6, friction, law=law)
     made = compiled(problem, law, count)
-    _, value, moved, tangent = compiled_gap._storage(gap)
-    compiled_gap.evaluate_in_place(made.laws, gap, slip, value, moved, tangent)
+    trial = compiled_gap.trial_at(gap)
+    compiled_gap.evaluate_in_place(made.laws, slip, trial)
     plain = evaluate(law, gap, slip)
     stiffest = np.abs(plain.tangent).max()
-    np.testing.assert_allclose(value, plain.value, rtol=1e-12, atol=1e-6)
-    np.testing.assert_allclose(moved, plain.slip, rtol=1e-12, atol=1e-20)
+    np.testing.assert_allclose(trial.value, plain.value, rtol=1e-12, atol=1e-6)
+    np.testing.assert_allclose(trial.moved, plain.slip, rtol=1e-12, atol=1e-20)
     np.testing.assert_allclose(
-        compiled_gap._full(tangent), plain.tangent, rtol=1e-12, atol=1e-13 * stiffest
+        compiled_gap._full(trial.tangent), plain.tangent, rtol=1e-12, atol=1e-13 * stiffest
     )
 
 

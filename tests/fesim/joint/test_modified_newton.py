@@ -7,13 +7,15 @@ from hypothesis import strategies as st
 from random_joints import TIGHT, law_of, powers, problems, random_problem, settled
 
 from fesim.joint.anchor import ANCHORED, block_anchor, make_anchor, new_anchors
+from fesim.joint.blocks import one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import solve_gap
 
 
-def nowhere(count):
+def nowhere(problem):
     """The anchor of one block that has not been anywhere."""
-    return new_anchors(np.array([0, count]))
+    columns = np.ascontiguousarray(problem.compliance.T)
+    return new_anchors(one_block(problem.springs, problem.compliance, columns))
 
 
 @settings(max_examples=150, derandomize=True)
@@ -25,7 +27,7 @@ def test_it_finds_the_equilibrium_of_the_plain_method(seed, count, size, frictio
     zero = np.zeros((3, count))
     theirs = solve_gap(problem, thermal_gap, zero[1:], zero, TIGHT)
     found, residual, gap, slip = settled(
-        problem, [(law, count)], thermal_gap, zero[1:], zero, nowhere(count)
+        problem, [(law, count)], thermal_gap, zero[1:], zero, nowhere(problem)
     )
     if not found:
         assert size > 1e-7  # what a long step of a march moves
@@ -44,7 +46,7 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
     count, law = 6, surface_law(friction)
     problem, thermal_gap = random_problem(seed, count, 1e-6, friction, law=law)
     zero = np.zeros((3, count))
-    near, far = nowhere(count), nowhere(count)
+    near, far = nowhere(problem), nowhere(problem)
     first, _, gap, slip = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, near)
     rng = np.random.default_rng(seed)
     made = compile_gap(problem, [(law, count)])
@@ -56,7 +58,7 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
     normal = elsewhere.traction.tangent
     anchor = block_anchor(far, 0)
     anchor.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
-    make_anchor(anchor, problem.springs, problem.compliance)
+    make_anchor(anchor, part_of(far.blocks, 0))
     second, _, other, moved = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, far)
     if first and second:
         np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)
@@ -68,7 +70,7 @@ def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
     count, law = 12, surface_law(0.6)
     problem, thermal_gap = random_problem(5, count, 1e-7, 0.6, law=law)
     slip = 1e-8 * np.random.default_rng(5).normal(size=(2, count))
-    anchors, gap = nowhere(count), np.vstack([np.zeros((1, count)), slip])
+    anchors, gap = nowhere(problem), np.vstack([np.zeros((1, count)), slip])
     for factor in np.linspace(0.0, 1.0, 20):
         driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchors)
         solved, _, gap, moved = settled(*driven, tolerance=1e-13)
@@ -81,6 +83,6 @@ def test_a_tolerance_out_of_reach_is_not_reached():
     problem, thermal_gap = random_problem(7, 4, 1e-6, 0.6)
     zero = np.zeros((3, 4))
     laws = [(surface_law(0.6), 4)]
-    assert not settled(problem, laws, thermal_gap, zero[1:], zero, nowhere(4), 0.0)[0]
+    assert not settled(problem, laws, thermal_gap, zero[1:], zero, nowhere(problem), 0.0)[0]
     none = np.full_like(thermal_gap, np.nan)
-    assert not settled(problem, laws, none, zero[1:], zero, nowhere(4))[0]
+    assert not settled(problem, laws, none, zero[1:], zero, nowhere(problem))[0]
