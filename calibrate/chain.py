@@ -36,6 +36,7 @@ from calibrate.responses import (
     reference_power,
 )
 from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
 from thermojoint.artefacts.response import axes_of, probes_of
 from thermojoint.models import blocks
@@ -63,8 +64,8 @@ MOST_PAIRS = 40
 SEED = 0
 
 
-@dataclass(frozen=True)
-class Calibrated:
+@dataclass(frozen=True, repr=False)
+class Calibrated(Described):
     """A model and how it came about.
 
     Attributes
@@ -85,6 +86,9 @@ class Calibrated:
     fictitious: FictitiousCalibration
     averaging: Averaging
     placement: Placement | None
+
+    def _facts(self) -> dict[str, str]:
+        return {"model": repr(self.model)}
 
 
 @threadpool_limits.wrap(limits=1)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fesim.case.schema import Case, case_from_data, step_count
+from fesim.case.schema import Case, case_from_data, read_case, step_count
 from fesim.forces import mechanical_values, outputs_of
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step
@@ -33,8 +33,10 @@ from fesim.setup.temperature_dependence import surfaces_with_films
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
+from thermojoint.artefacts.display import Described, as_html, curves
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response
+from thermojoint.artefacts.units import MEGA
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,8 +47,8 @@ Progress = Callable[[int, int], None]
 OnStep = Callable[[Step], None]
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Described):
     """A finished march.
 
     Attributes
@@ -60,9 +62,24 @@ class Simulation:
     response: xr.Dataset
     state: State
 
+    def _facts(self) -> dict[str, str]:
+        times, moved = self.response["time"], MEGA * self.response["displacement"][-1]
+        final = zip(self.response["axis"].to_numpy(), moved.to_numpy(), strict=True)
+        return {
+            "title": str(self.response.attrs["title"]),
+            "times": f"{times.size}, to {float(times[-1]) / 60.0:g} min",
+            "final displacement": ", ".join(f"{axis} {value:.3g} µm" for axis, value in final),
+        }
+
+    def _repr_html_(self) -> str:
+        moved = MEGA * self.response["displacement"].to_numpy()
+        axes = [str(axis) for axis in self.response["axis"].to_numpy()]
+        picture = curves(self.response["time"].to_numpy(), moved, axes)
+        return as_html(type(self).__name__, self._facts(), picture)
+
 
 def simulate(
-    case: Case,
+    case: Case | Path | str,
     *,
     setup: Setup | None = None,
     start: State | None = None,
@@ -73,8 +90,8 @@ def simulate(
 
     Parameters
     ----------
-    case : Case
-        What to run.
+    case : Case or path
+        What to run, or its file.
     setup : Setup, optional
         The case's structure condensed already, for several heat inputs on one structure; default
         `set_up(case)`. Its heat input is not used.
@@ -92,6 +109,8 @@ def simulate(
     ConvergenceError
         A step did not converge, or pressed a joint beyond what its law describes.
     """
+    if not isinstance(case, Case):
+        case = read_case(case)
     ready = setup if setup is not None else set_up(case)
     if ready.machine.thermal.step != case.march.step_s:
         raise InputError(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ class Probe:
     body: str | None = None
 
 
-@dataclass(frozen=True)
-class Structure:
+@dataclass(frozen=True, repr=False)
+class Structure(Described):
     """A mesh and the names that a case refers to.
 
     Attributes
@@ -47,6 +48,14 @@ class Structure:
     probes : dict of str to Probe
         Named points.
     symmetry_factor : int
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "bodies": ", ".join(self.bodies),
+            "joints": ", ".join(self.joints) or "none",
+            "nodes": str(self.mesh.nvertices),
+            "cells": str(self.mesh.nelements),
+        }
         How many copies of the mesh make the whole structure (2 for a half model).
     """
 

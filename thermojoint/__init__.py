@@ -20,7 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from calibrate.chain import Calibrated
     from calibrate.chain import calibrate_responses as calibrate
-    from calibrate.learning.learn import learn
+    from calibrate.joint_aware.calibration import JointAwareCalibration, calibrate_joint_aware
     from calibrate.provenance import provenance_of
     from estimator.estimate_table import read_estimate
     from estimator.export.c_source import write_c
@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     from estimator.export.structured_text import write_structured_text
     from estimator.exporting import export_program
     from estimator.fchs.estimator import Fchs
-    from estimator.fchs.judging import Validated
-    from estimator.fchs.judging import validate_model as validate
+    from estimator.fchs.judging import Validated, validate_model
     from estimator.interface import Channel, Estimate, Estimator, Status, follow
+    from estimator.joint_aware.estimator import JointAware
+    from estimator.joint_aware.model_file import read_observer, write_observer
+    from estimator.joint_aware.observer_model import ObserverModel
     from estimator.learned.estimator import Learned
     from estimator.registry import open_estimator, resume_estimator, save_state
     from fesim.case.schema import Case, case_from_data, read_case
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from thermojoint.compensation.offsets.preview import preview as preview_offsets
     from thermojoint.compensation.offsets.settings import Settings as OffsetSettings
     from thermojoint.compensation.offsets.settings import read_settings as read_offset_settings
+    from thermojoint.frames import estimate, learn, log_from_frame, reads, samples, validate
     from thermojoint.models.assembly import Assembly, assemble
     from thermojoint.models.assembly_file import read_assembly, write_assembly
     from thermojoint.models.learned import LearnedModel, read_learned, write_learned
@@ -70,11 +73,14 @@ __all__ = [
     "Fchs",
     "FmiStandard",
     "InputError",
+    "JointAware",
+    "JointAwareCalibration",
     "Learned",
     "LearnedModel",
     "Log",
     "Loop",
     "Model",
+    "ObserverModel",
     "OffsetSettings",
     "Precision",
     "Program",
@@ -91,11 +97,14 @@ __all__ = [
     "Validated",
     "assemble",
     "calibrate",
+    "calibrate_joint_aware",
     "case_from_data",
     "close_loop",
+    "estimate",
     "export_program",
     "follow",
     "learn",
+    "log_from_frame",
     "make_response",
     "open_estimator",
     "preview_offsets",
@@ -107,20 +116,25 @@ __all__ = [
     "read_log",
     "read_loop",
     "read_model",
+    "read_observer",
     "read_offset_settings",
     "read_provenance",
     "read_response",
     "read_structure",
+    "reads",
     "resume_estimator",
+    "samples",
     "save_state",
     "set_up",
     "simulate",
     "validate",
+    "validate_model",
     "write_assembly",
     "write_c",
     "write_fmu",
     "write_learned",
     "write_model",
+    "write_observer",
     "write_response",
     "write_structure",
     "write_structured_text",
@@ -139,11 +153,14 @@ _HOMES = {
     "Fchs": "estimator.fchs.estimator:Fchs",
     "FmiStandard": "estimator.export.fmu:Standard",
     "InputError": "thermojoint.artefacts.errors:InputError",
+    "JointAware": "estimator.joint_aware.estimator:JointAware",
+    "JointAwareCalibration": "calibrate.joint_aware.calibration:JointAwareCalibration",
     "Learned": "estimator.learned.estimator:Learned",
     "LearnedModel": "thermojoint.models.learned:LearnedModel",
     "Log": "thermojoint.artefacts.log:Log",
     "Loop": "thermojoint.compensation.loop.schema:Loop",
     "Model": "thermojoint.models.parameters:Model",
+    "ObserverModel": "estimator.joint_aware.observer_model:ObserverModel",
     "OffsetSettings": "thermojoint.compensation.offsets.settings:Settings",
     "Precision": "estimator.export.program:Precision",
     "Program": "estimator.export.program:Program",
@@ -160,11 +177,14 @@ _HOMES = {
     "Validated": "estimator.fchs.judging:Validated",
     "assemble": "thermojoint.models.assembly:assemble",
     "calibrate": "calibrate.chain:calibrate_responses",
+    "calibrate_joint_aware": "calibrate.joint_aware.calibration:calibrate_joint_aware",
     "case_from_data": "fesim.case.schema:case_from_data",
     "close_loop": "thermojoint.compensation.loop.run:close_loop",
+    "estimate": "thermojoint.frames:estimate",
     "export_program": "estimator.exporting:export_program",
     "follow": "estimator.interface:follow",
-    "learn": "calibrate.learning.learn:learn",
+    "learn": "thermojoint.frames:learn",
+    "log_from_frame": "thermojoint.frames:log_from_frame",
     "make_response": "thermojoint.artefacts.response:make_response",
     "open_estimator": "estimator.registry:open_estimator",
     "preview_offsets": "thermojoint.compensation.offsets.preview:preview",
@@ -176,20 +196,25 @@ _HOMES = {
     "read_log": "thermojoint.artefacts.log_file:read_log",
     "read_loop": "thermojoint.compensation.loop.schema:read_loop",
     "read_model": "thermojoint.models.model_file:read_model",
+    "read_observer": "estimator.joint_aware.model_file:read_observer",
     "read_offset_settings": "thermojoint.compensation.offsets.settings:read_settings",
     "read_provenance": "thermojoint.models.model_file:read_provenance",
     "read_response": "thermojoint.artefacts.response:read_response",
     "read_structure": "meshes.exchange:read_structure",
+    "reads": "thermojoint.frames:reads",
     "resume_estimator": "estimator.registry:resume_estimator",
+    "samples": "thermojoint.frames:samples",
     "save_state": "estimator.registry:save_state",
     "set_up": "fesim.setup.machine:set_up",
     "simulate": "fesim.simulate:simulate",
-    "validate": "estimator.fchs.judging:validate_model",
+    "validate": "thermojoint.frames:validate",
+    "validate_model": "estimator.fchs.judging:validate_model",
     "write_assembly": "thermojoint.models.assembly_file:write_assembly",
     "write_c": "estimator.export.c_source:write_c",
     "write_fmu": "estimator.export.fmu:write_fmu",
     "write_learned": "thermojoint.models.learned:write_learned",
     "write_model": "thermojoint.models.model_file:write_model",
+    "write_observer": "estimator.joint_aware.model_file:write_observer",
     "write_response": "thermojoint.artefacts.response:write_response",
     "write_structure": "meshes.exchange:write_structure",
     "write_structured_text": "estimator.export.structured_text:write_structured_text",

@@ -19,6 +19,7 @@ from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
@@ -49,8 +50,8 @@ class Effort:
 USUAL = Effort()
 
 
-@dataclass(frozen=True, eq=False)
-class JointAwareCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointAwareCalibration(Described):
     """A model and how it came about.
 
     Attributes
@@ -67,6 +68,9 @@ class JointAwareCalibration:
     fit: Fit
     machine: ReducedMachine
     runs: tuple[Run, ...]
+
+    def _facts(self) -> dict[str, str]:
+        return {"model": repr(self.model), "runs": str(len(self.runs))}
 
 
 def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:

@@ -12,13 +12,14 @@ from estimator.fchs import stream
 from estimator.interface import Channel, Estimate
 from estimator.span import status_of
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.models.assembly import Assembly
 from thermojoint.models.model_file import FILE
 from thermojoint.models.parameters import Model
 
 
-@dataclass(frozen=True, eq=False)
-class Fchs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fchs(Described):
     """Fictitious contact heat sources (Figure 5).
 
     Its state is (time of the last sample, start of the run, the state of the blocks).
@@ -32,6 +33,12 @@ class Fchs:
     assembly: Assembly
     kind: Literal["fchs"] = "fchs"
     schema: str = FILE.schema
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "axes": ", ".join(self.axes),
+            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+        }
 
     @property
     def model(self) -> Model:

@@ -28,6 +28,7 @@ from estimator.joint_aware.thresholds import USUAL, Thresholds
 from estimator.joint_aware.trust import Moment, Trusted, channels_of, trusted
 from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.physics import heat_step
 
@@ -64,8 +65,8 @@ class Taken(NamedTuple):
     refused: bool
 
 
-@dataclass(frozen=True, eq=False)
-class JointAware:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointAware(Described):
     """Observer of the machine's reduced physics and joint, corrected by the available readings.
 
     A channel that is NaN is left out of its sample. `warm_state` is for a machine with an unknown
@@ -85,6 +86,12 @@ class JointAware:
     touch_noise: float = READING_NOISE
     thresholds: Thresholds = USUAL
     schema: str = SCHEMA
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "axes": ", ".join(self.axes),
+            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+        }
 
     @property
     def kind(self) -> Kind:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from estimator.joint_aware.filter_design import SteadyFilter
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.reduced.machine import Joint, Modes
 from thermojoint.reduced.remainder import Remainder
 
@@ -64,8 +65,8 @@ class Calibrated:
     temperatures: dict[str, tuple[float, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class ObserverModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class ObserverModel(Described):
     """The observer of one machine.
 
     Attributes
@@ -116,4 +117,14 @@ class ObserverModel:
     sources: tuple[str, ...]
     calibrated: Calibrated
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "kind": self.kind,
+            "axes": ", ".join(self.axes),
+            "sensors": ", ".join(self.sensors),
+            "sources": ", ".join(self.sources),
+            "calibrated": f"{self.calibrated.duration_s / 60.0:g} min",
+        }
+
     kind: Kind = "joint-aware"

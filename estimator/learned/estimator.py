@@ -22,6 +22,7 @@ import numpy as np
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
@@ -45,8 +46,8 @@ WITHIN = 1.96
 _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "torque": "N m"}
 
 
-@dataclass(frozen=True, eq=False)
-class Learned:
+@dataclass(frozen=True, eq=False, repr=False)
+class Learned(Described):
     """A learned model behind the common interface.
 
     Its state is (time of the last sample, start of the run, last values, relaxations; then for each
@@ -63,6 +64,12 @@ class Learned:
     model: LearnedModel
     reading_noise: float = READING_NOISE
     schema: str = FILE.schema
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "axes": ", ".join(self.axes),
+            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+        }
 
     @property
     def kind(self) -> str:

@@ -24,6 +24,7 @@ from fesim.case.thermal_sections import (
     RadiationSection,
     SourceSection,
 )
+from thermojoint.artefacts.display import Described, counted
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import read_settings, settings_from
 from thermojoint.artefacts.settings.section import (
@@ -166,7 +167,7 @@ class OutputSection(Section):
     stress_probes: list[str] = []
 
 
-class Case(Section):
+class Case(Described, Section):
     """A whole case file."""
 
     title: str
@@ -192,6 +193,37 @@ class Case(Section):
     probes: dict[str, ProbeSection] = {}
     candidates: list[CandidatesSection] = []
     output: OutputSection = OutputSection()
+
+    def replace(self, **changes: Any) -> Case:  # noqa: ANN401 - what a case file may say
+        """Return this case with changes, checked as a case file is.
+
+        Parameters
+        ----------
+        **changes
+            Key of the case to what it says now: a section, or a dictionary that is merged into the
+            present one. One of another ``kind`` takes the place of the present one.
+
+        Raises
+        ------
+        InputError
+            A key is unknown, or a value is out of range.
+
+        Examples
+        --------
+        >>> case.replace(march={"step_s": 20.0})  # doctest: +SKIP
+        """
+        data = self.model_dump(mode="json", exclude_unset=True)
+        return case_from_data(_merged(data, changes), self.title, Path())
+
+    def _facts(self) -> dict[str, str]:
+        march = self.march
+        return {
+            "title": self.title,
+            "bodies": ", ".join(self.bodies),
+            "joints": ", ".join(self.joints) or "none",
+            "probes": counted(len(self.probes), "probe"),
+            "march": f"{march.duration_min:g} min in steps of {march.step_s:g} s",
+        }
 
     @model_validator(mode="after")
     def _something_heats(self) -> Case:
@@ -323,3 +355,15 @@ def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
         A key is unknown or missing, or a value is out of range: every mistake has a line.
     """
     return settings_from(Case, data, where, folder)
+
+
+def _merged(data: Any, changes: Any) -> Any:  # noqa: ANN401 - nested dictionaries
+    """Return nested dictionaries with changes; sections in them become dictionaries."""
+    if isinstance(changes, Section):
+        return changes.model_dump(mode="json", exclude_unset=True)
+    if not isinstance(changes, dict):
+        return changes
+    kept = data if isinstance(data, dict) else {}
+    if changes.get("kind", kept.get("kind")) != kept.get("kind"):
+        kept = {}
+    return kept | {key: _merged(kept.get(key), value) for key, value in changes.items()}

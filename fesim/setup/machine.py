@@ -69,10 +69,11 @@ from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from fesim.solid.substructures import TieCondensation
 from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
+from thermojoint.artefacts.display import Described
 
 
-@dataclass(frozen=True)
-class Setup:
+@dataclass(frozen=True, repr=False)
+class Setup(Described):
     """A condensed case.
 
     Attributes
@@ -118,6 +119,14 @@ class Setup:
     outputs: MechanicalOutputs | None
     bolts: Bolts | None
     materials: dict[str, Material]
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "bodies": ", ".join(self.structure.bodies),
+            "nodes": str(self.structure.mesh.nvertices),
+            "contact elements": str(sum(joint.area.size for joint in self.joints)),
+            "probes": ", ".join(self.probes),
+        }
 
     @property
     def field(self) -> DisplacementField:

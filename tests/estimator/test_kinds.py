@@ -161,7 +161,7 @@ def models(hand_made_model, tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
     tj.write_model(hand_made_model, folder / "model.json", tj.Provenance("round numbers"))
     tj.write_assembly(tj.assemble(hand_made_model, 2.0, 7200.0), folder / "assembly.json")
-    tj.write_learned(tj.learn([machine_log()], ["x_um", "z_um"], 2), folder / "learned.json")
+    tj.write_learned(tj.learn(machine_log(), ["x_um", "z_um"], 2), folder / "learned.json")
     weights = Regression((), {"x": (1e-6, -2e-6, 3e-6, 4e-6)})
     arx = {"x": Autoregression((0.5,), ((1e-6, 0.0, 2e-6, 0.0),))}
     span = Span(3600.0, (0.0, 3.0), dict.fromkeys(ROLES, (0.0, 20.0)))

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log_record import Record, merged
 from thermojoint.artefacts.quantities import Column
 
 
-@dataclass(frozen=True, eq=False)
-class Log:
+@dataclass(frozen=True, eq=False, repr=False)
+class Log(Described):
     """Samples of a machine, in SI.
 
     Attributes
@@ -40,6 +41,14 @@ class Log:
     values: Array
     starts: tuple[int, ...] = (0,)
     records: tuple[Record, ...] = ()
+
+    def _facts(self) -> dict[str, str]:
+        hours = sum(np.ptp(one.times) for one in self.runs()) / 3600.0
+        return {
+            "samples": str(len(self.times)),
+            "runs": f"{len(self.starts)}, {hours:.3g} h in all",
+            "columns": ", ".join(self.names),
+        }
 
     @property
     def names(self) -> tuple[str, ...]:

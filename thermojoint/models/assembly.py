@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.filters.bank import Bank, leaking, simple_bank, stacked, summed
 from thermojoint.models.filters.inverse import inverse_bank
@@ -21,8 +22,8 @@ from thermojoint.models.parameters import DeformationModel, Model, Relaxation, R
 TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Assembly:
+@dataclass(frozen=True, eq=False, repr=False)
+class Assembly(Described):
     """Everything that is computed once from the model.
 
     Attributes
@@ -53,6 +54,14 @@ class Assembly:
     temperature: Bank
     sources: Bank
     nonlinear: Bank
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "axes": ", ".join(self.axes),
+            "sensors": ", ".join(self.sensors),
+            "interval": f"{self.dt_s:g} s",
+            "run length": f"{self.run_length_s / 60.0:g} min",
+        }
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.json_file import JsonKind, read_json, validated
@@ -149,8 +150,8 @@ class LogEnd:
     relaxations: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class LearnedModel:
+@dataclass(frozen=True, repr=False)
+class LearnedModel(Described):
     """A learned model.
 
     Attributes
@@ -183,6 +184,14 @@ class LearnedModel:
     learned_from: LearnedFrom = field(default_factory=LearnedFrom)
     renamed: dict[str, str] = field(default_factory=dict)
     log_end: LogEnd | None = None
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "kind": self.kind,
+            "estimates": ", ".join(one.name for one in self.channels),
+            "reads": ", ".join(self.columns),
+            "learned from": ", ".join(self.learned_from.files) or "a log in memory",
+        }
 
     def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
         """Return how a log like that which was learned from is to be read.

@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field
 
 from pydantic import ConfigDict, NonNegativeFloat, PositiveFloat
 
+from thermojoint.artefacts.display import Described
+
 #: A file is refused for an unknown key, a number given as text, NaN and infinity.
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -176,8 +178,8 @@ class Span:
     temperatures: dict[str, tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class Model(Described):
     """Everything the estimator of Figure 5 needs.
 
     Attributes
@@ -210,6 +212,14 @@ class Model:
     reference_power_W: PositiveFloat
     span: Span
     leak: NonNegativeFloat = 0.0
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "axes": ", ".join(self.linear.deformation),
+            "fictitious sources": str(len(self.sources)),
+            "sensors": ", ".join(self.sensors),
+            "calibrated": f"{self.span.duration_s / 60.0:g} min",
+        }
 
     @property
     def digest(self) -> str:
