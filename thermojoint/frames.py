@@ -200,7 +200,13 @@ def samples(
 
 
 def reads(estimator: OpenedEstimator) -> tuple[str, ...]:
-    """Return what an estimator reads in every sample, by names that end in their units."""
+    """Return what an estimator reads in every sample, by names that end in their units.
+
+    Parameters
+    ----------
+    estimator : OpenedEstimator
+        `open_estimator`.
+    """
     intake = kind_of(estimator).intake(estimator.model, False)
     return intake.names[: intake.wanted]
 

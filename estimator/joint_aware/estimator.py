@@ -203,6 +203,15 @@ class JointAware(Described):
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
 
+        Parameters
+        ----------
+        state : ndarray
+            After the sample before; it stays as it is.
+        time : float
+            s, later than that of the sample before.
+        values : sequence of float
+            As `channels`; NaN where a reading is missing.
+
         Raises
         ------
         InputError

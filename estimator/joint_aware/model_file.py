@@ -48,7 +48,15 @@ _BAND = ("tangent", "steady", "constant", "history", "open", "square")
 
 
 def write_observer(model: ObserverModel, path: Path) -> None:
-    """Write a model to `path` (HDF5), whole or not at all."""
+    """Write the model of a machine's observer, whole or not at all.
+
+    Parameters
+    ----------
+    model : ObserverModel
+        As `calibrate_joint_aware` gives it.
+    path : Path
+        HDF5.
+    """
     header, arrays = _header(model), _arrays(model)
     made = BytesIO()
     with h5py.File(made, "w") as file:
@@ -61,6 +69,11 @@ def write_observer(model: ObserverModel, path: Path) -> None:
 
 def read_observer(path: Path) -> ObserverModel:
     """Read a model that `write_observer` wrote.
+
+    Parameters
+    ----------
+    path : Path
+        HDF5.
 
     Raises
     ------
