@@ -307,6 +307,11 @@ class JointAware(Described):
 
         Offsets are taken off the former; what is not there is NaN.
 
+        Parameters
+        ----------
+        values : sequence of float
+            As `channels`; it may end before the displacements.
+
         Raises
         ------
         InputError
