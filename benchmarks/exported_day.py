@@ -35,8 +35,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.models.assembly import assemble
 from thermojoint.models.model_file import read_model
+from thermojoint.reduced.discrepancy import relaxed
 from thermojoint.reduced.physics import simulate_known
-from thermojoint.reduced.remainder import relaxed
 
 DAY, INTERVAL, PERIOD, ON, FOLLOWS = 86400.0, 2.0, 7200.0, 4320.0, 1800.0
 HEAT, NOISE = 2.0, 0.03

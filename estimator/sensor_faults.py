@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.machine_code import compiled
+from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: From the innovations (n,), K, and the channels that count (indices): what of them no possible

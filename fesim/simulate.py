@@ -29,7 +29,7 @@ from fesim.setup.loads import (
 )
 from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import measured_points
-from fesim.setup.temperature_dependence import surfaces_with_films
+from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
@@ -302,7 +302,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "displacement_of": " relative to ".join(measured_points(case)),
         "covered_area_m2": json.dumps(
-            covered_areas(setup.structure, surfaces_with_films(case), setup.joints)
+            covered_areas(setup.structure, convecting_surfaces(case), setup.joints)
         ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.contact.laws),
     }

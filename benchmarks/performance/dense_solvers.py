@@ -27,9 +27,9 @@ from scipy.sparse import csc_matrix, eye_array
 from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
-from fesim.joint.anchor import new_anchors
 from fesim.joint.blocks import one_block
 from fesim.joint.compiled_gap import solve_in_place, trial_at
+from fesim.joint.frozen_tangent import frozen_tangents
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
 from fesim.joint.modified_newton import settle_near
 from fesim.march.compiled_step import gap_kernel
@@ -170,7 +170,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
     blocks = one_block(joint.springs, joint.compliance, joint.columns)
-    anchors, slip = new_anchors(blocks), np.zeros((2, count))
+    anchors, slip = frozen_tangents(blocks), np.zeros((2, count))
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
     def solve(step: int) -> Array:

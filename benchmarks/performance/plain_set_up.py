@@ -14,7 +14,7 @@ from skfem.assembly.form.form import FormExtraParams
 
 from fesim.case.schema import Case
 from fesim.march.reduced import ThermalModes, thermal_modes
-from fesim.setup.holds import fixed_surfaces
+from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.loads import heat_sources
 from fesim.setup.machine import reference_springs
 from fesim.setup.parts import make_parts

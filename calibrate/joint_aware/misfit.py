@@ -15,18 +15,18 @@ from functools import lru_cache
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
-from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
-from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
-from thermojoint.reduced.physics import Physics, make_physics, simulate_known
-from thermojoint.reduced.remainder import (
+from thermojoint.reduced.discrepancy import (
     SHARE,
-    Remainder,
+    Discrepancy,
     Ridge,
     make_ridge,
     relaxation_rates,
     relaxed,
     told_by,
 )
+from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
+from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
+from thermojoint.reduced.physics import Physics, make_physics, simulate_known
 
 #: Samples of a run that count, at most.
 MOST_SAMPLES = 120
@@ -249,7 +249,7 @@ class Linear:
 
     Attributes
     ----------
-    remainder : Remainder
+    remainder : Discrepancy
     offset : ndarray, shape (p,)
         Of every sensor, K.
     temperature : ndarray, shape (k, p)
@@ -258,7 +258,7 @@ class Linear:
         Left, m.
     """
 
-    remainder: Remainder
+    remainder: Discrepancy
     offset: Array
     temperature: Array
     displacement: Array
@@ -276,7 +276,7 @@ def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Lin
     ]
     gains = np.array([one for one, _ in sensed])
     return Linear(
-        Remainder(problem.rates, gains[:, :-1], np.array([one for one, _ in moved])),
+        Discrepancy(problem.rates, gains[:, :-1], np.array([one for one, _ in moved])),
         gains[:, -1],
         np.column_stack([left for _, left in sensed]),
         np.column_stack([left for _, left in moved]),

@@ -39,10 +39,10 @@ from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.discrepancy import Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import conduct, settle_joint, simulate_known
-from thermojoint.reduced.remainder import Remainder, make_ridge, relaxed
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class _Drawn:
     """A machine that the calibration runs do not tell from the fitted one."""
 
     factors: dict[str, float]
-    remainder: Remainder
+    remainder: Discrepancy
     offset: Array
 
 
@@ -217,7 +217,7 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: flo
         row += _unknown(rng, problem.states, tau * problem.shape, REMAINDER_DISPLACEMENT)
     return _Drawn(
         factors_of(fit.parameters, logarithms),
-        Remainder(problem.rates, temperature[:, :-1], displacement),
+        Discrepancy(problem.rates, temperature[:, :-1], displacement),
         temperature[:, -1],
     )
 

@@ -31,9 +31,9 @@ from calibrate.joint_aware.misfit import (
 )
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import Parameter, active
-from thermojoint.reduced.remainder import Remainder
 
 #: Steps of a run in a search.
 SEARCH_STEPS = 150
@@ -78,7 +78,7 @@ class Fit:
         Of `misfit.residuals` there.
     jacobian : ndarray, shape (n, k)
         Of the residuals by the logarithms in units of their priors.
-    remainder : Remainder
+    remainder : Discrepancy
         Fitted at these parameters.
     offset, noise : ndarray, shape (p,)
         Of every sensor, and the standard deviation of its reading, K.
@@ -96,7 +96,7 @@ class Fit:
     logarithms: Array
     residuals: Array
     jacobian: Array
-    remainder: Remainder
+    remainder: Discrepancy
     offset: Array
     noise: Array
     residual_temperature: Array

@@ -28,8 +28,8 @@ from estimator.joint_aware.estimator import WIDTH
 from estimator.joint_aware.filter_design import Noise, linear_system
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_name
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
-from thermojoint.reduced.remainder import Remainder
 
 #: An exchange must lower the criterion by this part; each sensor is tried so often at most.
 WORTH, ROUNDS = 1e-3, 3
@@ -156,7 +156,7 @@ class _Problem:
 def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
     held = machine.at_preload
     modes = diagonal_modes(machine, held)
-    nothing = Remainder(
+    nothing = Discrepancy(
         np.zeros(0), np.zeros((len(modes.sensors), 0)), np.zeros((len(machine.axes), 0))
     )
     system = linear_system(modes, nothing, machine.power, STEP)

@@ -19,10 +19,10 @@ from calibrate.joint_aware.random_heat import random_levels
 from estimator.joint_aware.filter_design import Noise
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
 from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.physics import make_physics, simulate_known
-from thermojoint.reduced.remainder import relaxation_rates, relaxed
 
 #: Plants of the family, and its seed.
 PLANTS, SEED = 12, 2

@@ -36,7 +36,7 @@ from estimator.joint_aware.slow_parameters import (
     wandered,
 )
 from thermojoint.artefacts.arrays import Array, Flags
-from thermojoint.reduced.film import Film, convected, film_of
+from thermojoint.reduced.convection import Convection, convected, convection_of
 from thermojoint.reduced.machine import Joint
 from thermojoint.reduced.parameters import joint_with_factors
 
@@ -292,8 +292,8 @@ class AgeingJointAware:
         return after
 
     @cached_property
-    def _film(self) -> Film:
-        return film_of(self.observer.model.modes)
+    def _film(self) -> Convection:
+        return convection_of(self.observer.model.modes)
 
     def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:
         """The window with one more sample."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
-from fesim.machine_code import compiled
+from fesim.jit import compiled
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.joint_aware import compiled_sample, displacement_readings, suspicion
+from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
 from estimator.joint_aware.displacement_readings import ModelError, Touch
 from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
@@ -172,7 +172,7 @@ class JointAware(Described):
             excess=excess,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=displacement_readings.unknown(len(self.axes)),
-            suspicion=suspicion.none(size),
+            suspicion=fault_isolation.none(size),
         ).flat()
 
     @cached_property

@@ -17,8 +17,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_discrete_are
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Modes
-from thermojoint.reduced.remainder import Remainder
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class SteadyFilter:
     walk: Array
 
 
-def linear_system(modes: Modes, remainder: Remainder, power: Array, step: float) -> LinearSystem:
+def linear_system(modes: Modes, remainder: Discrepancy, power: Array, step: float) -> LinearSystem:
     """Return the linear part of a machine whose modes hold the joint at its preload."""
     inputs = modes.drive.shape[1]
     rates, sources = remainder.rates, power.size

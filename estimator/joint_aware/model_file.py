@@ -24,8 +24,8 @@ from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes
-from thermojoint.reduced.remainder import Remainder
 
 SCHEMA_VERSION = 2
 
@@ -186,7 +186,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             Joint(JointSection.model_validate(section), arrays[f"joints/{k}"])
             for k, section in enumerate(header["joints"])
         ),
-        remainder=Remainder(**part("remainder", _REMAINDER)),
+        remainder=Discrepancy(**part("remainder", _REMAINDER)),
         filter=SteadyFilter(**part("filter", _FILTER)),
         band=Band(**part("band", _BAND)),
         warm=arrays["warm"],

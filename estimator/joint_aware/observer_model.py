@@ -8,8 +8,8 @@ from typing import Literal
 from estimator.joint_aware.filter_design import SteadyFilter
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes
-from thermojoint.reduced.remainder import Remainder
 
 #: Of the model file.
 SCHEMA = "thermojoint-joint-aware-model"
@@ -77,7 +77,7 @@ class ObserverModel(Described):
         The conductance times area that this is, W/K.
     joints : tuple of Joint
         As calibrated.
-    remainder : Remainder
+    remainder : Discrepancy
         Beside the physics.
     filter : SteadyFilter
         Of the linear part.
@@ -105,7 +105,7 @@ class ObserverModel(Described):
     modes: Modes
     held: Array
     joints: tuple[Joint, ...]
-    remainder: Remainder
+    remainder: Discrepancy
     filter: SteadyFilter
     band: Band
     warm: Array

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.joint_aware.displacement_readings import ModelError
-from estimator.joint_aware.suspicion import Suspicion
+from estimator.joint_aware.fault_isolation import PendingJump
 from estimator.sensor_faults import Watch
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import JointState
@@ -41,7 +41,7 @@ class ObserverState(NamedTuple):
         What is remembered of every channel.
     model_error : ModelError
         What readings of the displacement have told.
-    suspicion : Suspicion
+    suspicion : PendingJump
         A jump that is not yet judged.
     """
 
@@ -56,7 +56,7 @@ class ObserverState(NamedTuple):
     excess: Array
     watch: Watch
     model_error: ModelError
-    suspicion: Suspicion
+    suspicion: PendingJump
 
     @property
     def joint(self) -> JointState:
@@ -116,7 +116,7 @@ def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -
             "excess": (states, columns),
             "watch": (len(Watch._fields), channels),
             "model_error": (len(ModelError._fields), axes),
-            **{f"suspicion.{name}": () for name in Suspicion._fields[:-1]},
+            **{f"suspicion.{name}": () for name in PendingJump._fields[:-1]},
             "suspicion.linear": (states,),
         }
     )
@@ -125,6 +125,6 @@ def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -
 def unpacked(state: Array, known: Layout) -> ObserverState:
     """Return views of the parts of a flat state."""
     found = known.views(state)
-    suspicion = Suspicion(*(found.pop(f"suspicion.{name}") for name in Suspicion._fields))
+    suspicion = PendingJump(*(found.pop(f"suspicion.{name}") for name in PendingJump._fields))
     watch, error = Watch(*found.pop("watch")), ModelError(*found.pop("model_error"))
     return ObserverState(watch=watch, model_error=error, suspicion=suspicion, **found)

@@ -30,8 +30,8 @@ from estimator.span import SLACK
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.discrepancy import relaxed
 from thermojoint.reduced.physics import heat_step, simulate_known
-from thermojoint.reduced.remainder import relaxed
 
 #: Bits of the status that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14

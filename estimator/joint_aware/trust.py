@@ -22,11 +22,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.joint_aware import suspicion
+from estimator.joint_aware import fault_isolation
+from estimator.joint_aware.fault_isolation import Judgement, PendingJump
 from estimator.joint_aware.filter_design import compressed
 from estimator.joint_aware.observer import Expected, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
-from estimator.joint_aware.suspicion import Judgement, Suspicion
 from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
 from thermojoint.artefacts.arrays import Array, Flags
 
@@ -41,7 +41,7 @@ class Trusted:
         Readings to be used.
     watch : Watch
         Of every channel, after the sample.
-    suspicion : Suspicion
+    suspicion : PendingJump
         After the sample.
     expected : Expected
         What they are to correct.
@@ -49,7 +49,7 @@ class Trusted:
 
     believed: Flags
     watch: Watch
-    suspicion: Suspicion
+    suspicion: PendingJump
     expected: Expected
 
 
@@ -106,7 +106,7 @@ def trusted(
         said = observer.system.rows[channel] @ open_.linear
         watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - said)))
     if judgement is not Judgement.OPEN:
-        open_ = suspicion.none(expected.linear.size)
+        open_ = fault_isolation.none(expected.linear.size)
     rows = observer.system.rows
     lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
@@ -121,7 +121,7 @@ def trusted(
             break
     if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
         attempt = attempt._replace(linear=open_.linear)
-        open_ = suspicion.none(expected.linear.size)
+        open_ = fault_isolation.none(expected.linear.size)
     newly = _believed_before(before) & ~verdict.believed
     if newly.any():
         attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
@@ -132,7 +132,7 @@ def trusted(
         own = np.diag(observer.innovation_covariance(attempt.excess))
         limit = rules.gate * np.sqrt(own + imperfect**2)
         elapsed = moment.steps * moment.length or observer.model.step
-        open_ = suspicion.suspected(attempt.linear, innovation, limit, moment.time, elapsed)
+        open_ = fault_isolation.suspected(attempt.linear, innovation, limit, moment.time, elapsed)
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
 
 
@@ -149,7 +149,7 @@ def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
 
 def _followed(
     observer: Observer, before: ObserverState, moment: Moment, readings: Array
-) -> tuple[Suspicion, Judgement]:
+) -> tuple[PendingJump, Judgement]:
     """A jump that is not yet judged, this sample counted, and what it was."""
     known = before.suspicion
     if not np.isfinite(known.channel):
@@ -168,8 +168,8 @@ def _followed(
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
     elapsed = moment.time - float(known.since)
     due = elapsed >= rules.decided and known.samples >= rules.samples
-    expected = suspicion.growth(known, elapsed, answer, observer.model.step)
-    return known, suspicion.judged(known, departure, limit, bool(due), expected)
+    expected = fault_isolation.growth(known, elapsed, answer, observer.model.step)
+    return known, fault_isolation.judged(known, departure, limit, bool(due), expected)
 
 
 def _believed_before(before: ObserverState) -> Flags:
@@ -224,4 +224,4 @@ def _unexplained(
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
     # Before the first sample a source may have been on for a step.
     onset = observer.onset[min(max(moment.steps, 1), len(observer.onset)) - 1]
-    return suspicion.without_heat(innovation, at, covariance, onset, bounds), covariance
+    return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance

@@ -7,7 +7,7 @@ import numpy as np
 from estimator.columns import samples_of
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
-from estimator.touches import with_touches
+from estimator.probe_readings import with_probe_readings
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -31,7 +31,7 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
         due = np.arange(log.times[0], log.times[-1] + 1.0, every)
         at = np.minimum(np.searchsorted(log.times, due), len(log.times) - 1)
         told = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
-        samples = with_touches(samples, log.times[at], told)
+        samples = with_probe_readings(samples, log.times[at], told)
     found = [one for _, one in follow(estimator, samples, estimator.initial_state())]
     return (
         np.array([one.displacement for one in found]),

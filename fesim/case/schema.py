@@ -243,7 +243,7 @@ class Case(Described, Section):
         return self
 
     @model_validator(mode="after")
-    def _one_film_a_surface(self) -> Case:
+    def _one_coefficient_per_surface(self) -> Case:
         for name in self.convection_factor:
             if name not in self.convection_W_m2K:
                 raise ValueError(f"convection_factor.{name}: add its film to [convection_W_m2K]")

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from fesim.machine_code import compiled
+from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: So many contact elements are one block whatever they are: their inverse fits into the cache.
@@ -94,7 +94,7 @@ def blocks_of(
     counts : sequence of int
         How many contact elements each joint has, in their order.
     share, supports : ndarray, shapes (m, p) and (k, 6 p)
-        What joins the p pieces of the structure: as in `fesim.solid.rigid_motions.Holds`.
+        What joins the p pieces of the structure: as in `fesim.solid.rigid_motions.Constraints`.
     """
     total = springs.size // 3
     if total <= WHOLE or len(counts) < 2:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.jit import compiled
 from fesim.joint.gap import (
     MAX_FULL_STEPS,
     MAX_ITERATIONS,
@@ -33,7 +34,6 @@ from fesim.joint.gap import (
 )
 from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
 from fesim.joint.opening import OpenLaw
-from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
 #: Columns of the table of laws, one row for each contact element.

@@ -6,7 +6,7 @@ a whole has no stiffness along its slip, so that no equilibrium says where it is
 
 The check costs next to nothing in a step: three contact elements that stick and do not lie in a
 line hold all that a joint can hold. Where a joint has less, one small factorisation decides; where
-that leaves a doubt, `Holds.unheld`.
+that leaves a doubt, `Constraints.unheld`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.jit import compiled
 from fesim.joint.compiled_gap import ACROSS, ALONG, CROSS
 from fesim.joint.law import JointLaw, Traction
-from fesim.machine_code import compiled
-from fesim.solid.rigid_motions import Holds, described
+from fesim.solid.rigid_motions import Constraints, described
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -56,7 +56,7 @@ class Watch:
 
     Attributes
     ----------
-    holds : Holds
+    holds : Constraints
         What can hold the bodies.
     table : ndarray, shape (m, 6)
         Least pressure that holds (Pa), tangential stiffness while sticking (Pa/m; 0 without
@@ -74,7 +74,7 @@ class Watch:
         Pa.
     """
 
-    holds: Holds
+    holds: Constraints
     table: Array
     needed: NDArray[np.int64]
     rows: Array
@@ -141,7 +141,7 @@ class Watch:
         return self.holds.unheld(np.concatenate([own, element]), np.vstack([normals[own], along]))
 
 
-def watch_of(holds: Holds, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
+def watch_of(holds: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
     """Prepare the check for the joints' laws and their numbers of contact elements."""
     count = len(holds.centre)
     per_law = [(NOTHING * law.reference_pressure, _rough_stiffness(law)) for law, _ in laws]
@@ -175,7 +175,7 @@ def _needed(centres: Array) -> int:
     return 1 + min(2, int(np.count_nonzero(sizes > 1e-6 * np.abs(centres).max())))
 
 
-def _loose(holds: Holds, motions: Array) -> ConvergenceError:
+def _loose(holds: Constraints, motions: Array) -> ConvergenceError:
     return ConvergenceError(
         f"a body has come loose: joints that are open or slide no longer keep "
         f"{described(holds, motions)}; hold it in [supports], or raise preload_MPa, "

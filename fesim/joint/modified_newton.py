@@ -1,9 +1,10 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
 Unknown: the tractions w = z(g) + k0 g that the springs lack, with g = J0^-1 g_T + F w. A Newton
-step solves (I - dT F) y = z(g) + k0 g - w by the inverse of an anchor (`fesim.joint.anchor`), which
-is moved where the iteration converges badly. With several blocks of contact elements a sweep over
-them, each by its own anchor with what those before it have moved (Gauss and Seidel), stands for it.
+step solves (I - dT F) y = z(g) + k0 g - w by the inverse of an anchor
+(`fesim.joint.frozen_tangent`), which is moved where the iteration converges badly. With several
+blocks of contact elements a sweep over them, each by its own anchor with what those before it have
+moved (Gauss and Seidel), stands for it.
 
 Start at `settle_near`; read `fesim.joint.gap` first, which solves the same equations plainly.
 `tests/fesim/joint/test_modified_newton.py` holds the equilibria of random joints to those of
@@ -16,20 +17,20 @@ import math
 
 import numpy as np
 
-from fesim.joint.anchor import (
-    MADE,
-    Anchor,
-    Anchors,
-    Correction,
-    Lacking,
-    add_product,
-    block_anchor,
-    correct,
-    make_anchor,
-)
+from fesim.jit import compiled
 from fesim.joint.blocks import Block, part_of
 from fesim.joint.compiled_gap import GapKernel, Trial, evaluate_in_place, lacking, largest
-from fesim.machine_code import compiled
+from fesim.joint.frozen_tangent import (
+    MADE,
+    Correction,
+    FrozenTangent,
+    FrozenTangents,
+    Lacking,
+    add_product,
+    block_tangent,
+    correct,
+    freeze_tangent,
+)
 from thermojoint.artefacts.arrays import Array
 
 #: Iterations of a step, and how often anchors are moved in it, at most.
@@ -48,7 +49,7 @@ _FAILED, _CORRECTED, _MOVED = range(3)
 
 @compiled
 def _correct_or_move(
-    anchor: Anchor,
+    anchor: FrozenTangent,
     block: Block,
     now: Lacking,
     stale: bool,
@@ -62,7 +63,7 @@ def _correct_or_move(
             if not may_move:
                 return _FAILED
             anchor.tangent[:] = now.tangent
-            make_anchor(anchor, block)
+            freeze_tangent(anchor, block)
         if correct(anchor, block, now, correction):
             return _MOVED if move else _CORRECTED
         if move:
@@ -72,7 +73,7 @@ def _correct_or_move(
 
 @compiled
 def _sweep(
-    anchors: Anchors,
+    anchors: FrozenTangents,
     columns: Array,
     now: Lacking,
     most: float,
@@ -107,7 +108,7 @@ def _sweep(
                     + along * shift[count + e]
                     + across * shift[2 * count + e]
                 )
-        found = _correct_or_move(block_anchor(anchors, k), block, own_now, stale, may_move, own)
+        found = _correct_or_move(block_tangent(anchors, k), block, own_now, stale, may_move, own)
         if found == _FAILED:
             return _FAILED
         outcome = max(outcome, found)
@@ -140,7 +141,7 @@ def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
 def settle_near(
     kernel: GapKernel,
     columns: Array,
-    anchors: Anchors,
+    anchors: FrozenTangents,
     free_gap: Array,
     slip: Array,
     trial: Trial,
@@ -161,7 +162,7 @@ def settle_near(
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     now = Lacking(trial.tangent, lack, least)
-    one, first = anchors.blocks.starts.size == 2, block_anchor(anchors, 0)
+    one, first = anchors.blocks.starts.size == 2, block_tangent(anchors, 0)
     whole = part_of(anchors.blocks, 0)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.joint.anchor import MADE, Anchors, put_tangents
+from fesim.jit import compiled
 from fesim.joint.compiled_gap import Trial
+from fesim.joint.frozen_tangent import MADE, FrozenTangents, put_tangents
 from fesim.joint.loosening import Watched, surely_held
 from fesim.joint.modified_newton import settle_near
-from fesim.machine_code import compiled
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -56,13 +56,13 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
-    anchors : Anchors
+    anchors : FrozenTangents
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
     """
 
-    anchors: Anchors
+    anchors: FrozenTangents
     flows: Flows
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fesim.jit import compiled
 from fesim.joint.compiled_gap import GapKernel, Trial, solve_in_place
-from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
 

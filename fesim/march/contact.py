@@ -12,7 +12,7 @@ import numpy as np
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
-from fesim.solid.rigid_motions import Holds
+from fesim.solid.rigid_motions import Constraints
 from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class ContactProblem:
         The law of each joint and how many contact elements it has, in their order.
     gap_tolerance : float
         Largest residual of the gap equations, m.
-    holds : Holds, optional
+    holds : Constraints, optional
         What holds the bodies; with it, a step in which one comes loose is an error.
     loads : LoadInfluence, optional
         Mechanical loads; their factors stand behind the other inputs of a step.
@@ -45,7 +45,7 @@ class ContactProblem:
     elastic: ElasticCondensation
     laws: Laws
     gap_tolerance: float = TOLERANCE
-    holds: Holds | None = None
+    holds: Constraints | None = None
     loads: LoadInfluence | None = None
 
     @property

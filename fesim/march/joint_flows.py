@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fesim.jit import compiled
 from fesim.joint.compiled_gap import largest
-from fesim.machine_code import compiled
 from fesim.march.compiled_step import flow_system
 from thermojoint.artefacts.arrays import Array
 

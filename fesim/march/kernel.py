@@ -11,10 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fesim.joint.anchor import MADE, block_anchor, make_anchor, new_anchors, put_tangents
 from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
+from fesim.joint.frozen_tangent import (
+    MADE,
+    block_tangent,
+    freeze_tangent,
+    frozen_tangents,
+    put_tangents,
+)
 from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import (
@@ -89,9 +95,9 @@ class StepKernel:
             block = part_of(self.blocks, k)
             tangent = anchor[ANCHOR_TANGENT, block.elements]
             if tangent.any():
-                own = block_anchor(kept.anchors, k)
+                own = block_tangent(kept.anchors, k)
                 own.tangent[:] = tangent
-                make_anchor(own, block)
+                freeze_tangent(own, block)
         conducted = np.ascontiguousarray(anchor[ANCHOR_CONDUCTED])
         kept.flows.conducted[:] = 0.0
         if conducted.any():
@@ -108,7 +114,7 @@ def _anchor(kept: Kept) -> Array:
 
 def new_kept(blocks: Blocks) -> Kept:
     """Return the inverses of a march that has not begun."""
-    return Kept(new_anchors(blocks), new_flows(blocks.elements.size))
+    return Kept(frozen_tangents(blocks), new_flows(blocks.elements.size))
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from fesim.case.schema import Case
-from fesim.setup.holds import fixed_surfaces
+from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.loads import spring_stiffnesses
 from fesim.setup.outputs import asks_for_outputs
 from fesim.solid.condensation import DisplacementField, displacement_field

@@ -31,8 +31,8 @@ from fesim.march.reduced import (
 )
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
+from fesim.setup.constraints import start_closed, with_friction
 from fesim.setup.elastic import elastic_structure, pieces_to_condense
-from fesim.setup.holds import start_closed, with_friction
 from fesim.setup.initial_temperature import initial_temperature
 from fesim.setup.laws import element_means, joint_laws
 from fesim.setup.loads import (
@@ -45,7 +45,7 @@ from fesim.setup.parts import Parts, make_parts
 from fesim.setup.structure import body_materials, measured_points
 from fesim.setup.temperature_dependence import (
     growth,
-    reference_films,
+    reference_coefficients,
     reference_materials,
     variable_heat,
 )
@@ -64,7 +64,7 @@ from fesim.solid.heat import HeatOperators, by_cell, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
-from fesim.solid.rigid_motions import Holds, check_held
+from fesim.solid.rigid_motions import Constraints, check_held
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from fesim.solid.substructures import TieCondensation
 from meshes.pairing import PairedJoint
@@ -94,7 +94,7 @@ class Setup(Described):
         Their rows, of nodal temperatures or of the reduced model's amplitudes.
     modes : ThermalModes or None
         The reduced thermal model; None if the march has the full one.
-    holds : Holds
+    holds : Constraints
         What holds the bodies.
     forces : ndarray, shape (n, l + b)
         Nodal forces of the mechanical loads at factor one, then of the bolts per N, N.
@@ -114,7 +114,7 @@ class Setup(Described):
     probes: dict[str, Probe]
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
-    holds: Holds
+    holds: Constraints
     forces: NDArray[np.float64]
     outputs: MechanicalOutputs | None
     bolts: Bolts | None
@@ -315,7 +315,7 @@ def _discretised(case: Case, parts: Parts) -> _Whole:
             structure,
             spaces.heat,
             reference_materials(case, materials),
-            reference_films(case),
+            reference_coefficients(case),
             heat_sources(case, structure),
             list(case.held_temperatures),
             joints,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fesim.case.schema import Case
-from fesim.setup.holds import fixed_surfaces
+from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.condensation import DisplacementField
 from fesim.solid.elasticity import DIRECTIONS

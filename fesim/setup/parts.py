@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fesim.case.schema import Case, not_reducible
 from fesim.joint.law import JointLaw
 from fesim.setup.bolts import bolts_of, first_forces
-from fesim.setup.holds import checked_holds, fixed_surfaces
+from fesim.setup.constraints import checked_constraints, fixed_surfaces
 from fesim.setup.initial_temperature import read_initial_temperature
 from fesim.setup.laws import joint_laws
 from fesim.setup.loads import (
@@ -19,7 +19,7 @@ from fesim.setup.loads import (
 from fesim.setup.soundness import check_sound
 from fesim.setup.structure import body_materials, build_structure, candidate_probes, measured_points
 from fesim.solid.bolts import Bolt
-from fesim.solid.rigid_motions import Holds
+from fesim.solid.rigid_motions import Constraints
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError, unknown_name
@@ -40,7 +40,7 @@ class Parts:
         In the order of the contact elements.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
-    holds : Holds
+    holds : Constraints
         What holds the bodies; checked.
     laws : list of (JointLaw, int)
         The law of each joint and how many contact elements it has.
@@ -51,7 +51,7 @@ class Parts:
     structure: Structure
     joints: tuple[PairedJoint, ...]
     probes: dict[str, Probe]
-    holds: Holds
+    holds: Constraints
     laws: list[tuple[JointLaw, int]]
     bolts: list[Bolt]
 
@@ -80,7 +80,7 @@ def make_parts(case: Case) -> Parts:
     laws = joint_laws(case, structure, body_materials(case, structure), joints)
     bolts = bolts_of(case, structure)
     first_forces(case)
-    holds = checked_holds(case, structure, joints, bolts)
+    holds = checked_constraints(case, structure, joints, bolts)
     return Parts(structure, joints, probes, holds, laws, bolts)
 
 

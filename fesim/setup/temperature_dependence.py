@@ -10,15 +10,15 @@ from skfem import CellBasis
 
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import FactorSection
-from fesim.solid.heat import HeatOperators, cell_field, conduction_form, film_matrix
+from fesim.solid.heat import HeatOperators, cell_field, conduction_form, convection_matrix
 from fesim.solid.materials import Material
 from fesim.solid.temperature_factor import TemperatureFactor, ThermalGrowth, thermal_growth
 from fesim.solid.variable_heat import (
     VariableHeat,
     air_potential,
     conduction_potential,
-    film_potential,
-    radiation_film,
+    convection_potential,
+    radiation_coefficient,
     radiation_potential,
 )
 from meshes.pairing import PairedJoint
@@ -41,13 +41,13 @@ def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str,
     }
 
 
-def reference_films(case: Case) -> dict[str, float]:
+def reference_coefficients(case: Case) -> dict[str, float]:
     """Return the constant film of every surface, W/(m2 K): convection and linear radiation."""
     films = dict(case.convection_W_m2K)
     for name, section in case.convection_factor.items():
         films[name] *= factor_of(section).middle
     for name, radiation in case.radiation.items():
-        film = radiation_film(radiation.emissivity, radiation.ambient_degC)
+        film = radiation_coefficient(radiation.emissivity, radiation.ambient_degC)
         films[name] = films.get(name, 0.0) + film
     for cavity in case.cavities.values():
         films |= dict.fromkeys(cavity.surfaces, cavity.film_W_m2K)
@@ -69,14 +69,14 @@ def variable_heat(
         matrix = conduction_form.assemble(basis, value=cell_field(structure, own, basis))
         terms.append((matrix, conduction_potential(factor)))
     for name, section in case.convection_factor.items():
-        area = film_matrix(structure, basis, name, joints)
-        terms.append((area, film_potential(case.convection_W_m2K[name], factor_of(section))))
+        area = convection_matrix(structure, basis, name, joints)
+        terms.append((area, convection_potential(case.convection_W_m2K[name], factor_of(section))))
     for name, radiation in case.radiation.items():
-        area = film_matrix(structure, basis, name, joints)
+        area = convection_matrix(structure, basis, name, joints)
         given = radiation.emissivity, radiation.ambient_degC
         terms.append((area, radiation_potential(*given)))
     for cavity in case.cavities.values():
-        parts = [film_matrix(structure, basis, name, joints) for name in cavity.surfaces]
+        parts = [convection_matrix(structure, basis, name, joints) for name in cavity.surfaces]
         area = sum(parts[1:], parts[0])
         walls = np.asarray(area.sum(axis=0)).ravel()
         terms.append((area, air_potential(cavity.film_W_m2K, walls)))
@@ -93,9 +93,9 @@ def growth(case: Case, structure: Structure, basis: CellBasis) -> ThermalGrowth 
     return thermal_growth(unknowns, given)
 
 
-def surfaces_with_films(case: Case) -> list[str]:
+def convecting_surfaces(case: Case) -> list[str]:
     """Return the surfaces that convect or radiate, each once."""
-    return list(reference_films(case))
+    return list(reference_coefficients(case))
 
 
 def _conductivity_factors(

@@ -15,7 +15,7 @@ from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from fesim.solid.element_matrices import cell_gradients, places_of, reference_shapes
-from fesim.solid.heat import by_cell, film_form, surface_basis
+from fesim.solid.heat import by_cell, convection_form, surface_basis
 from fesim.solid.linear_solver import symmetric, upper_triangle
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
@@ -231,7 +231,7 @@ def _beds(
     springs_matrix = csr_array((size, size))
     for name, stiffness in springs.items():
         surface = surface_basis(structure, spaces.displacement, name)
-        bed = coo_array(film_form.assemble(surface))
+        bed = coo_array(convection_form.assemble(surface))
         for i in range(3):
             index = (3 * bed.row.astype(np.int64) + i, 3 * bed.col.astype(np.int64) + i)
             values = stiffness[i] / bed.sum() * bed.data

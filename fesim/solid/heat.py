@@ -89,7 +89,7 @@ def conduction_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> A
 
 
 @BilinearForm
-def film_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
+def convection_form(u: DiscreteField, v: DiscreteField, w: FormExtraParams) -> Array:
     """Newton's law of cooling: (h u, v) on a surface."""
     return u * v
 
@@ -163,7 +163,7 @@ def heat_operators(
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
     for name, coefficient in films.items():
-        convection = convection + coefficient * film_matrix(structure, basis, name, joints)
+        convection = convection + coefficient * convection_matrix(structure, basis, name, joints)
     layout = InputLayout(len(sources), len(held))
     inputs = np.zeros((basis.N, layout.count))
     for column, source in enumerate(sources):
@@ -186,7 +186,7 @@ def heat_operators(
     )
 
 
-def film_matrix(
+def convection_matrix(
     structure: Structure, basis: CellBasis, surface: str, joints: Sequence[PairedJoint]
 ) -> csr_array:
     """(u, v) on the part of a surface that no joint covers, shape (n, n), m2.
@@ -200,7 +200,7 @@ def film_matrix(
     if not free.size:
         return csr_array((basis.N, basis.N))
     on = FacetBasis(structure.mesh, basis.elem, facets=facets[free], intorder=2 * basis.elem.maxdeg)
-    matrix = csr_array(film_form.assemble(on))
+    matrix = csr_array(convection_form.assemble(on))
     partly = cover.share[cover.facet] < 1.0
     if not partly.any():
         return matrix

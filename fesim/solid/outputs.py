@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, vstack
 
 from fesim.solid.condensation import DisplacementField
-from fesim.solid.heat import film_form, surface_basis
+from fesim.solid.heat import convection_form, surface_basis
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -157,7 +157,9 @@ def _spring_rows(
 ) -> OutputRows:
     rows = np.zeros((3 * len(springs), spaces.displacement_size))
     for k, (name, stiffness) in enumerate(springs):
-        bed = csr_array(film_form.assemble(surface_basis(structure, spaces.displacement, name)))
+        bed = csr_array(
+            convection_form.assemble(surface_basis(structure, spaces.displacement, name))
+        )
         share = np.asarray(bed.sum(axis=0)).ravel() / bed.sum()
         for i in range(3):
             rows[3 * k + i, i::3] = -stiffness[i] * share

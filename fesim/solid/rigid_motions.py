@@ -48,7 +48,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Holds:
+class Constraints:
     """Possible constraints of the pieces of a structure.
 
     Attributes
@@ -138,14 +138,14 @@ class _Between:
     slack: float
 
 
-def holds_of(
+def constraints_of(
     structure: Structure,
     joints: Sequence[PairedJoint],
     fixed: Sequence[str],
     symmetry: Mapping[str, str],
     springs: Mapping[str, tuple[float, float, float]],
     bolts: Sequence[Bolt] = (),
-) -> Holds:
+) -> Constraints:
     """Return the possible constraints of the pieces of a structure.
 
     Parameters
@@ -183,7 +183,7 @@ def holds_of(
             rows = _span(frame, points, np.repeat(np.eye(3)[list(axes)], len(nodes), axis=0), HELD)
             supports.append(np.kron(np.eye(len(names))[own], rows))
     supports.extend(_tie(frame, bolt, piece, len(names)) for bolt in bolts)
-    return Holds(
+    return Constraints(
         frame=frame,
         pieces=names,
         supports=np.vstack(supports),
@@ -205,13 +205,13 @@ def holds_of(
 
 
 def check_held(
-    holds: Holds, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
+    holds: Constraints, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
 ) -> None:
     """Refuse a structure with an unconstrained rigid motion at rest.
 
     Parameters
     ----------
-    holds : Holds
+    holds : Constraints
         Possible constraints.
     sticks : ndarray of bool, shape (m,)
         Which contact elements have friction.
@@ -249,12 +249,12 @@ def check_held(
         )
 
 
-def described(holds: Holds, motions: Array) -> str:
+def described(holds: Constraints, motions: Array) -> str:
     """Describe free motions of bodies, e.g. "body 'bolt' from moving along x and y".
 
     Parameters
     ----------
-    holds : Holds
+    holds : Constraints
         Names of the pieces.
     motions : ndarray, shape (6 p, k)
         Orthonormal motions, k at least 1; bodies that move on their own are named first.

@@ -60,7 +60,7 @@ def conduction_potential(factor: TemperatureFactor) -> Potential:
     return lambda temperature, _: factor.integral(temperature) - factor.middle * temperature
 
 
-def film_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
+def convection_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
     """Return h (f(d) - m) d, W/m2, with a factor of d, the surface above the ambient."""
 
     def potential(temperature: Array, ambient: float) -> Array:
@@ -89,15 +89,15 @@ def air_potential(film: float, walls: Array) -> Potential:
     return potential
 
 
-def radiation_film(emissivity: float, ambient_degc: float) -> float:
+def radiation_coefficient(emissivity: float, ambient_degc: float) -> float:
     """Return 4 eps sigma T_a^3, W/(m2 K): radiation linearised at the initial ambient."""
     return float(4.0 * emissivity * Stefan_Boltzmann * (zero_Celsius + ambient_degc) ** 3)
 
 
 def radiation_potential(emissivity: float, ambient_degc: float) -> Potential:
-    """Return eps sigma (T^4 - T_a^4), absolute, minus its part in `radiation_film`, W/m2."""
+    """Return eps sigma (T^4 - T_a^4), absolute, minus its part in `radiation_coefficient`, W/m2."""
     absolute = zero_Celsius + ambient_degc
-    film = radiation_film(emissivity, ambient_degc)
+    film = radiation_coefficient(emissivity, ambient_degc)
 
     def potential(temperature: Array, ambient: float) -> Array:
         exchanged = (absolute + temperature) ** 4 - (absolute + ambient) ** 4

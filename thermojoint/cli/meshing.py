@@ -131,11 +131,11 @@ def inspect(
 
 def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> Inspection:
     """Add to the warnings what the supports and joints of a case do not hold."""
-    from fesim.setup.holds import checked_holds
+    from fesim.setup.constraints import checked_constraints
     from fesim.setup.parts import paired_joints
 
     try:
-        checked_holds(case, structure, paired_joints(case, structure))
+        checked_constraints(case, structure, paired_joints(case, structure))
     except InputError as error:
         if str(error) not in found.warnings:
             return replace(found, warnings=(*found.warnings, str(error)))

@@ -208,8 +208,8 @@ def estimate(
     """
     from estimator import measured
     from estimator.kind import Options
+    from estimator.probe_readings import read_probe_readings, with_probe_readings
     from estimator.registry import kind_of_file, resumed, save_state, started
-    from estimator.touches import read_touches, with_touches
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
     from thermojoint.cli.log_reading import say_file
@@ -269,7 +269,7 @@ def estimate(
             warm_state = kind.warm_state if warm else None
             state = warm_state(estimator) if warm_state else estimator.initial_state()
         if readings is not None:
-            samples = with_touches(samples, *read_touches(readings, estimator.axes))
+            samples = with_probe_readings(samples, *read_probe_readings(readings, estimator.axes))
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep)
     console.wrote(out, save)

@@ -18,8 +18,8 @@ from estimator.kind import Options
 from estimator.learned.estimator import Learned
 from estimator.learned.judging import judge, run
 from estimator.learned.kind import KIND
+from estimator.probe_readings import with_probe_readings
 from estimator.registry import resumed, save_state
-from estimator.touches import with_touches
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.models.filters.relaxations import relax_all
@@ -198,7 +198,9 @@ def test_the_file_brings_the_model_back_and_damage_is_refused(model, tmp_path):
 def test_a_saved_state_goes_on_bit_for_bit(model, tmp_path):
     estimator = Learned(model)
     samples = list(samples_of(model.columns, [DAY]))[:200]
-    samples = list(with_touches(samples, np.array([DAY.times[60]]), np.array([[1e-6, np.nan]])))
+    samples = list(
+        with_probe_readings(samples, np.array([DAY.times[60]]), np.array([[1e-6, np.nan]]))
+    )
     whole = [one for one, _ in follow(estimator, samples, estimator.initial_state())]
     save_state(estimator, whole[99], tmp_path / "state.json")
     _, begun = resumed(KIND, model, Options(), tmp_path / "state.json")
@@ -249,7 +251,7 @@ def test_a_reading_against_everything_is_refused_and_a_second_one_is_a_new_zero(
     samples = list(samples_of(model.columns, [DAY]))[:100]
     times = DAY.times[[20, 40, 60]]
     wrong = np.array([[5e-3, np.nan], [5e-3, np.nan], [5e-3, np.nan]])
-    told = with_touches(samples, times, wrong)
+    told = with_probe_readings(samples, times, wrong)
     found = [one for _, one in follow(estimator, told, estimator.initial_state())]
     assert Status.READING_REFUSED in found[20].status
     assert abs(found[30].displacement[0]) < 1e-4

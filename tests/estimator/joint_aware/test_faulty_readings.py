@@ -12,7 +12,7 @@ from estimator.interface import Status
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.thresholds import Thresholds
-from estimator.touches import read_touches, with_touches
+from estimator.probe_readings import read_probe_readings, with_probe_readings
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
@@ -124,7 +124,9 @@ def touched(response, estimator, every, shift=0.0):
     """Samples with readings of the displacement now and then."""
     actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy() + shift
     times = response["time"].to_numpy()
-    return with_touches(samples_in(response, SENSORS), times[every::every], actual[every::every])
+    return with_probe_readings(
+        samples_in(response, SENSORS), times[every::every], actual[every::every]
+    )
 
 
 def test_a_reading_of_the_displacement_corrects_a_warm_start(estimator, response):
@@ -147,7 +149,7 @@ def test_a_reading_that_contradicts_everything_is_refused(estimator, response):
 def test_readings_between_two_samples_go_with_the_later_one():
     samples = [(0.0, 1.0), (2.0, 1.0), (4.0, 1.0)]
     times, values = np.array([-1.0, 1.0, 1.5]), np.array([[9.0, 9.0], [1.0, np.nan], [2.0, 3.0]])
-    found = np.array(list(with_touches(samples, times, values)))
+    found = np.array(list(with_probe_readings(samples, times, values)))
     assert np.isnan(found[[0, 2], 2:]).all()
     assert np.array_equal(found[1, 2:], [2.0, 3.0])
 
@@ -155,16 +157,16 @@ def test_readings_between_two_samples_go_with_the_later_one():
 def test_readings_name_their_axes(tmp_path):
     path = tmp_path / "probe.csv"
     path.write_text("time_s,y_um\n60,12.5\n120,13\n")
-    times, values = read_touches(path, ("x", "y"))
+    times, values = read_probe_readings(path, ("x", "y"))
     assert times == pytest.approx([60.0, 120.0], rel=1e-12)
     assert np.isnan(values[:, 0]).all()
     assert values[:, 1] == pytest.approx([12.5e-6, 13e-6], rel=1e-12)
     path.write_text("time_s,z_um\n60,12.5\n")
     with pytest.raises(InputError, match=r"name its columns x_um, y_um"):
-        read_touches(path, ("x", "y"))
+        read_probe_readings(path, ("x", "y"))
     path.write_text("time_s,x_degC\n60,12.5\n")
     with pytest.raises(InputError, match=r"x_degC is a temperature"):
-        read_touches(path, ("x", "y"))
+        read_probe_readings(path, ("x", "y"))
 
 
 def test_the_command_starts_warm_and_takes_readings(estimator, response, tmp_path):

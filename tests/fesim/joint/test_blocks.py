@@ -6,7 +6,6 @@ from bars import surface_law
 from random_joints import TIGHT, problem_of, settled, structure_stiffness
 
 from benchmarks.performance.pillar import pillar_case
-from fesim.joint.anchor import ANCHORED, new_anchors
 from fesim.joint.blocks import (
     WHOLE,
     blocks_of,
@@ -16,6 +15,7 @@ from fesim.joint.blocks import (
     side_by_side,
     unknowns_of,
 )
+from fesim.joint.frozen_tangent import ANCHORED, frozen_tangents
 from fesim.joint.gap import solve_gap
 from fesim.march.kernel import step_kernel
 from fesim.march.settling import initial_state
@@ -139,7 +139,7 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
     assert blocks.starts.size == 4
     theirs = solve_gap(problem, thermal_gap, zero[1:], zero, TIGHT)
     given = problem, [(surface_law(0.15), TOTAL)], thermal_gap, zero[1:], zero
-    found, residual, gap, slip = settled(*given, new_anchors(blocks))
+    found, residual, gap, slip = settled(*given, frozen_tangents(blocks))
     assert found
     assert residual <= TIGHT
     np.testing.assert_allclose(gap, theirs.gap, rtol=1e-9, atol=1e-13)
@@ -149,7 +149,7 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
 def test_only_the_anchor_of_a_joint_that_changes_is_moved():
     problem, thermal_gap = coupled_problem(3, 1e-7, 0.15)
     blocks, zero = divided(problem), np.zeros((3, TOTAL))
-    anchors, laws = new_anchors(blocks), [(surface_law(0.15), TOTAL)]
+    anchors, laws = frozen_tangents(blocks), [(surface_law(0.15), TOTAL)]
     own = np.zeros_like(thermal_gap)
     own[unknowns_of(JOINTS[1], TOTAL)] = thermal_gap[unknowns_of(JOINTS[1], TOTAL)]
     gap, slip = zero, zero[1:]

@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_joints import TIGHT, law_of, powers, problems, random_problem, settled
 
-from fesim.joint.anchor import ANCHORED, block_anchor, make_anchor, new_anchors
 from fesim.joint.blocks import one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.frozen_tangent import ANCHORED, block_tangent, freeze_tangent, frozen_tangents
 from fesim.joint.gap import solve_gap
 
 
 def nowhere(problem):
     """The anchor of one block that has not been anywhere."""
     columns = np.ascontiguousarray(problem.compliance.T)
-    return new_anchors(one_block(problem.springs, problem.compliance, columns))
+    return frozen_tangents(one_block(problem.springs, problem.compliance, columns))
 
 
 @settings(max_examples=150, derandomize=True)
@@ -56,9 +56,9 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
         zero,
     )
     normal = elsewhere.traction.tangent
-    anchor = block_anchor(far, 0)
+    anchor = block_tangent(far, 0)
     anchor.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
-    make_anchor(anchor, part_of(far.blocks, 0))
+    freeze_tangent(anchor, part_of(far.blocks, 0))
     second, _, other, moved = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, far)
     if first and second:
         np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)

@@ -15,7 +15,7 @@ from fesim.joint.law import Traction
 from fesim.joint.loosening import _as_at_rest, _surely_held, watch_of
 from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
-from fesim.solid.rigid_motions import holds_of
+from fesim.solid.rigid_motions import constraints_of
 from meshes.exchange import write_structure
 from meshes.pairing import pair_joint
 from thermojoint.artefacts.errors import ConvergenceError, InputError
@@ -146,7 +146,7 @@ def test_inspect_says_the_same_of_a_case(rods, capsys):
 
 
 JOINTS = [pair_joint(THREE_RODS, name, 3, 2) for name in ("first", "second")]
-HOLDS = holds_of(THREE_RODS, JOINTS, ["left.x0", "right.x1"], {}, {})
+HOLDS = constraints_of(THREE_RODS, JOINTS, ["left.x0", "right.x1"], {}, {})
 ROUGH, SMOOTH = surface_law(0.3), surface_law(0.0)
 
 

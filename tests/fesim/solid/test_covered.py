@@ -15,7 +15,7 @@ from vees_and_sleeves import SEAT, long_sleeve, two_rings
 from fesim.case.schema import read_case
 from fesim.march.heat_step import heat_step
 from fesim.simulate import simulate
-from fesim.solid.heat import film_form, film_matrix
+from fesim.solid.heat import convection_form, convection_matrix
 from fesim.solid.spaces import make_spaces
 from meshes.covered import cover_of, covered_areas
 from meshes.exchange import write_structure
@@ -33,7 +33,7 @@ def on_a_plate(left=(2, 4, 2), right=(2, 7, 3), tetrahedra=False):
 def film(structure, surface, grid=(3, 2)):
     joints = [pair_joint(structure, name, *grid) for name in structure.joints]
     basis = make_spaces(structure.mesh).heat
-    return film_matrix(structure, basis, surface, joints), covered_areas(
+    return convection_matrix(structure, basis, surface, joints), covered_areas(
         structure, [surface], joints
     )
 
@@ -155,9 +155,11 @@ def test_what_no_joint_covers_keeps_its_film_to_the_bit():
     basis = CellBasis(structure.mesh, ElementTetP1(), intorder=2)
     joints = [pair_joint(structure, "joint", 2, 2)]
     facets = structure.surfaces["top"]
-    plain = film_form.assemble(FacetBasis(structure.mesh, basis.elem, facets=facets, intorder=2))
+    plain = convection_form.assemble(
+        FacetBasis(structure.mesh, basis.elem, facets=facets, intorder=2)
+    )
     np.testing.assert_array_equal(
-        film_matrix(structure, basis, "top", joints).toarray(), plain.toarray()
+        convection_matrix(structure, basis, "top", joints).toarray(), plain.toarray()
     )
     assert not cover_of(structure, "top", joints).share.any()
     assert covered_areas(structure, ["top"], joints) == {}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from vees_and_sleeves import long_sleeve, vee
 
-from fesim.solid.rigid_motions import check_held, holds_of
+from fesim.solid.rigid_motions import check_held, constraints_of
 from meshes.pairing import pair_joint
 from thermojoint.artefacts.errors import InputError
 
@@ -32,7 +32,7 @@ AT_WALL = boxes(
 def check(structure, fixed=(), symmetry=None, springs=None, friction=(), grid=(3, 2)):
     """Check a structure of which some joints have friction."""
     joints = [pair_joint(structure, name, *grid) for name in structure.joints]
-    holds = holds_of(structure, joints, fixed, symmetry or {}, springs or {})
+    holds = constraints_of(structure, joints, fixed, symmetry or {}, springs or {})
     rough = [np.full(len(joint.area), joint.name in friction) for joint in joints]
     check_held(holds, np.concatenate([np.empty(0, dtype=bool), *rough]))
 
@@ -185,7 +185,7 @@ def test_what_holds_does_not_depend_on_place_turn_or_size(seed, scale, friction)
 
     def left(structure):
         joints = [pair_joint(structure, name, 3, 2) for name in structure.joints]
-        holds = holds_of(structure, joints, ["base.y0", "wall.x1"], {}, {})
+        holds = constraints_of(structure, joints, ["base.y0", "wall.x1"], {}, {})
         sticks = np.concatenate([np.full(len(j.area), j.name in friction) for j in joints])
         normal, first, second = holds.directions
         every, stuck = np.arange(len(sticks)), np.flatnonzero(sticks)

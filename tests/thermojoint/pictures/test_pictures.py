@@ -187,12 +187,12 @@ def test_a_picture_says_when_it_is_and_what_heats_it(scenes):
 
 
 def test_a_film_has_one_camera_one_window_and_one_scale(scenes):
-    film_of = finished(scenes)
-    assert len(film_of) == 4
+    convection_of = finished(scenes)
+    assert len(convection_of) == 4
     for name in ("camera", "window", "scale"):
-        looks = [[getattr(panel, name) for panel in scene.panels] for scene in film_of]
+        looks = [[getattr(panel, name) for panel in scene.panels] for scene in convection_of]
         assert all(look == looks[0] for look in looks)
-    assert [panel.shows for panel in film_of[0].panels] == [
+    assert [panel.shows for panel in convection_of[0].panels] == [
         "temperature rise (K)",
         "displacement (µm)",
         "contact pressure (MPa)",

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.jit import compiled
 from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import ALONG, lacking, lacking_rows, lacking_system
-from fesim.machine_code import compiled
 from thermojoint.artefacts.arrays import Array
 
 #: A contact element whose tangent differs from that of the anchor by this part of its stiffness at
@@ -30,11 +30,11 @@ CHANGED = 0.05
 #: Contact elements corrected at once: a part of all of them, at least so few, at most so many.
 SHARE, FEWEST, MOST = 8, 4, 32
 
-#: Places in `Anchor.about`.
+#: Places in `FrozenTangent.about`.
 MADE, ROWS, ANCHORED = 0, 1, 2
 
 
-class Anchor(NamedTuple):
+class FrozenTangent(NamedTuple):
     """The tangent that was inverted, and what is kept of it; storage that is written in place.
 
     Attributes
@@ -66,14 +66,14 @@ class Anchor(NamedTuple):
     moved: Array
 
 
-class Anchors(NamedTuple):
+class FrozenTangents(NamedTuple):
     """The anchors of b blocks.
 
     Attributes
     ----------
     blocks : Blocks
         They stay as they are.
-    every : Anchor
+    every : FrozenTangent
         The storage of all: its arrays are flat, one block behind the other; `about` is (b, 3).
     begins : ndarray of int, shape (4, b + 1)
         Where each block begins: in contact elements, in slots, in contact elements squared and in
@@ -81,16 +81,16 @@ class Anchors(NamedTuple):
     """
 
     blocks: Blocks
-    every: Anchor
+    every: FrozenTangent
     begins: NDArray[np.int64]
 
 
-def new_anchors(blocks: Blocks) -> Anchors:
+def frozen_tangents(blocks: Blocks) -> FrozenTangents:
     """Return anchors of blocks of contact elements that are nowhere yet."""
     counts = np.diff(blocks.starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
     every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
-    storage = Anchor(
+    storage = FrozenTangent(
         tangent=np.zeros(6 * every),
         about=np.zeros((counts.size, 3), dtype=np.int64),
         rows=np.zeros(3 * every, dtype=np.int64),
@@ -103,16 +103,16 @@ def new_anchors(blocks: Blocks) -> Anchors:
     )
     begins = np.zeros((4, blocks.starts.size), dtype=np.int64)
     np.cumsum([counts, slots, counts * counts, slots * counts], axis=1, out=begins[:, 1:])
-    return Anchors(blocks, storage, begins)
+    return FrozenTangents(blocks, storage, begins)
 
 
 @compiled
-def block_anchor(anchors: Anchors, block: int) -> Anchor:
+def block_tangent(anchors: FrozenTangents, block: int) -> FrozenTangent:
     """The anchor of one block, in the storage of all."""
     first, slot, square, kept = anchors.begins[:, block]
     last, end, squared, next_kept = anchors.begins[:, block + 1]
     count, slots, own = last - first, end - slot, slice(9 * kept, 9 * next_kept)
-    return Anchor(
+    return FrozenTangent(
         anchors.every.tangent[6 * first : 6 * last].reshape(6, count),
         anchors.every.about[block],
         anchors.every.rows[3 * first : 3 * last],
@@ -126,7 +126,7 @@ def block_anchor(anchors: Anchors, block: int) -> Anchor:
 
 
 @compiled
-def put_tangents(anchors: Anchors, found: Array) -> None:
+def put_tangents(anchors: FrozenTangents, found: Array) -> None:
     """Put the tangents of the anchors that are made into `found` (6, m), zero for the others."""
     elements = anchors.blocks.elements
     for block in range(anchors.begins.shape[1] - 1):
@@ -164,7 +164,7 @@ class Correction(NamedTuple):
 
 
 @compiled
-def make_anchor(anchor: Anchor, block: Block) -> None:
+def freeze_tangent(anchor: FrozenTangent, block: Block) -> None:
     """Invert the tangent that stands in an anchor."""
     size = lacking_rows(block.springs, anchor.tangent, anchor.rows)
     anchor.place[:] = -1
@@ -204,7 +204,7 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
 
 
 @compiled
-def _solve_at_anchor(anchor: Anchor, right_side: Array, found: Array) -> None:
+def _solve_frozen(anchor: FrozenTangent, right_side: Array, found: Array) -> None:
     """The rows of the inverse times `right_side`, and zero elsewhere, into `found` (3 m,)."""
     size = anchor.about[ROWS]
     own = np.empty(size)
@@ -217,7 +217,7 @@ def _solve_at_anchor(anchor: Anchor, right_side: Array, found: Array) -> None:
 
 
 @compiled
-def _changed(anchor: Anchor, springs: Array, now: Lacking, found: NDArray[np.int64]) -> int:
+def _changed(anchor: FrozenTangent, springs: Array, now: Lacking, found: NDArray[np.int64]) -> int:
     """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
     tangent, lack, least = now.tangent, now.lack, now.least
     count, number = tangent.shape[1], 0
@@ -239,7 +239,9 @@ def _changed(anchor: Anchor, springs: Array, now: Lacking, found: NDArray[np.int
 
 
 @compiled
-def _keep_columns(anchor: Anchor, block: Block, changed: NDArray[np.int64], number: int) -> None:
+def _keep_columns(
+    anchor: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
+) -> None:
     """See to it that each of the contact elements has its columns of the inverse in a slot."""
     springs, columns = block.springs, block.columns
     count = anchor.slot.size
@@ -275,14 +277,14 @@ def _keep_columns(anchor: Anchor, block: Block, changed: NDArray[np.int64], numb
                         + along * columns[row, count + f]
                         + across * columns[row, 2 * count + f]
                     )
-                _solve_at_anchor(anchor, own, kept)
+                _solve_frozen(anchor, own, kept)
                 kept[row] = 1.0
             moved[:] = 0.0
             add_product(columns, kept, moved)
 
 
 @compiled
-def correct(anchor: Anchor, block: Block, now: Lacking, correction: Correction) -> bool:
+def correct(anchor: FrozenTangent, block: Block, now: Lacking, correction: Correction) -> bool:
     """Newton's step for what is lacking; False: too much changed.
 
     With E = dT - dT_anchor of the changed contact elements (rows P) and A the system at the anchor:
@@ -296,7 +298,7 @@ def correct(anchor: Anchor, block: Block, now: Lacking, correction: Correction) 
     if number < 0:
         return False
     _keep_columns(anchor, block, changed, number)
-    _solve_at_anchor(anchor, lack, step)
+    _solve_frozen(anchor, lack, step)
     shift[:] = 0.0
     add_product(block.columns, step, shift)
     factors, width = np.zeros(3 * number), 3 * number
@@ -332,7 +334,7 @@ def correct(anchor: Anchor, block: Block, now: Lacking, correction: Correction) 
 
 @compiled
 def _combine(
-    anchor: Anchor, changed: NDArray[np.int64], factors: Array, correction: Correction
+    anchor: FrozenTangent, changed: NDArray[np.int64], factors: Array, correction: Correction
 ) -> None:
     """Add the kept columns, each by its factor, to the step, and F times them to the shift."""
     step, shift = correction.step, correction.shift

@@ -11,7 +11,7 @@ from fesim.case.schema import Case
 from fesim.setup.laws import initial_opening
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.bolts import Bolt
-from fesim.solid.rigid_motions import Holds, check_held, holds_of
+from fesim.solid.rigid_motions import Constraints, check_held, constraints_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 
@@ -19,9 +19,9 @@ from meshes.structure import Structure
 CLOSED = 1e-9
 
 
-def checked_holds(
+def checked_constraints(
     case: Case, structure: Structure, joints: Sequence[PairedJoint], bolts: Sequence[Bolt] = ()
-) -> Holds:
+) -> Constraints:
     """Return what holds the bodies of a case.
 
     Raises
@@ -29,7 +29,7 @@ def checked_holds(
     InputError
         Nothing holds one of them.
     """
-    holds = holds_of(
+    holds = constraints_of(
         structure,
         joints,
         fixed_surfaces(case),

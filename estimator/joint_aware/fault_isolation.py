@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear
 from thermojoint.artefacts.arrays import Array
 
 
-class Suspicion(NamedTuple):
+class PendingJump(NamedTuple):
     """A jump that is not yet judged.
 
     Attributes
@@ -55,15 +55,15 @@ class Judgement(Enum):
     OFFSET = auto()
 
 
-def none(states: int) -> Suspicion:
+def none(states: int) -> PendingJump:
     """Return that there is nothing to be judged."""
     unknown = np.array(np.nan)
-    return Suspicion(unknown, unknown, unknown, unknown, np.array(0.0), np.zeros(states))
+    return PendingJump(unknown, unknown, unknown, unknown, np.array(0.0), np.zeros(states))
 
 
 def suspected(
     linear: Array, innovation: Array, limit: Array, time: float, interval: float
-) -> Suspicion:
+) -> PendingJump:
     """Return the suspicion that a sample arouses.
 
     Parameters
@@ -81,7 +81,7 @@ def suspected(
     channel = int(np.argmax(relative))
     if relative[channel] <= 1.0:
         return none(linear.size)
-    return Suspicion(
+    return PendingJump(
         channel=np.array(float(channel)),
         since=np.array(time),
         interval=np.array(interval),
@@ -91,12 +91,12 @@ def suspected(
     )
 
 
-def growth(known: Suspicion, elapsed: float, answer: Array, step: float) -> float:
+def growth(known: PendingJump, elapsed: float, answer: Array, step: float) -> float:
     """Return by what factor a jump that was heat would have grown by now.
 
     Parameters
     ----------
-    known : Suspicion
+    known : PendingJump
         The jump.
     elapsed : float
         Since it, s.
@@ -112,13 +112,13 @@ def growth(known: Suspicion, elapsed: float, answer: Array, step: float) -> floa
 
 
 def judged(
-    known: Suspicion, departure: float, limit: float, due: bool, expected: float
+    known: PendingJump, departure: float, limit: float, due: bool, expected: float
 ) -> Judgement:
     """Say what a jump was, a sample later.
 
     Parameters
     ----------
-    known : Suspicion
+    known : PendingJump
         The jump.
     departure : float
         The reading less what the state without it expects, K; NaN where there is none.

@@ -13,7 +13,7 @@ from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.quantities import column_named
 
 
-def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
+def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the axes that were read.
 
     An axis that carries its unit, as a column of a log does, names its column itself.
@@ -47,7 +47,7 @@ def read_touches(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     return log.times, values
 
 
-def with_touches(
+def with_probe_readings(
     samples: Iterable[Sequence[float]], times: Array, values: Array
 ) -> Iterator[tuple[float, ...]]:
     """Yield every sample with the readings that came since the one before it, NaN for none.

@@ -25,7 +25,7 @@ SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
+class Discrepancy:
     """Gains on relaxations of the heat.
 
     Attributes

@@ -15,7 +15,7 @@ from thermojoint.reduced.machine import Modes
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Convection:
     """Convection as rates (k,) of directions, columns of `turn` (r, k); a field of 1 K, (r,)."""
 
     rates: Array
@@ -23,21 +23,23 @@ class Film:
     ambient: Array
 
 
-def film_of(modes: Modes) -> Film:
+def convection_of(modes: Modes) -> Convection:
     """Return the convection of a machine."""
     rates, turn = np.linalg.eigh(modes.film)
     seen = rates > 1e-6 * rates.max()
     rates, turn = rates[seen], turn[:, seen]
     uniform = turn @ ((turn.T @ modes.drive[:, -1]) / rates)
-    return Film(rates, turn, uniform)
+    return Convection(rates, turn, uniform)
 
 
-def convected(film: Film, amplitudes: Array, ambient: float, factor: float, length: float) -> Array:
+def convected(
+    film: Convection, amplitudes: Array, ambient: float, factor: float, length: float
+) -> Array:
     """Return the amplitudes (r,) after what a film has beyond the calibrated one.
 
     Parameters
     ----------
-    film : Film
+    film : Convection
         As calibrated.
     amplitudes : ndarray, shape (r,)
         Before.
