@@ -37,6 +37,10 @@ class FactorSection(Section):
         return self
 
 
+#: Above an ambient of at most 100 °C; less would lie below absolute zero.
+Rise = Annotated[float, Field(gt=-373.15, allow_inf_nan=False)]
+
+
 class MaterialSection(Section):
     """``[materials.NAME]``: properties at the initial ambient; factors with temperature.
 
@@ -142,7 +146,7 @@ class HeldTemperatureSection(Section):
     Either constant, or a CSV with ``time_s,rise_K``; a ``profile`` multiplies it.
     """
 
-    rise_K: Finite | None = None
+    rise_K: Rise | None = None
     file: File | None = None
     profile: ProfileSection | None = None
 
@@ -160,7 +164,7 @@ class InitialTemperatureSection(Section):
     or a snapshot (VTU) of another simulation.
     """
 
-    rise_K: Finite | None = None
+    rise_K: Rise | None = None
     expression_K: str | None = None
     file: File | None = None
 
