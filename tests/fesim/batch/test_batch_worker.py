@@ -96,10 +96,10 @@ def test_a_mesh_that_is_edited_while_it_is_condensed_is_not_kept(
 
 
 def test_a_full_disk_breaks_a_case_off_and_does_not_end_the_worker(tmp_path, monkeypatch):
-    def full(response, path):
+    def full(response):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(worker, "write_response", full)
+    monkeypatch.setattr(worker, "response_bytes", full)
     study = study_in(tmp_path, levels(1), 1.0)
     outcome = run(task_of(study.cases[0]))
     assert (outcome.status, outcome.response) == ("broken", None)
