@@ -44,9 +44,9 @@ def said(pieces: Iterable[Log]) -> Iterator[Log]:
 
 
 def say_file(path: Path) -> None:
-    """Say what a command that is about to read a log will read of it; of a stream, nothing.
+    """Say what a command has read of a log; of a stream, nothing.
 
-    What cannot be read is left to the command, which may read it in another way.
+    What cannot be read as a log the command has read in another way.
     """
     from thermojoint.artefacts.log_file import log_pieces
 

@@ -245,7 +245,6 @@ def estimate(
         ageing=() if ageing is None else tuple(name.strip() for name in ageing.split(",")),
         regression=regression,
     )
-    say_file(temperatures)
     with arguments.opened(temperatures) as source:
         samples: Iterator[Sample]
         if source is None:
@@ -272,6 +271,7 @@ def estimate(
             samples = with_probe_readings(samples, *read_probe_readings(readings, estimator.axes))
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep)
+    say_file(temperatures)
     console.wrote(out, save)
 
 
@@ -387,10 +387,10 @@ def validate(
         arguments.check_taken(kind.name, {name: (one, False) for name, one in beside.items()})
         if kind.judge_logs is None:
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
-        for path in named.values():
-            say_file(path)
         with console.working("validating"):
             figures = kind.judge_logs(given, named)
+        for path in named.values():
+            say_file(path)
     else:
         responses = {name: read_response(path) for name, path in named.items()}
         for name, response in responses.items():

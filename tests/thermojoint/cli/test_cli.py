@@ -132,14 +132,9 @@ MISTAKES = {
     "truncated model": (["estimate", "truncated.json", "samples.csv", "--out"], "truncated"),
     "another version": (["estimate", "other-version.json", "samples.csv", "--out"], "version"),
     "no such model": (["estimate", "nothing.json", "samples.csv", "--out"], "nothing.json"),
-    "NaN sample": (["estimate", "model.json", "nan.csv", "--out"], "line 12: delta_T_K"),
     "sample is a word": (["estimate", "model.json", "word.csv", "--out"], "'warm'"),
-    "samples go back": (["estimate", "model.json", "backwards.csv", "--out"], "line 12: time"),
+    "samples go back": (["estimate", "model.json", "backwards.csv", "--out"], "lines 11 and 12"),
     "row too short": (["estimate", "model.json", "short-row.csv", "--out"], "line 12"),
-    "open thermocouple": (
-        ["estimate", "model.json", "open-circuit.csv", "--out"],
-        "line 12: T1_K is 9.9e+37",
-    ),
     "stray quote": (
         ["estimate", "model.json", "stray-quote.csv", "--out"],
         "line 12: not readable as CSV",
@@ -179,6 +174,23 @@ def test_a_mistake_is_one_line_exit_code_2_and_no_file(
     assert out == ""
     assert list(tmp_path.iterdir()) == []
     assert sorted(files_at_hand.iterdir()) == before
+
+
+@pytest.mark.parametrize(("name", "told"), [("nan.csv", "nan"), ("open-circuit.csv", "9.9e37")])
+def test_what_is_no_reading_leaves_out_its_row_and_is_said(
+    name, told, command, files_at_hand, tmp_path
+):
+    """A thermocouple that is open, or a logger's NaN, moves no estimate."""
+    out, alone = tmp_path / "out.csv", tmp_path / "alone.csv"
+    code, _, err = command(
+        "estimate", files_at_hand / "model.json", files_at_hand / name, "--out", out
+    )
+    assert code == 0
+    assert "readings missing: 1 x" in err
+    lines = (files_at_hand / name).read_text().splitlines(keepends=True)
+    (tmp_path / "without.csv").write_text("".join(one for one in lines if told not in one))
+    command("estimate", files_at_hand / "model.json", tmp_path / "without.csv", "--out", alone)
+    assert out.read_text() == alone.read_text()
 
 
 def test_every_mistake_of_a_case_is_told_at_once_a_line_each(files_at_hand, command, tmp_path):

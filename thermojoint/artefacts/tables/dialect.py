@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -211,10 +212,11 @@ class _Try:
 
 
 def _tried(lines: Sequence[str], separator: str) -> _Try | None:
-    try:
-        table = list(cells_of(lines, separator, ""))
-    except InputError:
-        return None
+    table: list[tuple[int, list[str]]] = []
+    # A line that cannot be divided is refused, by its number, where the rows are read.
+    with suppress(InputError):
+        for one in cells_of(lines, separator, ""):
+            table.append(one)
     full = [(number, row) for number, row in table if is_row(row) and not _SEP_LINE.match(row[0])]
     data = [_is_data(row) for _, row in full]
     at = _header_at([row for _, row in full], data)
