@@ -226,7 +226,7 @@ def test_a_mesh_that_is_written_while_it_is_read_is_not_kept(
     data = copy.deepcopy(coarse_data)
     path = tmp_path / "machine.vtu"
     write_structure(coarse_setup.structure, path)
-    data["structure"] = {"kind": "mesh", "file": str(path), "symmetry_factor": 2.0}
+    data["structure"] = {"kind": "mesh", "file": str(path), "symmetry_factor": 2}
     data["probes"] = {"T1": coarse_data["probes"]["T1"]}
     real = set_up.__globals__["make_parts"]
 

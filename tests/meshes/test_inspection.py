@@ -4,7 +4,7 @@ import io
 import json
 import re
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from meshes.inspection import inspect
 from meshes.milling_machine import box_milling_machine
 from meshes.quality import cell_quality
 from meshes.structure import Structure
-from thermojoint.cli.inspection_report import as_json, case_skeleton, show
+from thermojoint.cli.inspection_report import case_skeleton, show
 
 
 def test_cubes_are_perfect_and_slanted_ones_are_worse():
@@ -138,7 +138,7 @@ def test_slivers_are_told_with_their_place():
 
 
 def test_what_was_found_is_valid_json():
-    data = json.loads(as_json(inspect(BARS)))
+    data = json.loads(json.dumps(asdict(inspect(BARS)), allow_nan=False))
     assert data["joints"]["joint"]["overlap"] == pytest.approx(AREA)
 
 

@@ -173,13 +173,18 @@ def write_response(response: xr.Dataset, path: Path | str) -> None:
 
 def response_bytes(response: xr.Dataset) -> bytes:
     """Return the content of a response's NetCDF file."""
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
     packed = {
         str(name): {"zlib": True, "complevel": 4}
         for name, variable in response.data_vars.items()
         if variable.dtype.kind == "f"
     }
     made = BytesIO()
-    response.to_netcdf(made, engine="h5netcdf", encoding=packed)
+    # Not by `to_netcdf`: on a cluster's worker it would ask the cluster for a lock on this memory.
+    with h5netcdf.File(made, "w") as file:
+        response.dump_to_store(H5NetCDFStore(file), encoding=packed)
     return made.getvalue()
 
 

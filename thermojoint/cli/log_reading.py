@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,7 +43,7 @@ def said(pieces: Iterable[Log]) -> Iterator[Log]:
         console.say(line)
 
 
-def say_file(path: Path) -> None:
+def say_file(path: Path, renamed: Mapping[str, str] | None = None) -> None:
     """Say what a command has read of a log; of a stream, nothing.
 
     What cannot be read as a log the command has read in another way.
@@ -52,5 +52,5 @@ def say_file(path: Path) -> None:
 
     if str(path) != "-" and path.suffix != ".nc":
         with suppress(InputError):
-            for _ in said(log_pieces([path])):
+            for _ in said(log_pieces([path], renamed)):
                 pass

@@ -64,6 +64,7 @@ def iso230_3(
     """
     from thermojoint import console
     from thermojoint.cli import results
+    from thermojoint.cli.log_reading import say_file
     from thermojoint.standards.iso230_3 import record as records
     from thermojoint.standards.iso230_3 import report
     from thermojoint.standards.iso230_3.evaluation import evaluate
@@ -96,6 +97,9 @@ def iso230_3(
         report.write_report(report.report_html(record, found, given.name, facts), out)
     content = report.parameters_json(found, given.name)
     arguments.write_json(parameters, content)
+    for path in (given, second):
+        if path is not None:
+            say_file(path, renamed)
     results.show_test(console.out(parameters), test.heading, content)
     console.wrote(out, parameters)
 
@@ -115,12 +119,9 @@ def _record(
         if renamed or speed:
             raise InputError(f"{path}: --column and --speed go with a log; leave them out")
         return response_record(read_response(path), channels, temperatures)
-    from thermojoint.artefacts.log import joined
-    from thermojoint.artefacts.log_file import log_pieces
-    from thermojoint.cli.log_reading import said
+    from thermojoint.artefacts.log_file import read_log
 
-    log = joined(said(log_pieces([path], renamed)))
-    return log_record(log, channels, temperatures, speed)
+    return log_record(read_log([path], renamed), channels, temperatures, speed)
 
 
 def _named(option: str, text: str) -> tuple[str, str]:

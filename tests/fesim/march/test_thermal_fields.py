@@ -131,7 +131,7 @@ def test_a_table_of_one_row_is_constant(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rise_K\n1\n", "one or more of the columns"),
+        ("rise_K\n1\n", "no header"),
         ("x_mm,rise_K\n", "needs rows"),
         ("x_mm,rise_K\n0,1\n0,2\n", "are no grid"),
         ("x_mm,y_mm,rise_K\n0,0,1\n1,1,2\n", "are no grid of 2 x 2"),

@@ -61,7 +61,7 @@ def rows(path):
 
 
 def test_an_estimate_has_a_column_for_each_displacement_named_as_in_the_log(here, command):
-    code, _ = command("estimate", "model.json", "day.csv", "--json", "estimate.csv")
+    code, _ = command("estimate", "model.json", "day.csv", "--out", "estimate.csv")
     assert not code
     found, day = rows(here / "estimate.csv"), rows(here / "day.csv")
     assert list(found[0]) == [
@@ -83,7 +83,7 @@ def test_an_estimate_has_a_column_for_each_displacement_named_as_in_the_log(here
 def test_displacements_in_the_log_are_not_looked_at(here, command):
     day = machine_log(hours=6.0, seed=5, start=500000.0)
     as_csv(changed(day, "x_um", lambda values: values * 0.0), here / "other.csv")
-    command("estimate", "model.json", "day.csv", "--json", "a.csv")
+    command("estimate", "model.json", "day.csv", "--out", "a.csv")
     command("estimate", "model.json", "other.csv", "--out", "b.csv")
     assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
 
@@ -92,7 +92,7 @@ def test_a_run_that_is_continued_is_the_run(here, command):
     lines = (here / "day.csv").read_text("utf-8").splitlines(keepends=True)
     (here / "one.csv").write_text("".join(lines[:100]))
     (here / "two.csv").write_text("".join([lines[0], *lines[100:]]))
-    command("estimate", "model.json", "day.csv", "--json", "whole.csv")
+    command("estimate", "model.json", "day.csv", "--out", "whole.csv")
     command("estimate", "model.json", "one.csv", "--out", "a.csv", "--save-state", "s.json")
     code, _ = command("estimate", "model.json", "two.csv", "--out", "b.csv", "--continue", "s.json")
     assert not code
@@ -103,11 +103,11 @@ def test_a_run_that_is_continued_is_the_run(here, command):
 def test_readings_correct_an_estimate(here, command):
     (here / "readings.csv").write_text("time_s,x_um\n500000,30\n", encoding="utf-8")
     options = ["--readings", "readings.csv"]
-    assert not command("estimate", "model.json", "day.csv", "--json", "a.csv", *options)[0]
-    assert command("estimate", "model.json", "day.csv", "--json", "b.csv")[0] == 0
+    assert not command("estimate", "model.json", "day.csv", "--out", "a.csv", *options)[0]
+    assert command("estimate", "model.json", "day.csv", "--out", "b.csv")[0] == 0
     assert rows(here / "a.csv")[0]["status"] != ""
     (here / "readings.csv").write_text("time_s,x_um\n500000,2\n", encoding="utf-8")
-    command("estimate", "model.json", "day.csv", "--json", "c.csv", *options)
+    command("estimate", "model.json", "day.csv", "--out", "c.csv", *options)
     assert float(rows(here / "c.csv")[0]["x_um"]) == pytest.approx(2.0, abs=1.0)
     assert float(rows(here / "c.csv")[0]["z_um"]) == float(rows(here / "b.csv")[0]["z_um"])
 
@@ -131,7 +131,7 @@ def test_columns_may_have_other_names_in_every_log(here, command):
     (here / "map.toml").write_text("[columns]\n'Fühler 1' = 'T1_degC'\n", encoding="utf-8")
     options = [*LEARN, "--mapping", "map.toml", "--out", "other.json"]
     assert not command("learn", "log.csv", *options)[0]
-    assert not command("estimate", "other.json", "day.csv", "--json", "estimate.csv")[0]
+    assert not command("estimate", "other.json", "day.csv", "--out", "estimate.csv")[0]
 
 
 @pytest.mark.parametrize(

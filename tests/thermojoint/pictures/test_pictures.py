@@ -10,6 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from meshes.milling_machine import box_milling_machine
+from thermojoint.artefacts import extras
 from thermojoint.artefacts.errors import InputError
 from thermojoint.pictures import film, renderer, view
 from thermojoint.pictures.camera import Camera, facing, window_around
@@ -246,8 +247,8 @@ def test_a_film_that_fails_leaves_nothing(scenes, quick, tmp_path):
 def test_a_film_needs_its_suffix_and_its_extra(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"MP4 or GIF; name it film\.mp4"):
         film.check_film(tmp_path / "film.png")
-    monkeypatch.setattr(film, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match="extra 'view'"):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"thermojoint\[view\]"):
         film.check_film(tmp_path / "film.mp4")
 
 

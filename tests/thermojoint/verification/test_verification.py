@@ -134,7 +134,7 @@ def command(monkeypatch, capsys):
 
 
 def test_all_within_tolerance_ends_with_0(command, tmp_path):
-    code, told = command([example()], "--out", tmp_path / "v.json")
+    code, told = command([example()], "--json", tmp_path / "v.json")
     assert code == 0
     assert "1 of 1 checks are within tolerance" in told
     (case,) = json.loads((tmp_path / "v.json").read_text())["cases"]
@@ -144,7 +144,7 @@ def test_all_within_tolerance_ends_with_0(command, tmp_path):
 
 def test_one_wrong_reference_ends_with_1_and_is_named(command, tmp_path):
     wrong = example(name="a wrong rod", reference=21.0)
-    files = ["--out", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
+    files = ["--json", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
     code, told = command([example(), wrong], *files)
     assert code == 1
     assert "1 of 2 checks are within tolerance" in told
@@ -155,7 +155,7 @@ def test_one_wrong_reference_ends_with_1_and_is_named(command, tmp_path):
 
 @pytest.mark.parametrize("computed", [math.nan, math.inf])
 def test_a_result_that_is_no_number_fails_and_is_still_valid_json(command, tmp_path, computed):
-    code, _ = command([example(computed=computed)], "--out", tmp_path / "v.json")
+    code, _ = command([example(computed=computed)], "--json", tmp_path / "v.json")
     assert code == 1
     (case,) = json.loads((tmp_path / "v.json").read_text())["cases"]
     assert case["computed"] is None
@@ -211,7 +211,7 @@ def test_a_group_that_breaks_off_fails_and_loses_no_other_check(command, tmp_pat
         yield example()
         raise error
 
-    files = ["--out", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
+    files = ["--json", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
     code, told = command(breaking, *files, after=[example(name="another rod")])
     assert code == 1
     assert "2 of 3 checks are within tolerance" in told

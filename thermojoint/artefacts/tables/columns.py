@@ -83,7 +83,8 @@ def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Arr
         )
     values = place.values(read.values)
     column = column_named(name)
-    if column is not None and column.quantity == "temperature":
+    # A rise in K is typed by a person, and no reading of a logger.
+    if column is not None and column.quantity == "temperature" and column.unit != "K":
         values, _ = without_error_values(values, column.quantity)
     return values
 
