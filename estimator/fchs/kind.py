@@ -29,11 +29,6 @@ if TYPE_CHECKING:
 Given = Model | Assembly
 
 
-def model_in(path: Path | str) -> Model:
-    """Read the model of a model file or of an assembled estimator; raises as their readers."""
-    return _model(_read(Path(path)))
-
-
 def _read(path: Path) -> Given:
     return read_assembly(path) if states(path, FILE.schema) else read_model(path)
 

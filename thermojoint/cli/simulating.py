@@ -70,6 +70,7 @@ def simulate(
         report("setting up", 0, 1)
         setup = set_up(given)
         report("setting up", 1, 1)
+        console.warn(plausibility.of_structure(setup.structure, str(case)))
         finished = run_case(
             given,
             setup=setup,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +43,3 @@ def report_html(closed: Closed, content: dict[str, Any]) -> str:
 def write_report(page: str, path: Path) -> None:
     """Write a page to `path`, whole or not at all."""
     write_text(Path(path), page)
-
-
-def write_content(content: dict[str, Any], path: Path) -> None:
-    """Write margins and residuals to `path` (JSON), whole or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
-    write_text(Path(path), text + "\n")
