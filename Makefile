@@ -9,7 +9,7 @@ EXTRAS := pardiso view excel gmsh batch dask control serve
 empty :=
 comma := ,
 
-.PHONY: install reproduce test portable lint types docs constraints sbom wheel check bench plants images clean
+.PHONY: install reproduce test portable portable-plain portable-avx2 portable-threads lint types docs constraints sbom wheel check bench plants images clean
 
 install: $(INSTALLED)
 
@@ -32,9 +32,15 @@ PLAIN := OPENBLAS_CORETYPE=Prescott NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX5
 AVX2 := OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES='X86_V4 AVX512_ICL AVX512_SPR' \
 	NUMBA_CPU_NAME=haswell MKL_CBWR=COMPATIBLE THERMOJOINT_SOLVER=pardiso
 
-portable: $(INSTALLED)
+portable: portable-plain portable-avx2 portable-threads
+
+portable-plain: $(INSTALLED)
 	$(PLAIN) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+
+portable-avx2: $(INSTALLED)
 	$(AVX2) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+
+portable-threads: $(INSTALLED)
 	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(THREADED)
 
 lint: $(INSTALLED)
