@@ -229,8 +229,7 @@ def _check_forces(case: Case, ready: Setup) -> None:
 
 
 def _check_pressures(ready: Setup, track: Track) -> None:
-    laws = ready.machine.contact.laws
-    limit = np.repeat([law.pressure_limit for law, _ in laws], [count for _, count in laws])
+    limit = ready.machine.contact.pressure_limit
     beyond = track.pressure > limit
     if beyond.any():
         step, element = np.argwhere(beyond)[0]

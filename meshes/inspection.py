@@ -133,7 +133,7 @@ def inspect(structure: Structure) -> Inspection:
             warnings.append(str(error))
     bodies = _bodies(structure)
     extent = _triple(np.ptp(mesh.p, axis=1))
-    bare_area = _area(structure, unnamed)
+    bare_area = area_of(structure, unnamed)
     return Inspection(
         kind=_kind(structure),
         nodes=int(mesh.p.shape[1]),
@@ -175,7 +175,8 @@ def _triple(values: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _area(structure: Structure, facets: NDArray[np.int64]) -> float:
+def area_of(structure: Structure, facets: NDArray[np.int64]) -> float:
+    """Area of some facets, m2."""
     if not facets.size:
         return 0.0
     return float(np.linalg.norm(outward_areas(structure.mesh, facets), axis=1).sum())
@@ -223,8 +224,7 @@ def _joint(structure: Structure, name: str) -> JointFacts:
     mesh = structure.mesh
     side_a, side_b = (structure.surfaces[side] for side in structure.joints[name])
     joint = pair_joint(structure, name, ALONG, ACROSS)
-    normal = joint.normal[joint.element]
-    gap = np.einsum("iq,qi->q", joint.points_b - joint.points_a, normal)
+    gap = joint.separation
     # The facets behind the quadrature points are found by their nearness, one normal for each.
     normals = {}
     for side, facets, points in (("a", side_a, joint.points_a), ("b", side_b, joint.points_b)):
@@ -234,8 +234,8 @@ def _joint(structure: Structure, name: str) -> JointFacts:
         normals[side] = vectors[at] / np.linalg.norm(vectors[at], axis=1, keepdims=True)
     facing = -np.einsum("qi,qi->q", normals["a"], normals["b"])
     return JointFacts(
-        area_a=_area(structure, side_a),
-        area_b=_area(structure, side_b),
+        area_a=area_of(structure, side_a),
+        area_b=area_of(structure, side_b),
         overlap=float(joint.area.sum()),
         gap=(float(gap.min()), float(gap.max())),
         misalignment=float(np.rad2deg(np.arccos(np.clip(facing.min(), -1.0, 1.0)))),
@@ -323,7 +323,7 @@ def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[
         for letter, side, area in zip(
             "ab", structure.joints[name], (joint.area_a, joint.area_b), strict=True
         ):
-            alone = _area(structure, np.setdiff1d(structure.surfaces[side], convecting))
+            alone = area_of(structure, np.setdiff1d(structure.surfaces[side], convecting))
             bare = min(alone, area - joint.overlap)
             if bare > 0.1 * area:
                 warnings.append(

@@ -90,6 +90,12 @@ class PairedJoint:
     pieces: tuple[NDArray[np.float64], ...]
     piece_element: NDArray[np.int64]
 
+    @property
+    def separation(self) -> NDArray[np.float64]:
+        """Distance from side a to side b along the normal at the quadrature points, m."""
+        between = self.points_b - self.points_a
+        return np.asarray(np.einsum("iq,qi->q", between, self.normal[self.element]))
+
 
 @dataclass(frozen=True)
 class _Plane:

@@ -112,6 +112,12 @@ class ContactProblem:
         return np.concatenate([np.empty(0), *parts])
 
     @cached_property
+    def pressure_limit(self) -> Array:
+        """Pressure of every contact element beyond which its law means nothing, Pa."""
+        parts = [np.full(count, law.pressure_limit) for law, count in self.laws]
+        return np.concatenate([np.empty(0), *parts])
+
+    @cached_property
     def preload(self) -> Array:
         """Preload of every contact element, Pa."""
         parts = [np.full(count, law.preload) for law, count in self.laws]

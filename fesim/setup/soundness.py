@@ -6,11 +6,10 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fesim.case.schema import Case
-from meshes.inspection import TOUCHING, pieces
+from meshes.inspection import TOUCHING, area_of, pieces
 from meshes.pairing import EXCESS, PairedJoint, outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError, shown_point
@@ -97,7 +96,7 @@ def check_covered_once(structure: Structure, joints: Sequence[PairedJoint]) -> N
 
 def check_closed(joint: PairedJoint) -> None:
     """Refuse a preloaded joint whose sides lie far apart, or far within each other, in the mesh."""
-    between = np.einsum("iq,qi->q", joint.points_b - joint.points_a, joint.normal[joint.element])
+    between = joint.separation
     most = APART * float(np.sqrt(joint.area.sum()))
     if float(np.abs(between).max()) > most:
         raise InputError(
@@ -112,12 +111,8 @@ def check_apart(structure: Structure, names: Iterable[str], where: str) -> None:
     for one, other in combinations(names, 2):
         shared = np.intersect1d(structure.surface(one, where), structure.surface(other, where))
         if shared.size:
-            area = 1e4 * _area(structure, shared)
+            area = 1e4 * area_of(structure, shared)
             raise InputError(
                 f"{where}: surfaces {one!r} and {other!r} share {area:.4g} cm2, where both would "
                 f"count; leave {as_key(one)} or {as_key(other)} out, or divide the surfaces"
             )
-
-
-def _area(structure: Structure, facets: NDArray[np.int64]) -> float:
-    return float(np.linalg.norm(outward_areas(structure.mesh, facets), axis=1).sum())
