@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +22,16 @@ if TYPE_CHECKING:
 _TYPES = {Precision.DOUBLE: "LREAL", Precision.SINGLE: "REAL"}
 #: Numbers in a line of a table.
 _IN_A_LINE = 6
+#: Indentation, variable and value of a loop from a number to the same.
+_ONE_PASS = re.compile(r"^( *)FOR (\w+) := (\d+) TO \3 DO\n", re.MULTILINE)
 
 
 def st_files(program: Program) -> dict[str, str]:
     """Return NAME.st and NAME_selftest.st: name to text."""
     endings = {".st": f"{program.interface.kind}.st.j2", "_selftest.st": "selftest.st.j2"}
     templates = _environment(program.precision)
-    return rendered(program, templates, endings, real=_TYPES[program.precision])
+    files = rendered(program, templates, endings, real=_TYPES[program.precision])
+    return {name: without_single_passes(text) for name, text in files.items()}
 
 
 def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
@@ -51,6 +55,20 @@ def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
         A coefficient has no number of the precision, or the folder is somebody's own.
     """
     return write_folder(Path(folder), st_files(program))
+
+
+def without_single_passes(text: str) -> str:
+    """Return a program in which each loop of a single pass is its statements.
+
+    Some versions of matiec, the compiler of Beremiz and OpenPLC, do not run ``FOR j := 0 TO 0``.
+    """
+    while opening := _ONE_PASS.search(text):
+        indent, variable, value = opening.groups()
+        end = f"\n{indent}END_FOR;\n"
+        body, _, rest = text[opening.end() :].partition(end)
+        body = re.sub("^    ", "", body, flags=re.MULTILINE)
+        text = f"{text[: opening.start()]}{indent}{variable} := {value};\n{body}\n{rest}"
+    return text
 
 
 def decimal(value: float, precision: Precision) -> str:

@@ -414,6 +414,10 @@ class Translator:
         sign = "<=" if by > 0 else ">="
         return f"for ({v} = {start.text}; {v} {sign} {end.text}; {v} += {by}) {{\n{body}\n}}"
 
+    def do_while_statement(self, node):
+        condition = self.expression(named(node, "condition")[0], "BOOL")
+        return f"while ({condition.text}) {{\n{self.statements(named(node, 'body'))}\n}}"
+
     def do_exit_statement(self, node):
         if not self.loops:
             self.fail(node, "no loop")

@@ -10,6 +10,7 @@ import pytest
 import structured_text
 from exported import needs_gcc
 from machine_logs import machine_log
+from matiec import needs_matiec, selftest_by_matiec
 from observed import SENSORS, observed_data, observer
 from observed import run as observed_run
 from observed import step as observed_step
@@ -92,6 +93,16 @@ def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
 def test_a_joint_aware_estimator_is_the_same(aware, precision, monkeypatch, tmp_path):
     monkeypatch.setattr(joint_aware, "SAMPLES", 900)
     agrees(export_program(aware, precision, "machine"), tmp_path)
+
+
+@needs_matiec
+@pytest.mark.parametrize("kind", ["fchs", "learned", "aware"])
+def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
+    """That compiler runs a loop of a single pass not at all."""
+    program = export_program(request.getfixturevalue(kind), Precision.DOUBLE, "m")
+    figures = selftest_by_matiec(st_files(program), "m", tmp_path)
+    assert figures["agrees"] == 1
+    assert figures["samples"] == program.samples
 
 
 def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(aware, monkeypatch, tmp_path):
