@@ -20,7 +20,7 @@ from estimator.judging import Conditions, Figures, judge_responses
 from estimator.ranges import Range
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
+from thermojoint.artefacts.log import Log
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -98,12 +98,12 @@ def _intake(model: Any, above_ambient: bool) -> Intake:  # noqa: ANN401
 
 def _log(
     model: Any,  # noqa: ANN401
-    lines: Iterable[str],
+    pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[Sample]:
     wanted = by_channels(model.channels)
-    return samples_of(wanted.names[: wanted.wanted], pieces_in(lines, where, rows=at_once(where)))
+    return samples_of(wanted.names[: wanted.wanted], pieces)
 
 
 def _sensors(model: Any, response: xr.Dataset) -> Sequence[str]:  # noqa: ANN401
@@ -139,9 +139,8 @@ def _no_ranges(model: Any) -> tuple[Range, ...]:  # noqa: ANN401
     return ()
 
 
-def at_once(where: str) -> int:
-    """Return how many rows of a log are read together: what comes in live is told at once."""
-    return 1 if where == "standard input" else ROWS
+def _as_it_is(model: Any) -> Mapping[str, str]:  # noqa: ANN401
+    return {}
 
 
 @dataclass(frozen=True)
@@ -169,8 +168,11 @@ class Kind(Generic[M, E]):
         that, name of the file) to the estimator that goes on.
     intake : callable
         (model, whether temperatures are told above the ambient) to what a machine reads.
+    renamed : callable
+        Model to what a log's columns are called by it, as `thermojoint.artefacts.log_file.read_log`
+        takes it.
     log : callable
-        (model, lines of a CSV, its name, what is to be told of the first row) to samples.
+        (model, a log in pieces, its name, what is to be told of the first row) to samples.
     response, sensors : callable
         (model, response) to samples, and to the names of the probes they are of.
     ranges : callable
@@ -178,7 +180,7 @@ class Kind(Generic[M, E]):
     judge : callable, optional
         (kind, model, name to response, conditions) to errors; None for a kind that only logs judge.
     judge_logs : callable, optional
-        (model, name to path of a log) to errors; None for a kind that only responses judge.
+        (model, name to log) to errors; None for a kind that only responses judge.
     residuals : callable, optional
         (estimator, state, sample as `channels`) to reading minus model, NaN for what is missing.
     program : callable, optional
@@ -195,11 +197,12 @@ class Kind(Generic[M, E]):
     carried: Callable[[E], Any] | None = None
     resumed: Callable[[M, Options, Any, str], E] | None = None
     intake: Callable[[M, bool], Intake] = _intake
-    log: Callable[[M, Iterable[str], str, OnFirst | None], Iterator[Sample]] = _log
+    renamed: Callable[[M], Mapping[str, str]] = _as_it_is
+    log: Callable[[M, Iterable[Log], str, OnFirst | None], Iterator[Sample]] = _log
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
-    judge_logs: Callable[[M, Mapping[str, Path]], Figures] | None = None
+    judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
     residuals: Callable[[E, Array, Array], Array] | None = None
     program: Callable[[E, Precision, float], Contents] | None = None

@@ -19,7 +19,6 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import UNITS, Column
 from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
-from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import readings, roles_in
 
@@ -32,27 +31,24 @@ LARGEST = LARGEST_TEMPERATURE
 Sample = tuple[float, ...]
 
 
-def read_samples(
-    lines: Iterable[str],
+def samples_in(
+    pieces: Iterable[Log],
     sensors: Sequence[str],
     where: str,
     on_first: Callable[[Mapping[str, float]], None] | None = None,
-    rows: int = 1,
 ) -> Iterator[Sample]:
-    """Yield the samples of a CSV as its lines come in.
+    """Yield the samples of a log as its pieces come in.
 
     Parameters
     ----------
-    lines : iterable of str
-        An open file, or standard input.
+    pieces : iterable of Log
+        In the order of time (`thermojoint.artefacts.tables.pieces`).
     sensors : sequence of str
         Names of the sensors at the joint, e.g. T1 and T2.
     where : str
         Name of the file, for error messages.
     on_first : callable, optional
         Called with the first complete row as it was read: column to value.
-    rows : int
-        Most rows that are read at once (`pieces_in`).
 
     Yields
     ------
@@ -62,10 +58,10 @@ def read_samples(
     Raises
     ------
     InputError
-        The lines are no log, a column is missing, or a clock goes back.
+        A column is missing, or the clock begins anew.
     """
     last = -math.inf
-    for piece in pieces_in(lines, where, rows=rows):
+    for piece in pieces:
         if not piece.times[0] > last:
             raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
         wanted, values = _wanted(piece, sensors, where)
@@ -112,7 +108,7 @@ def _shown(columns: Sequence[Column], values: Sequence[float]) -> dict[str, floa
 
 
 def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
-    """Yield the temperatures of a response as `read_samples` yields measured ones."""
+    """Yield the temperatures of a response as `samples_in` yields measured ones."""
     seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
     for time, difference, joint in zip(seen.times, seen.delta_T, seen.temperatures, strict=True):
         yield (float(time), float(difference), *map(float, joint))
@@ -126,7 +122,7 @@ def nominal_interval(
     Parameters
     ----------
     samples : iterator of tuple
-        As `read_samples` yields them.
+        As `samples_in` yields them.
     given : float, optional
         Taken as it is; default the interval between the first two samples.
     where : str

@@ -122,7 +122,7 @@ def _bars() -> Iterator[Report]:
 
 
 @contextmanager
-def progress_lines(first_s: float = 5.0, every_s: float = 10.0) -> Iterator[Report]:
+def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Report]:
     """Give a function as `progress_bars`, for a log: a line on standard error now and then.
 
     Parameters

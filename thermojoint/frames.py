@@ -114,7 +114,9 @@ def estimate(
     InputError
         A column is missing, or a row cannot be used.
     """
-    samples = kind_of(estimator).log(estimator.model, _lines(frame), _FRAME, None)
+    kind = kind_of(estimator)
+    pieces = pieces_in(_lines(frame), _FRAME, kind.renamed(estimator.model))
+    samples = kind.log(estimator.model, pieces, _FRAME, None)
     start = estimator.initial_state() if state is None else state
     text = io.StringIO()
     text.write(",".join(estimate_table.header(estimator)) + "\n")

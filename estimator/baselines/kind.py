@@ -14,10 +14,10 @@ from estimator.baselines.autoregression import AutoregressionEstimator
 from estimator.baselines.regression import RegressionEstimator
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures, judge_responses
-from estimator.kind import Kind, OnFirst, Options, at_once
+from estimator.kind import Kind, OnFirst, Options
 from estimator.ranges import Range, duration
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.tables.pieces import pieces_in
+from thermojoint.artefacts.log import Log
 from thermojoint.models.baselines import Baselines, read_baselines
 from thermojoint.models.sensors import ROLES, rises
 
@@ -82,12 +82,12 @@ def _intake(baselines: Baselines, above_ambient: bool) -> Intake:
 
 def _log(
     baselines: Baselines,
-    lines: Iterable[str],
+    pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
     """Columns ``a_K`` and so on, above the current ambient, or ``a_degC`` with ``ambient_degC``."""
-    for piece in pieces_in(lines, where, rows=at_once(where)):
+    for piece in pieces:
         above = f"{ROLES[0]}_K" in piece.names
         wanted = (
             [f"{role}_K" for role in ROLES]

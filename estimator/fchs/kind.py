@@ -10,9 +10,10 @@ from estimator import measured
 from estimator.fchs.estimator import Fchs
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures
-from estimator.kind import Kind, OnFirst, Options, at_once
+from estimator.kind import Kind, OnFirst, Options
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.schema import states
 from thermojoint.models.assembly import Assembly, assemble
 from thermojoint.models.assembly_file import FILE, as_content, from_content, read_assembly
@@ -68,10 +69,10 @@ def _intake(given: Given, above_ambient: bool) -> Intake:
 
 
 def _log(
-    given: Given, lines: Iterable[str], where: str, on_first: OnFirst | None
+    given: Given, pieces: Iterable[Log], where: str, on_first: OnFirst | None
 ) -> Iterator[tuple[float, ...]]:
     sensors = list(_model(given).linear.direct)
-    return measured.read_samples(lines, sensors, where, on_first, at_once(where))
+    return measured.samples_in(pieces, sensors, where, on_first)
 
 
 def _response(given: Given, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 from estimator.intake import Intake, intake
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.log import read_log
+from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
-from estimator.kind import Kind, OnFirst, Options, at_once
+from estimator.kind import Kind, OnFirst, Options
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.units import MICRO
 
 if TYPE_CHECKING:
@@ -73,11 +74,11 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
 
 def _log(
     model: ObserverModel,
-    lines: Iterable[str],
+    pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    return read_log(lines, model.sensors, where, at_once(where))
+    return log_samples(pieces, model.sensors, where)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

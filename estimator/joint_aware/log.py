@@ -18,33 +18,30 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
-from thermojoint.artefacts.tables.pieces import pieces_in
 
 
-def read_log(
-    lines: Iterable[str], sensors: Sequence[str], where: str, rows: int = 1
+def log_samples(
+    pieces: Iterable[Log], sensors: Sequence[str], where: str
 ) -> Iterator[tuple[float, ...]]:
     """Yield (time s, temperature of every sensor K, ambient K); NaN for a missing reading.
 
     Parameters
     ----------
-    lines : iterable of str
-        An open file, or standard input.
+    pieces : iterable of Log
+        A log, in the order of time (`thermojoint.artefacts.tables.pieces`).
     sensors : sequence of str
         Names of the sensors.
     where : str
         Name of the file, for error messages.
-    rows : int
-        Most rows that are read at once (`pieces_in`).
 
     Raises
     ------
     InputError
-        The lines are no log, a sensor has no column, or a clock goes back.
+        A sensor has no column, or the clock begins anew.
     """
     cold = math.nan
     last = -math.inf
-    for piece in pieces_in(lines, where, rows=rows):
+    for piece in pieces:
         if not piece.times[0] > last:
             raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
         last = float(piece.times[-1])

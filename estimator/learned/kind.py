@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +10,13 @@ import numpy as np
 from estimator.columns import samples_of
 from estimator.intake import Intake, of_columns
 from estimator.judging import Figures
-from estimator.kind import Kind, OnFirst, Options, at_once
+from estimator.kind import Kind, OnFirst, Options
 from estimator.learned.estimator import Learned
 from estimator.ranges import Range, duration
 from estimator.rows import Row
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
-from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.models.learned import LearnedModel, read_learned
 
 if TYPE_CHECKING:
@@ -42,12 +40,11 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
 
 def _log(
     model: LearnedModel,
-    lines: Iterable[str],
+    pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    renamed = model.renamed_in(model.columns)
-    return samples_of(model.columns, pieces_in(lines, where, renamed, at_once(where)))
+    return samples_of(model.columns, pieces)
 
 
 def _response(model: LearnedModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
@@ -67,16 +64,11 @@ def _seen(name: str, span: tuple[float, float]) -> Range:
     return Range(column.base, low, high, column.unit)
 
 
-def _judge_logs(model: LearnedModel, logs: Mapping[str, Path]) -> Figures:
+def _judge_logs(model: LearnedModel, logs: Mapping[str, Log]) -> Figures:
     from estimator.learned.judging import judge
 
     estimator = _start(model, Options())
-    renamed = model.renamed_in(model.columns)
-    rows: list[Row] = [
-        row
-        for name, path in logs.items()
-        for row in judge(name, estimator, read_log([path], renamed))
-    ]
+    rows: list[Row] = [row for name, log in logs.items() for row in judge(name, estimator, log)]
     return {"rows": rows}
 
 
@@ -93,6 +85,7 @@ KIND: Kind[LearnedModel, Learned] = Kind(
     start=_start,
     options=frozenset({"reading_noise"}),
     intake=_intake,
+    renamed=lambda model: model.renamed_in(model.columns),
     log=_log,
     response=_response,
     ranges=_ranges,

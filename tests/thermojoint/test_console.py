@@ -56,12 +56,12 @@ def test_a_command_in_the_help_can_be_copied_from_80_columns(name, monkeypatch, 
             if not line.endswith("\\"):
                 break
         assert f"thermojoint {name}" in copied
-        command = next(one for group in COMMANDS.values() for one in group if _is(one, name))
+        command = next(one for group in COMMANDS.values() for one in group if _name(one) == name)
         assert copied in " ".join(command.__doc__.replace("[/bold]", "").split())
 
 
-def _is(command, name):
-    return command.__name__.replace("_", "-") == name
+def _name(command):
+    return command.__name__.replace("_", "-")
 
 
 def test_a_long_command_is_continued_before_an_option():
@@ -81,6 +81,17 @@ def test_the_commands_are_grouped(monkeypatch, capsys):
     page = capsys.readouterr().out
     places = [page.index(f"─ {panel} ─") for panel in COMMANDS]
     assert places == sorted(places)
+
+
+@pytest.mark.parametrize("name", [_name(one) for panel in COMMANDS.values() for one in panel])
+def test_help_breaks_no_choice_and_no_line_at_80_columns(name, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        app([name, "-h"], prog_name="thermojoint")
+    page = capsys.readouterr().out.splitlines()
+    assert max(map(len, page)) <= 80
+    # A list of choices in angle brackets that goes on in the next line is broken in mid-word.
+    assert not [line for line in page if re.search(r"<[\w-]+\|[^>]*$", line)]
 
 
 def test_a_shell_completes_commands():

@@ -14,7 +14,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log_record import Record, merged
-from thermojoint.artefacts.quantities import Column
+from thermojoint.artefacts.quantities import Column, place_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,7 +81,8 @@ class Log(Described):
         Parameters
         ----------
         name : str
-            With or without its unit.
+            With or without its unit, or with another unit of the same quantity: ``T1_degC`` is
+            also ``T1 [°F]``.
 
         Raises
         ------
@@ -91,6 +92,8 @@ class Log(Described):
         for known in (self.names, tuple(column.base for column in self.columns)):
             if known.count(name) == 1:
                 return known.index(name)
+        if (place := place_of(name, self.names)) is not None:
+            return place.at
         raise unknown_name("column", name, self.names, "log")
 
     def runs(self) -> Iterator[Log]:

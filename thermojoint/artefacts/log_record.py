@@ -124,26 +124,63 @@ def _both(one: Record, more: Record) -> Record:
 
 def described(records: Sequence[Record]) -> list[str]:
     """Return what was read and what was ignored, line by line, as every command says it."""
-    return [line for one in records for line in _lines(one)]
+    return [
+        line
+        for one in records
+        for line in (
+            f"{one.where}: {one.rows} rows, {_span(one)}; {one.form}",
+            *_columns(one),
+            *_found(one),
+            *_notes(one),
+        )
+    ]
 
 
-def _lines(record: Record) -> list[str]:
+def begun(record: Record) -> list[str]:
+    """Return how a stream is read, line by line, as it is said when its first row has come."""
+    return [f"{record.where}: {record.form}", *_columns(record), *_notes(record)]
+
+
+def ended(record: Record) -> list[str]:
+    """Return what was found in a stream, line by line, as it is said at its end."""
+    return [f"{record.where}: {record.rows} rows, {_span(record)}", *_found(record)]
+
+
+def noticed(record: Record, before: Record) -> list[str]:
+    """Return what is new in the last rows of a stream, line by line.
+
+    Parameters
+    ----------
+    record : Record
+        Of the last rows.
+    before : Record
+        Of all rows before them.
+    """
+    fresh = {key: count for key, count in record.missing.items() if key not in before.missing}
+    return [*_found(replace(record, missing=fresh, twice=0)), *_notes(record)]
+
+
+def _notes(record: Record) -> list[str]:
+    return [f"  {note}" for note in record.notes]
+
+
+def _columns(record: Record) -> list[str]:
     columns = ", ".join(
         f"{one.name} ({one.quantity}{'' if one.name.endswith(one.unit) else f', {one.unit}'})"
         for one in record.columns[:_NAMES_SHOWN]
     )
     more = len(record.columns) - _NAMES_SHOWN
-    lines = [
-        f"{record.where}: {record.rows} rows, {_span(record)}; {record.form}",
-        f"  columns: {columns}{f' and {more} more' if more > 0 else ''}",
-    ]
+    lines = [f"  columns: {columns}{f' and {more} more' if more > 0 else ''}"]
     if record.ignored:
         lines.append(
             f"  ignored, no unit in the name: {', '.join(record.ignored)[:200]} "
             "(--column 'NAME=NAME_degC' names one)"
         )
-    if record.pauses:
-        lines.append(f"  {_pauses(record)}")
+    return lines
+
+
+def _found(record: Record) -> list[str]:
+    lines = [f"  {_pauses(record)}"] if record.pauses else []
     missing: dict[str, list[str]] = {}
     for (name, token), count in record.missing.items():
         missing.setdefault(name, []).append(f"{count} x {token}")
@@ -151,7 +188,7 @@ def _lines(record: Record) -> list[str]:
         lines.append(f"  {name}: readings missing: {', '.join(tokens[:6])}")
     if record.twice:
         lines.append(f"  rows that stand there twice, dropped: {record.twice}")
-    return lines + [f"  {note}" for note in record.notes]
+    return lines
 
 
 def _span(record: Record) -> str:

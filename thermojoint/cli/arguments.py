@@ -8,7 +8,7 @@ import math
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, TextIO
 
@@ -149,6 +149,15 @@ def opened(path: Path) -> Iterator[Iterable[str] | None]:
     else:
         with lines_of(path, "table of temperatures, or a response (.nc),") as lines:
             yield lines
+
+
+@contextmanager
+def at_work(what: str, *streams: Path) -> Iterator[None]:
+    """Show that something is at work, unless it waits for a stream or its rows are to be seen."""
+    from thermojoint import console
+
+    with nullcontext() if any(str(path) == "-" for path in streams) else console.working(what):
+        yield
 
 
 @contextmanager

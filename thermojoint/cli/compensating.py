@@ -39,14 +39,17 @@ def compensate(
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
     wanted = read_settings(settings)
-    with arguments.opened(estimate) as source:
-        if source is None:
-            raise InputError(f"{estimate}: a response is no estimate; run 'estimate' on it first")
-        axes, rows = read_estimate(source, arguments.shown(estimate))
-    with arguments.output(out) as target:
-        writer = csv.writer(target, lineterminator="\n")
-        writer.writerow(header(wanted))
-        writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
+    with arguments.at_work("compensating", estimate, out):
+        with arguments.opened(estimate) as source:
+            if source is None:
+                raise InputError(
+                    f"{estimate}: a response is no estimate; run 'estimate' on it first"
+                )
+            axes, rows = read_estimate(source, arguments.shown(estimate))
+        with arguments.output(out) as target:
+            writer = csv.writer(target, lineterminator="\n")
+            writer.writerow(header(wanted))
+            writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
     console.wrote(out)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli.log_reading import (
+    ColumnOption,
+    MappingOption,
+    opened_log,
+    over,
+    renamed_by,
+)
 
 if TYPE_CHECKING:
     from estimator.export.program import Operations, Program
@@ -65,6 +72,8 @@ def export(
     run_length: Annotated[
         float, typer.Option("--run-length-min", help="Length of a run of a model file, min.")
     ] = 120.0,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
 ) -> None:
     """Export an estimator as a program for a control, with its self-test.
 
@@ -88,16 +97,19 @@ def export(
 
     one_file = to in (Target.FMU, Target.FMI2)
     if one_file:
-        arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples])
+        arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples, mapping])
     else:
         arguments.check_whole_folder(out)
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     checked_name(name)
     origin = samples.name if samples else ""
+    if samples is None:
+        arguments.only_for("--samples", {"--column": column, "--mapping": mapping})
+    renamed = renamed_by(column, mapping)
     with (
         console.working("exporting"),
-        _opened(model, samples, Options(dt, 60.0 * length)) as (estimator, rows),
+        _opened(model, samples, renamed, Options(dt, 60.0 * length)) as (estimator, rows),
     ):
         program = export_program(estimator, precision.value, name, rows, origin, dt)
         files = _written(program, to, out)
@@ -120,7 +132,7 @@ def _written(program: Program, to: Target, out: Path) -> list[Path]:
 
 @contextmanager
 def _opened(
-    model: Path, samples: Path | None, options: Options
+    model: Path, samples: Path | None, renamed: Mapping[str, str], options: Options
 ) -> Iterator[tuple[OpenedEstimator, Iterable[Sequence[float]] | None]]:
     """Give the estimator, and the samples of a log or response if there is one."""
     from estimator.registry import kind_of_file, started
@@ -132,11 +144,11 @@ def _opened(
     if samples is None:
         yield estimator, None
         return
-    with arguments.opened(samples) as source:
-        if source is None:
+    with opened_log(samples, over(kind.renamed(given), renamed)) as pieces:
+        if pieces is None:
             yield estimator, kind.response(given, read_response(samples))
         else:
-            yield estimator, kind.log(given, source, str(samples), None)
+            yield estimator, kind.log(given, pieces, str(samples), None)
 
 
 def _show(program: Program) -> None:

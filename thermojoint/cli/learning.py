@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from thermojoint.cli import arguments, file_kinds, joint_aware
+from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by
 
 if TYPE_CHECKING:
     from thermojoint.models.learned import LearnedModel
@@ -33,18 +34,17 @@ def learn(
     max_sensors: Annotated[int, typer.Option(help="How many temperatures the model may use.")] = 4,
     kind: Annotated[
         LearnedKind,
-        typer.Option(help="learned; a baseline on all temperatures; or the physics of --case."),
+        typer.Option(
+            metavar="KIND",
+            help="learned; linear, ridge or arx: a baseline on all temperatures; joint-aware: the "
+            "physics of --case.",
+        ),
     ] = LearnedKind.LEARNED,
     case: Annotated[
         Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
     ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="THEIRS=OURS: what a column of the log is called, with its unit."),
-    ] = None,
-    mapping: Annotated[
-        Path | None, typer.Option(help="For many, TOML: \\[columns], 'Temp 1' = 'T1_degC'.")
-    ] = None,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
     ignore: Annotated[
         list[str] | None, typer.Option(help="A column to leave aside; may be repeated.")
     ] = None,
@@ -70,7 +70,7 @@ def learn(
     from calibrate.learning.learn import learn as learned
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
-    from thermojoint.cli.log_reading import renamed_by, said
+    from thermojoint.cli.log_reading import said
     from thermojoint.models.learned import write_learned
 
     renamed = renamed_by(column, mapping)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by
 
 if TYPE_CHECKING:
     from thermojoint.artefacts.log import Log
@@ -18,13 +19,8 @@ if TYPE_CHECKING:
 def look(
     logs: Annotated[list[Path], typer.Argument(help="Logs: CSV, .xlsx or Parquet.")],
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="THEIRS=OURS: what a column of the log is called, with its unit."),
-    ] = None,
-    mapping: Annotated[
-        Path | None, typer.Option(help="For many, TOML: \\[columns], 'Temp 1' = 'T1_degC'.")
-    ] = None,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
 ) -> None:
     """Show a log as every command reads it: columns, units, clock, pauses, missing readings.
 
@@ -36,21 +32,22 @@ def look(
     from thermojoint import console
     from thermojoint.artefacts.log_file import read_log
     from thermojoint.artefacts.log_record import described
-    from thermojoint.cli.log_reading import renamed_by
 
     if out:
         from thermojoint.pictures.figures import check_png
 
         check_png(out)
     arguments.check_outputs({"--out": (out, file_kinds.PICTURE)}, [*logs, mapping])
-    log = read_log(logs, renamed_by(column, mapping))
+    with console.working("reading"):
+        log = read_log(logs, renamed_by(column, mapping))
     for line in described(log.records):
         print(line)
     print(f"next: {suggested(log, logs, column or (), mapping)}")
     if out:
         from thermojoint.pictures.log import write_log_picture
 
-        write_log_picture(log, out)
+        with console.working("drawing"):
+            write_log_picture(log, out)
     console.wrote(out)
 
 

@@ -151,8 +151,9 @@ def view(
     show: Annotated[
         Show | None,
         typer.Option(
-            help="What to show; default: the structure of a case, a response's curves, all fields "
-            "of a film."
+            metavar="WHAT",
+            help=f"{', '.join(one.value for one in Show)}; default: the structure of a case, a "
+            "response's curves, all fields of a film.",
         ),
     ] = None,
     film: Annotated[

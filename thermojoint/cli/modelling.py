@@ -15,6 +15,14 @@ import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds, joint_aware
+from thermojoint.cli.log_reading import (
+    ColumnOption,
+    MappingOption,
+    opened_log,
+    over,
+    renamed_by,
+    said,
+)
 
 if TYPE_CHECKING:
     from estimator.interface import Estimator
@@ -188,6 +196,8 @@ def estimate(
         str | None,
         typer.Option(help="Of a file of baselines: mlr, ridge or arx; default: ridge."),
     ] = None,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
 ) -> None:
     """Estimate heat and displacement from temperatures alone, row by row.
 
@@ -212,7 +222,6 @@ def estimate(
     from estimator.registry import kind_of_file, resumed, save_state, started
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
-    from thermojoint.cli.log_reading import say_file
 
     # Not with the state of --continue: it may be replaced by its successor.
     arguments.check_outputs(
@@ -220,7 +229,7 @@ def estimate(
             "--out": (out, file_kinds.ESTIMATE),
             "--save-state": (save, file_kinds.ESTIMATOR_STATE),
         },
-        [model, temperatures, readings],
+        [model, temperatures, readings, mapping],
     )
     length = arguments.positive("--run-length-min", run_length)
     if resume and warm:
@@ -245,16 +254,21 @@ def estimate(
         ageing=() if ageing is None else tuple(name.strip() for name in ageing.split(",")),
         regression=regression,
     )
-    with arguments.opened(temperatures) as source:
+    renamed = over(kind.renamed(given), renamed_by(column, mapping))
+    with (
+        opened_log(temperatures, renamed) as pieces,
+        arguments.at_work("estimating", temperatures, out),
+    ):
         samples: Iterator[Sample]
-        if source is None:
+        if pieces is None:
+            arguments.only_for("a log", {"--column": column, "--mapping": mapping})
             response = read_response(temperatures)
             console.warn(plausibility.of_response(response, where))
             samples = kind.response(given, response)
         else:
             samples = kind.log(
                 given,
-                source,
+                pieces,
                 where,
                 lambda first: console.warn(plausibility.of_sample(first, where)),
             )
@@ -271,7 +285,6 @@ def estimate(
             samples = with_probe_readings(samples, *read_probe_readings(readings, estimator.axes))
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep)
-    say_file(temperatures)
     console.wrote(out, save)
 
 
@@ -358,6 +371,8 @@ def validate(
     baselines: Annotated[
         Path | None, typer.Option(help="Baselines to judge beside it ('calibrate --baselines').")
     ] = None,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
     out: arguments.Json = None,
 ) -> None:
     """Judge the estimator: it sees the temperatures, the displacement is the judge.
@@ -369,13 +384,14 @@ def validate(
     from estimator.judging import Conditions
     from estimator.registry import kind_of_file
     from thermojoint import console, plausibility
+    from thermojoint.artefacts.log import joined
+    from thermojoint.artefacts.log_file import log_pieces
     from thermojoint.artefacts.response import read_response
-    from thermojoint.cli.log_reading import say_file
     from thermojoint.models.baselines import read_baselines
     from thermojoint.paper import printing
     from thermojoint.paper.summary import compare_schemes
 
-    inputs = [model, baselines, reference, *data]
+    inputs = [model, baselines, reference, mapping, *data]
     arguments.check_outputs({"--json": (out, file_kinds.VALIDATION)}, inputs)
     named = {path.stem: path for path in data}
     if len(named) < len(data):
@@ -387,11 +403,12 @@ def validate(
         arguments.check_taken(kind.name, {name: (one, False) for name, one in beside.items()})
         if kind.judge_logs is None:
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
+        renamed = over(kind.renamed(given), renamed_by(column, mapping))
         with console.working("validating"):
-            figures = kind.judge_logs(given, named)
-        for path in named.values():
-            say_file(path)
+            logs = {name: joined(said(log_pieces([path], renamed))) for name, path in named.items()}
+            figures = kind.judge_logs(given, logs)
     else:
+        arguments.only_for("logs", {"--column": column, "--mapping": mapping})
         responses = {name: read_response(path) for name, path in named.items()}
         for name, response in responses.items():
             console.warn(plausibility.of_response(response, name))

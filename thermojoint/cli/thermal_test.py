@@ -9,9 +9,11 @@ import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by, say
 from thermojoint.standards.iso230_3.protocol import Protocol
 
 if TYPE_CHECKING:
+    from thermojoint.artefacts.log_record import Record as LogRecord
     from thermojoint.standards.iso230_3.record import Record
 
 
@@ -19,7 +21,13 @@ def iso230_3(
     given: Annotated[
         Path, typer.Argument(metavar="RECORD", help="Log of the test (CSV), or a response (.nc).")
     ],
-    test: Annotated[Protocol, typer.Option(help="Which test was recorded.")],
+    test: Annotated[
+        Protocol,
+        typer.Option(
+            metavar="TEST",
+            help=f"Which was recorded: {', '.join(one.value for one in Protocol)}.",
+        ),
+    ],
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
     parameters: arguments.Json = None,
     displacement: Annotated[
@@ -34,10 +42,8 @@ def iso230_3(
         str | None,
         typer.Option(help="Column of a log that is 0 at standstill; default: the one in rpm."),
     ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="Rename a column of a log, its unit at the end: 'Temp 1=T1_degC'."),
-    ] = None,
+    column: ColumnOption = None,
+    mapping: MappingOption = None,
     second: Annotated[
         Path | None,
         typer.Option(help="The same run, read at a second point: its channels get a 2 behind."),
@@ -64,7 +70,6 @@ def iso230_3(
     """
     from thermojoint import console
     from thermojoint.cli import results
-    from thermojoint.cli.log_reading import say_file
     from thermojoint.standards.iso230_3 import record as records
     from thermojoint.standards.iso230_3 import report
     from thermojoint.standards.iso230_3.evaluation import evaluate
@@ -74,17 +79,19 @@ def iso230_3(
             "--out": (out, file_kinds.TEST_REPORT),
             "--json": (parameters, file_kinds.TEST_PARAMETERS),
         },
-        [given, second],
+        [given, second, mapping],
     )
     pairs = dict(_pair(text) for text in tilt or [])
     if bool(pairs) != (distance is not None):
         raise InputError("--tilt and --distance-mm: give both or neither")
-    renamed = dict(_named("--column", text) for text in column or [])
+    renamed = renamed_by(column, mapping)
     channels = dict(_channel(text) for text in displacement) if displacement else None
-    record = _record(given, renamed, channels, temperature, speed)
+    with console.working("reading"):
+        record, read = _record(given, renamed, channels, temperature, speed)
     facts = []
     if second is not None:
-        beside = _record(second, renamed, channels, temperature, speed)
+        beside, more = _record(second, renamed, channels, temperature, speed)
+        read += more
         record = records.with_second(record, beside)
         facts.append(("second point", second.name))
     if distance is not None:
@@ -97,9 +104,7 @@ def iso230_3(
         report.write_report(report.report_html(record, found, given.name, facts), out)
     content = report.parameters_json(found, given.name)
     arguments.write_json(parameters, content)
-    for path in (given, second):
-        if path is not None:
-            say_file(path, renamed)
+    say(read)
     results.show_test(console.out(parameters), test.heading, content)
     console.wrote(out, parameters)
 
@@ -110,18 +115,22 @@ def _record(
     channels: dict[str, str] | None,
     temperatures: list[str] | None,
     speed: str | None,
-) -> Record:
+) -> tuple[Record, tuple[LogRecord, ...]]:
+    """Return the record of a test, and what was read of its log."""
     from thermojoint.standards.iso230_3.record import log_record, response_record
 
     if path.suffix == ".nc":
         from thermojoint.artefacts.response import read_response
 
         if renamed or speed:
-            raise InputError(f"{path}: --column and --speed go with a log; leave them out")
-        return response_record(read_response(path), channels, temperatures)
+            raise InputError(
+                f"{path}: --column, --mapping and --speed go with a log; leave them out"
+            )
+        return response_record(read_response(path), channels, temperatures), ()
     from thermojoint.artefacts.log_file import read_log
 
-    return log_record(read_log([path], renamed), channels, temperatures, speed)
+    log = read_log([path], renamed)
+    return log_record(log, channels, temperatures, speed), log.records
 
 
 def _named(option: str, text: str) -> tuple[str, str]:

@@ -24,7 +24,7 @@ from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
 from estimator.joint_aware.kind import KIND
-from estimator.joint_aware.log import read_log
+from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import (
     fingerprint,
     read_observer,
@@ -40,6 +40,7 @@ from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
+from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.cli.app import app
 from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
 from thermojoint.reduced.parameters import with_factors
@@ -484,8 +485,8 @@ def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, respons
 def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
     above = ["time_s,b_K,s_K", "0,0,0", "2,,1.5"]
     read = ["time_s,s_degC,b_degC,ambient_degC", "0,20,20,20", "2,21.5,nan,20"]
-    first = list(read_log(above, ("s", "b"), "log"))
-    second = list(read_log(read, ("s", "b"), "log"))
+    first = list(log_samples(pieces_in(above, "log"), ("s", "b"), "log"))
+    second = list(log_samples(pieces_in(read, "log"), ("s", "b"), "log"))
     assert first[0] == second[0] == (0.0, 0.0, 0.0, 0.0)
     assert first[1][:2] == second[1][:2] == (2.0, 1.5)
     assert np.isnan(first[1][2])
@@ -505,7 +506,7 @@ def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
 )
 def test_a_bad_log_is_refused_in_one_line(lines, what):
     with pytest.raises(InputError, match=what) as caught:
-        list(read_log(lines, ("s", "b"), "log"))
+        list(log_samples(pieces_in(lines, "log"), ("s", "b"), "log"))
     assert "\n" not in str(caught.value)
 
 

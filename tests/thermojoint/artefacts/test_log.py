@@ -121,3 +121,12 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
     log = logs.read_log([written(tmp_path, "time_s,disp1_um\n0,1\n")])
     with pytest.raises(InputError, match="did you mean 'disp1_um'"):
         log.at("disp_um")
+
+
+def test_a_column_is_found_by_its_name_with_another_unit(tmp_path):
+    log = logs.read_log([written(tmp_path, "time_s,T1 [°F],n / min-1\n0,68,60\n")])
+    assert log.at("T1_degC") == pytest.approx([293.15])
+    assert log.at("n_rad_s") == pytest.approx([2.0 * np.pi])
+    with pytest.raises(InputError, match="no column"):
+        # A rise is no temperature.
+        log.at("T1_K")

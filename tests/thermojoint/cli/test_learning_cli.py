@@ -7,6 +7,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+from inspect import signature
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from in_process import undisturbed
 from machine_logs import as_csv, changed, machine_log
 from repository import ROOT
 
+from thermojoint import console
 from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
 
@@ -199,3 +202,66 @@ def test_the_guide_does_what_it_says(tmp_path, monkeypatch, capsys):
     for (name, *found), (shown, *values) in zip(told, table, strict=True):
         assert name == f"{shown}_um"
         assert [float(one) for one in found] == pytest.approx([float(v) for v in values], abs=0.3)
+
+
+def test_a_log_is_read_once_and_what_was_read_is_said(here, command, monkeypatch):
+    """By the samples themselves: a log of a year is not read again for a line about it."""
+    opened, with_path = [], Path.open
+
+    def counted(path, *given, **named):
+        opened.append(path.name)
+        return with_path(path, *given, **named)
+
+    monkeypatch.setattr(Path, "open", counted)
+    for name, *wanted in (("estimate", "--out", "new.csv"), ("validate", "--json", "new.json")):
+        opened.clear()
+        code, told = command(name, "model.json", "day.csv", *wanted)
+        assert not code
+        assert opened.count("day.csv") == 1
+        assert "day.csv: 360 rows, 5.787 d to 6.036 d, every 60 s" in told
+        assert "T1_degC (temperature)" in told
+
+
+def test_a_stream_says_how_it_is_read_and_what_is_new_in_it(here, command, monkeypatch):
+    header, *lines = (here / "day.csv").read_text("utf-8").splitlines(keepends=True)
+    lines[2] = lines[2].rpartition(",")[0] + ",---\n"
+    stream = [f"Zeile;{header}".replace(",", ";"), *(f"a,{one}".replace(",", ";") for one in lines)]
+    monkeypatch.setattr(sys, "stdin", iter([*stream[:5], *stream[200:]]))
+    code, told = command("estimate", "model.json", "-", "--out", "estimate.csv")
+    assert not code
+    found = [line.strip() for line in told.splitlines()]
+    assert found[0] == (
+        "standard input: semicolon between cells; clock time_s, from a start of its own"
+    )
+    assert "n_rpm (speed), x_um (length)" in found[1]
+    assert found[2].startswith("ignored, no unit in the name: Zeile")
+    assert found[3] == "T6_degC: readings missing: 1 x ---"
+    assert found[4].startswith("2 runs, 1 pause: 3.267 h from 5.789 d")
+    assert found[5].startswith("standard input: 165 rows, 5.787 d to 6.036 d, every 60 s")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["estimate", "model.json", "other.csv", "--out", "new.csv"],
+        ["validate", "model.json", "other.csv", "--json", "new.json"],
+        ["export", "model.json", "--samples", "other.csv", "--out", "new"],
+        ["iso230-3", "other.csv", "--test", "spindle", "--json", "new.json"],
+        ["look", "other.csv"],
+    ],
+)
+def test_every_command_that_reads_a_log_takes_other_names(here, command, arguments):
+    text = (here / "day.csv").read_text("utf-8").replace("T1_degC", "Fühler 1", 1)
+    (here / "other.csv").write_text(text.replace("T3_degC", "Fühler 3", 1), encoding="utf-8")
+    (here / "map.toml").write_text("[columns]\n'Fühler 1' = 'T1_degC'\n", encoding="utf-8")
+    names = ["--mapping", "map.toml", "--column", "Fühler 3=T3_degC"]
+    code, told = command(*arguments, *names)
+    assert not code, told
+    assert "ignored" not in told
+
+
+def test_what_takes_long_says_so(here, command):
+    """With -v every part says how long it took; without, a line comes after two seconds."""
+    estimated = command("estimate", "model.json", "day.csv", "--out", "e.csv", "-v")[1]
+    assert "estimating: " in estimated
+    assert signature(console.progress_lines).parameters["first_s"].default <= 2.0

@@ -266,8 +266,9 @@ def files(tmp_path):
 def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
     out = files / "offsets.csv"
     command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
-    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
+    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml"), "-v"])
     assert done.exit_code == 0, done.output
+    assert "compensating: " in done.output
     with out.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["time_s"]) for row in rows] == pytest.approx(np.arange(63.0))

@@ -319,7 +319,7 @@ def test_the_command_takes_a_response(command, coarse_response, tmp_path):
         (["--tilt", "B=front", "--distance-mm", "100"], "NAME=FIRST,SECOND"),
         (["--tilt", "B=front,bac", "--distance-mm", "100"], "did you mean 'back'"),
         (["--tilt", "B=front,back", "--distance-mm", "0"], "positive length"),
-        (["--column", "n_rpm"], "equals sign"),
+        (["--column", "n_rpm"], "write THEIRS=OURS"),
         (["--speed", "nose_degC", "--begin-min", "-5"], "within it"),
     ],
 )
