@@ -61,7 +61,7 @@ def joint_aware_samples(estimator: JointAware) -> Array:
     ambient = 2.0 * np.sin(2.0 * np.pi * times / DAY)
     inputs = np.column_stack([heat * model.power, ambient])
     read, _ = simulate_known(estimator.observer.physics, inputs, model.step)
-    read += relaxed(heat, model.remainder.rates, model.step) @ model.remainder.temperature.T
+    read += relaxed(heat, model.discrepancy.rates, model.step) @ model.discrepancy.temperature.T
     rows = np.column_stack([read + model.offset, ambient])
     return np.column_stack(
         [times, rows + NOISE * np.random.default_rng(0).standard_normal(rows.shape)]

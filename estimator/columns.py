@@ -1,4 +1,4 @@
-"""Columns of a log as samples, in the order of an estimator's channels."""
+"""Columns of a log as samples, in the order of the estimator's channels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
     Raises
     ------
     InputError
-        A column is missing, or the clock begins anew.
+        A column is missing, or time restarts.
     """
     last = -math.inf
     for piece in pieces:

@@ -1,8 +1,7 @@
-"""The table of estimates, of every kind and command: written and read here and nowhere else.
+"""The table of estimates of all estimators and commands; the only module that reads or writes it.
 
-Its columns are ``time_s``, what the estimator says of its own, ``NAME_um`` and ``NAME_band_um`` of
-every axis (half of the width in which the displacement lies with 95 %; empty where none is known),
-``status`` and ``quality``.
+Its columns are ``time_s``, the estimator's details, ``NAME_um`` and ``NAME_band_um`` for every axis
+(half-width of the 95 % interval; empty if unknown), ``status`` and ``quality``.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Row(NamedTuple):
 
 
 def header(estimator: Estimator) -> list[str]:
-    """Return the columns; an axis that carries a unit, as a column of a log does, loses it."""
+    """Return the columns; an axis that carries a unit, like a log column, loses it."""
     axes = [axis_name(axis) for axis in estimator.axes]
     return [
         "time_s",
@@ -67,7 +66,7 @@ def row(estimator: Estimator, estimate: Estimate) -> list[str]:
     ]
     texts = (f"{float(value):.9g}" if value == value else "" for value in values)
     quality = quality_of(estimate.words, estimate.displacement)
-    # Fifteen digits: seconds since 1970 with their milliseconds.
+    # Fifteen digits: seconds since 1970 with milliseconds.
     return [f"{estimate.time:.15g}", *texts, estimate.words, quality.word]
 
 
@@ -101,10 +100,10 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
             "`thermojoint estimate` writes"
         )
     rows: list[Row] = []
-    for number, found in cells_of(table[dialect.first :], dialect.separator, where):
-        if not is_row(found):
+    for number, row_cells in cells_of(table[dialect.first :], dialect.separator, where):
+        if not is_row(row_cells):
             continue
-        line, cells = f"{where}, line {dialect.first + number}", trimmed(found, len(names))
+        line, cells = f"{where}, line {dialect.first + number}", trimmed(row_cells, len(names))
         if len(cells) != len(names):
             raise InputError(f"{line}: {len(cells)} values, expected {len(names)}; mend the row")
         at = dict(zip(names, cells, strict=True))
@@ -132,7 +131,7 @@ def detail_name(channel: Channel) -> str:
 
 
 def _dialect(table: Sequence[str], where: str) -> Dialect | None:
-    """How the table is to be read; None for one without a header."""
+    """The dialect of the table; None without a header."""
     try:
         return dialect_of(table[:HEAD], where, whole=True)
     except InputError:

@@ -1,4 +1,4 @@
-"""The program of an estimator of any kind that has one."""
+"""Export of an estimator of any exportable kind."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ def export_program(
     origin: str = "samples",
     interval: float = 2.0,
 ) -> Program:
-    """Return the program of an estimator, with samples for its self-test; nothing is written.
+    """Return an estimator's program with samples for its self-test; nothing is written.
 
     Parameters
     ----------
     estimator : OpenedEstimator
-        Of a kind that has a program: FCHS, joint-aware and learned.
+        Of an exportable kind: FCHS, joint-aware or learned.
     precision : Precision or str
-        ``double`` or ``single``, of all numbers of the program.
+        ``double`` or ``single``, for all numbers of the program.
     name : str
-        Begins the names of its files and symbols.
+        Prefix of the file names and symbols.
     samples : iterable of sequences, optional
         Time, s, and a value for each channel, for the self-test; default: a duty cycle.
     origin : str
-        Where these come from.
+        Description of these samples.
     interval : float
-        Nominal, s, of a learned estimator; the others have their own.
+        Nominal, s, for a learned estimator; the others have their own.
 
     Raises
     ------
     InputError
-        The estimator is of a kind that has no program, the name is none, a sample is unusable or
-        one that the program judges otherwise, or a coefficient has no number of the precision.
+        The kind is not exportable, the name is invalid, a sample is unusable or would be judged
+        differently by the program, or a coefficient is not representable at this precision.
     """
     checked_name(name)
     numbers = Precision(precision)

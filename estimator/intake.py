@@ -1,4 +1,4 @@
-"""What a machine reads for an estimator: names with units, and how they become channels in SI."""
+"""Readings of a machine for an estimator: names with units, and conversion to channels in SI."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from estimator.measured import LARGEST
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import UNITS, Column, column_named
 
-#: Larger values of anything but a temperature are none.
+#: Magnitudes beyond this are invalid, for anything but a temperature.
 _LARGEST_OTHER = 1e9
-#: How a reading of a channel is told where its unit is no ending of a name.
+#: Suffix of a reading whose unit is no suffix of a column name.
 _SUFFIXES = {"m": "um", "rad/s": "rad_s", "N m": "Nm"}
 
-#: (readings, the temperature at which the machine was cold) to (channels, that temperature).
+#: (readings, ambient at which the machine was cold) to (channels, that ambient).
 Convert = Callable[[Sequence[float], float], tuple[list[float], float]]
 
 
 @dataclass(frozen=True)
 class Intake:
-    """What a machine reads.
+    """Readings that a machine delivers, and their conversion to an estimator's channels.
 
     Attributes
     ----------
     names : tuple of str
-        Readings with their units, as sources call them unless told otherwise.
+        Readings with their units, as named in the sources by default.
     wanted : int
-        The first so many are read in every sample, the others now and then.
+        The first ones are read in every sample, the others occasionally.
     limits : tuple of float
-        A reading that is larger, of either sign, is none; in its unit.
+        Largest valid magnitude of a reading, in its unit.
     convert : callable
         From readings to the estimator's channels.
     """
@@ -43,7 +43,7 @@ class Intake:
     convert: Convert
 
     def usable(self, readings: Sequence[float]) -> tuple[float, ...]:
-        """Return readings with NaN for what cannot be one."""
+        """Return readings with NaN in place of invalid ones."""
         return tuple(
             value if -limit <= value <= limit else math.nan
             for value, limit in zip(readings, self.limits, strict=True)
@@ -51,10 +51,10 @@ class Intake:
 
 
 def intake(names: Sequence[str], wanted: int, convert: Convert) -> Intake:
-    """Return what a machine reads, with the limits of its quantities."""
+    """Return the intake for these readings, with the limits of their quantities."""
     limits = [
         LARGEST
-        if (found := column_named(name)) and found.quantity == "temperature"
+        if (column := column_named(name)) and column.quantity == "temperature"
         else _LARGEST_OTHER
         for name in names
     ]
@@ -62,25 +62,25 @@ def intake(names: Sequence[str], wanted: int, convert: Convert) -> Intake:
 
 
 def by_channels(channels: Sequence[Channel]) -> Intake:
-    """Return the intake of an estimator whose sample holds what is read, each in its own unit.
+    """Return the intake of an estimator whose channels are the readings, each in its own unit.
 
     Parameters
     ----------
     channels : sequence of Channel
-        A temperature ``T1`` in K is read as ``T1_K``; a name that ends in a unit is read as it is.
-        Lengths at the end are displacements, which are read now and then, in µm.
+        A temperature ``T1`` in K is read as ``T1_K``; a name with a unit suffix is read as it is.
+        Lengths at the end are displacements, which are read occasionally, in µm.
     """
     lengths = takewhile(lambda channel: channel.unit == "m", reversed(channels))
-    return of_columns([_named(one) for one in channels], len(channels) - len(list(lengths)))
+    return of_columns([_named(channel) for channel in channels], len(channels) - len(list(lengths)))
 
 
 def of_columns(names: Sequence[str], wanted: int) -> Intake:
-    """Return the intake of an estimator whose channels are columns of a log, in SI.
+    """Return the intake of an estimator whose channels are log columns, in SI.
 
     Raises
     ------
     InputError
-        A name ends in no unit.
+        A name has no unit suffix.
     """
     units = [UNITS[_column(name).unit] for name in names]
 
@@ -99,13 +99,13 @@ def _named(channel: Channel) -> str:
 
 
 def _column(name: str) -> Column:
-    found = column_named(name)
-    if found is None:
+    column = column_named(name)
+    if column is None:
         raise InputError(f"{name}: no unit at the end of the name; name the column with its unit")
-    return found
+    return column
 
 
 def axis_name(axis: str) -> str:
-    """Return an axis without the unit that a learned model's carries: ``disp1_um`` is ``disp1``."""
-    found = column_named(axis)
-    return found.base if found else axis
+    """Return an axis of a learned model without its unit: ``disp1_um`` is ``disp1``."""
+    column = column_named(axis)
+    return column.base if column else axis

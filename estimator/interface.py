@@ -1,8 +1,8 @@
 """Common interface of estimators: channels in, displacement out, sample by sample.
 
-An estimator never changes: all that a sample leaves behind is in the state, a plain array whose
-first entry is the time of the last sample (NaN before the first). So a state can be kept, copied
-and read back bit for bit, and one estimator serves any number of machines of a kind.
+Estimators are immutable: everything that a sample changes is in the state, a plain array whose
+first entry is the time of the last sample (NaN before the first). So a state can be stored, copied
+and restored bit for bit, and one estimator serves any number of machines of the same kind.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import NamedTuple, Protocol
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: Standard deviation of a reading of the displacement, if nobody says better, m.
+#: Default standard deviation of a displacement reading, m.
 READING_NOISE = 0.5e-6
 
 
 class Status(IntFlag):
     """Status of an estimate: ``ok``, or reasons for reduced certainty.
 
-    Beyond: where the calibration has not been. Unsettled: a start of which little is known, or
-    readings that were missing, still count. Distrusted: a sensor is left out, as it contradicts
-    what is known. Reading refused: a displacement that was read does, and was not used.
+    Beyond: outside the calibrated range. Unsettled: an unknown start or missing readings still have
+    an effect. Distrusted: a sensor is excluded because it contradicts the others or the model.
+    Reading refused: a displacement reading was inconsistent and was not used.
     """
 
     OK = 0
@@ -48,7 +48,7 @@ class Status(IntFlag):
 
 
 class Channel(NamedTuple):
-    """One number of a sample or of an estimate.
+    """A number in a sample or in an estimate.
 
     Attributes
     ----------
@@ -72,13 +72,13 @@ class Estimate(NamedTuple):
     displacement : ndarray, shape (axes,)
         δ, m.
     band : ndarray, shape (axes,)
-        Half of the width in which δ lies with 95 %, m; NaN for an estimator that knows none.
+        Half-width of the 95 % interval of δ, m; NaN if the estimator does not know one.
     status : Status
-        How far the estimate can be trusted.
+        Reliability of the estimate.
     details : ndarray, shape (details,)
         The estimator's own `details`.
     missing, distrusted : tuple of str
-        Channels that were empty, and that are left out although they were not.
+        Channels that were empty, and channels with a value that were excluded.
     """
 
     time: float
@@ -91,7 +91,7 @@ class Estimate(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The status in words, with the channels it is of: ``sensor-distrusted:T1,T2``."""
+        """The status in words, with the channels concerned: ``sensor-distrusted:T1,T2``."""
         named = {"reading-missing": self.missing, "sensor-distrusted": self.distrusted}
         words = (
             f"{reason}:{','.join(named[reason])}" if named.get(reason) else reason
@@ -110,9 +110,9 @@ class Estimator(Protocol):
     axes : tuple of str
         Of the displacement.
     channels : tuple of Channel
-        What a sample holds, in order.
+        Contents of a sample, in order.
     details : tuple of Channel
-        What an estimate holds beside displacement, band and status.
+        Contents of an estimate beside displacement, band and status.
     """
 
     @property
@@ -127,12 +127,12 @@ class Estimator(Protocol):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What a sample holds."""
+        """Contents of a sample."""
         ...
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """What an estimate holds of its own."""
+        """Contents of an estimate beside displacement, band and status."""
         ...
 
     def initial_state(self) -> Array:
@@ -140,7 +140,7 @@ class Estimator(Protocol):
         ...
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
-        """Take one sample; the state that is given stays as it is.
+        """Take one sample; the given state is not modified.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Estimator(Protocol):
 def follow(
     estimator: Estimator, samples: Iterable[Sequence[float]], state: Array
 ) -> Iterator[tuple[Array, Estimate]]:
-    """Yield (state, estimate) for each of a row of samples.
+    """Yield (state, estimate) for each of a sequence of samples.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""An estimator of any kind against responses: it sees temperatures, the displacement judges."""
+"""Validation of any estimator on responses: temperatures as input, displacement as reference."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
     from thermojoint.models.baselines import Baselines
 
-#: Name of a table to its rows, ready for a JSON file; ``rows`` are the errors.
+#: Name of a table to its rows, as content of a JSON file; ``rows`` are the errors.
 Figures = dict[str, list[Row]]
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is asked of a validation.
+    """Conditions of a validation.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Conditions:
     seed : int
         Of the noise.
     reference : xarray.Dataset, optional
-        Response to the reference step, which makes the nonlinear part exact.
+        Response to the reference step, from which the exact nonlinear part follows.
     baselines : Baselines, optional
-        What is judged beside the model.
+        Baselines to judge beside the model.
     """
 
     noise_pp: float | None = None
@@ -47,7 +47,7 @@ class Conditions:
     baselines: Baselines | None = None
 
     def only_noise(self, name: str) -> None:
-        """Refuse what an estimator called `name` has no use for: all but noise."""
+        """Refuse conditions that do not apply to an estimator called `name`: all but noise."""
         for option, value in (("reference", self.reference), ("baselines", self.baselines)):
             if value is not None:
                 raise InputError(f"{option}: not for {name}; leave it out")
@@ -58,7 +58,7 @@ class Conditions:
         return case if self.noise_pp is None else f"{case}, {self.noise_pp:g} K noise"
 
     def noisy(self, response: xr.Dataset, probes: Sequence[str]) -> xr.Dataset:
-        """Return a response with the noise on some probes."""
+        """Return a response with noise on some probes."""
         if self.noise_pp is None:
             return response
         return with_noise(response, probes, self.noise_pp, self.seed)
@@ -71,7 +71,7 @@ def judge_responses(
     sensors: Callable[[xr.Dataset], Sequence[str]],
     conditions: Conditions,
 ) -> Figures:
-    """Judge estimators that read the same by responses.
+    """Judge estimators that use the same readings by responses.
 
     Parameters
     ----------
@@ -80,15 +80,15 @@ def judge_responses(
     responses : mapping
         Name to response.
     samples, sensors : callable
-        Of a response, for the estimators: samples, and the probes they come from.
+        For a response: the estimators' samples, and the probes they come from.
     conditions : Conditions
         The noise.
     """
     rows: list[Row] = []
     for name, response in responses.items():
         seen = samples(conditions.noisy(response, sensors(response)))
-        for one in estimators:
-            rows += judge(conditions.named(name), response, one, seen)[0]
+        for estimator in estimators:
+            rows += judge(conditions.named(name), response, estimator, seen)[0]
     return {"rows": rows}
 
 
@@ -113,9 +113,9 @@ def judge(
     samples : iterable of sequences
         Time (s) and the channels, of every sample of the response.
     state : ndarray, optional
-        Where it starts; default at rest.
+        Initial state; default at rest.
     settled_s : float
-        The rows count samples from this long after the first one on, s.
+        The rows count samples from this time after the first one, s.
 
     Returns
     -------
@@ -134,8 +134,8 @@ def judge(
     times = response["time"].to_numpy()
     counted = times >= times[0] + settled_s
     actual = columns_of(response, "displacement", estimator.axes)[counted]
-    error = np.array([one.displacement for one in run])[counted] - actual
-    band = np.array([one.band for one in run])[counted]
+    error = np.array([estimate.displacement for estimate in run])[counted] - actual
+    band = np.array([estimate.band for estimate in run])[counted]
     known = None if np.isnan(band).all() else band
     figures = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA} | figures_of(error, known)
     rows: list[dict[str, str | float]] = [

@@ -1,9 +1,9 @@
-"""A kind of estimator: what the commands, the service and the exporters need to know of it.
+"""Kinds of estimators, as commands, the service and exporters see them.
 
 A kind is a folder beside `estimator.fchs` with one `Kind`, and one line in `estimator.registry`; or
-the same in another distribution, named by an entry point. What a kind leaves out is as for the
-simplest one: its file holds all that the estimator is, so that its model is the estimator, and a
-sample holds what is read.
+the same in another distribution, named by an entry point. The defaults fit the simplest kind: the
+file contains the complete estimator, the model is the estimator, and a sample consists of the
+readings.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from estimator.export.program import Contents, Precision
 
 Sample = tuple[float, ...]
-#: Called with the first row of a log as it was read: column to value.
+#: Called with the first row of a log as read: column to value.
 OnFirst = Callable[[Mapping[str, float]], None]
 
 
 class OpenedEstimator(Estimator, Protocol):
-    """An estimator that comes from a file.
+    """Estimator opened from a file.
 
     Attributes
     ----------
     schema : str
-        Of its model file: by it the registry knows its kind.
+        Schema of its model file, which identifies its kind in the registry.
     model : object
-        What the file holds; a `Kind` takes it.
+        Content of the file, as its `Kind` takes it.
     """
 
     @property
@@ -50,24 +50,24 @@ class OpenedEstimator(Estimator, Protocol):
 
     @property
     def model(self) -> Any:  # noqa: ANN401
-        """What the model file holds."""
+        """Content of the model file."""
         ...
 
 
 @dataclass(frozen=True)
 class Options:
-    """How an estimator is started; a kind says which of the last three it takes.
+    """Options for starting an estimator; a kind declares which of the last three it takes.
 
     Attributes
     ----------
     interval, run_length : float
-        Nominal sampling interval and length of a run, s, for what is made for them.
+        Nominal sampling interval and length of a run, s, for estimators assembled for them.
     reading_noise : float, optional
-        Standard deviation of a displacement that is read, m; default `READING_NOISE`.
+        Standard deviation of a displacement reading, m; default `READING_NOISE`.
     ageing : tuple of str
-        Parameters of the machine that are learnt as it runs.
+        Parameters of the machine that are learned online.
     regression : str, optional
-        Which regression of a file of baselines; default ``ridge``.
+        Regression to use from a file of baselines; default ``ridge``.
     """
 
     interval: float = 2.0
@@ -78,7 +78,7 @@ class Options:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a displacement that is read, m."""
+        """Standard deviation of a displacement reading, m."""
         return READING_NOISE if self.reading_noise is None else self.reading_noise
 
 
@@ -145,46 +145,46 @@ def _as_it_is(model: Any) -> Mapping[str, str]:  # noqa: ANN401
 
 @dataclass(frozen=True)
 class Kind(Generic[M, E]):
-    """All that is asked of a kind of estimator.
+    """Definition of a kind of estimator.
 
     Attributes
     ----------
     name : str
-        What a person calls one, for messages: ``a learned model``.
+        Its name with an article, for messages: ``a learned model``.
     read : callable
-        Path to the model that the file holds; raises `InputError`.
+        Path to the content of the file; raises `InputError`.
     fingerprint : callable
-        Model to a text that no other model has: a state goes on with the same one.
+        Model to a unique text; a state can only be resumed with the same one.
     start : callable
         (model, options) to the estimator.
     options : frozenset of str
         Which of ``reading_noise``, ``ageing``, ``regression`` it takes.
     paced : bool
-        The estimator is made for a nominal sampling interval.
+        Whether the estimator is assembled for a nominal sampling interval.
     warm_state : callable, optional
-        Estimator to its state on a machine of whose past nothing is known.
+        Estimator to its state for a machine with an unknown past.
     carried, resumed : callable, optional
-        Estimator to what its states carry beside their numbers, as JSON has it; (model, options,
-        that, name of the file) to the estimator that goes on.
+        Estimator to additional JSON data stored with its states; (model, options, that data, name
+        of the file) to the resumed estimator.
     intake : callable
-        (model, whether temperatures are told above the ambient) to what a machine reads.
+        (model, whether temperatures are above the ambient) to the readings of a machine.
     renamed : callable
-        Model to what a log's columns are called by it, as `thermojoint.artefacts.log_file.read_log`
-        takes it.
+        Model to the names that it expects of a log's columns, in the form that
+        `thermojoint.artefacts.log_file.read_log` takes.
     log : callable
-        (model, a log in pieces, its name, what is to be told of the first row) to samples.
+        (model, a log in pieces, its name, callback for the first row) to samples.
     response, sensors : callable
-        (model, response) to samples, and to the names of the probes they are of.
+        (model, response) to samples, and to the names of their probes.
     ranges : callable
-        Model to what it was calibrated for.
+        Model to its calibrated ranges.
     judge : callable, optional
-        (kind, model, name to response, conditions) to errors; None for a kind that only logs judge.
+        (kind, model, name to response, conditions) to errors; None for a kind judged by logs only.
     judge_logs : callable, optional
-        (model, name to log) to errors; None for a kind that only responses judge.
+        (model, name to log) to errors; None for a kind judged by responses only.
     residuals : callable, optional
-        (estimator, state, sample as `channels`) to reading minus model, NaN for what is missing.
+        (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
     program : callable, optional
-        (estimator, precision, nominal interval s) to what it gives to a program for a control.
+        (estimator, precision, nominal interval s) to the contents of an exported program.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Measured temperatures, row by row, from a table in any dialect.
 
-A table has one of two layouts, told apart by their column names and units; the order is free, other
-columns are ignored. A row in which a reading is missing is left out; gaps are allowed:
+A table has one of two layouts, distinguished by column names and units; the order is free, other
+columns are ignored. Rows with a missing reading are skipped; gaps are allowed:
 
 - ``time_s, delta_T_K, T1_K, T2_K``: ΔT = T_a - T_b, and T1, T2 above the current ambient;
 - ``time_s, a_degC, b_degC, T1_degC, T2_degC, ambient_degC``: as thermometers read.
@@ -25,7 +25,7 @@ from thermojoint.models.sensors import readings, roles_in
 if TYPE_CHECKING:
     import xarray as xr
 
-#: What an exported program and the service refuse as no temperature, in K or °C.
+#: Temperatures refused by exported programs and the service, in K or °C.
 LARGEST = LARGEST_TEMPERATURE
 #: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
 Sample = tuple[float, ...]
@@ -37,7 +37,7 @@ def samples_in(
     where: str,
     on_first: Callable[[Mapping[str, float]], None] | None = None,
 ) -> Iterator[Sample]:
-    """Yield the samples of a log as its pieces come in.
+    """Yield the samples of a log as its pieces arrive.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def samples_in(
     where : str
         Name of the file, for error messages.
     on_first : callable, optional
-        Called with the first complete row as it was read: column to value.
+        Called with the first complete row as read: column to value.
 
     Yields
     ------
@@ -58,7 +58,7 @@ def samples_in(
     Raises
     ------
     InputError
-        A column is missing, or the clock begins anew.
+        A column is missing, or time restarts.
     """
     last = -math.inf
     for piece in pieces:
@@ -84,9 +84,9 @@ def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column],
     as_read = ["a", "b", *sensors, "ambient"]
     for names, above in ((above_ambient, True), (as_read, False)):
         at = {
-            one.base: k
-            for k, one in enumerate(log.columns)
-            if one.quantity == "temperature" and (one.unit == "K") == above
+            column.base: k
+            for k, column in enumerate(log.columns)
+            if column.quantity == "temperature" and (column.unit == "K") == above
         }
         if set(names) <= set(at):
             return [log.columns[at[name]] for name in names], log.values[:, [at[n] for n in names]]
@@ -101,14 +101,14 @@ def _shown(columns: Sequence[Column], values: Sequence[float]) -> dict[str, floa
     """Return one row by column, temperatures in K above the ambient or in °C."""
     zero = UNITS["degC"].offset
     return {
-        f"{one.base}_K" if one.unit == "K" else f"{one.base}_degC": value
-        - (0.0 if one.unit == "K" else zero)
-        for one, value in zip(columns, values, strict=True)
+        f"{column.base}_K" if column.unit == "K" else f"{column.base}_degC": value
+        - (0.0 if column.unit == "K" else zero)
+        for column, value in zip(columns, values, strict=True)
     }
 
 
 def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
-    """Yield the temperatures of a response as `samples_in` yields measured ones."""
+    """Yield the temperatures of a response in the form of `samples_in`."""
     seen = readings(response, tuple(model.linear.direct), roles_in(response, model))
     for time, difference, joint in zip(seen.times, seen.delta_T, seen.temperatures, strict=True):
         yield (float(time), float(difference), *map(float, joint))
@@ -117,21 +117,21 @@ def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
 def nominal_interval(
     samples: Iterator[Sample], given: float | None, where: str
 ) -> tuple[float, Iterator[Sample]]:
-    """Return the nominal sampling interval (s), and the samples from the first one on.
+    """Return the nominal sampling interval (s), and all samples including those read for it.
 
     Parameters
     ----------
     samples : iterator of tuple
         As `samples_in` yields them.
     given : float, optional
-        Taken as it is; default the interval between the first two samples.
+        Used as it is; default the interval between the first two samples.
     where : str
         For error messages.
 
     Raises
     ------
     InputError
-        `given` is not positive, or there are fewer than two samples to take it from.
+        `given` is not positive, or there are fewer than two samples.
     """
     if given is not None:
         if not 0.0 < given < math.inf:

@@ -16,7 +16,7 @@ from thermojoint.models.sensors import JOINT_SENSORS
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Period above which the noise is filtered out, s: it has no offset and no drift.
+#: Cut-off period of the high-pass, s: the noise has no offset and no drift.
 NOISE_PERIOD_S = 60.0
 #: The paper's noise on T1 and T2.
 NOISE_PEAK_TO_PEAK_K = 0.12
@@ -80,9 +80,9 @@ def with_noise(
     Parameters
     ----------
     response : xarray.Dataset
-        A response; it is not changed.
+        A response; it is not modified.
     probes : sequence of str
-        Names of those that are read.
+        Names of the probes to use.
     peak_to_peak : float
         Of each channel, K (`sensor_noise`).
     seed : int

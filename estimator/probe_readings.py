@@ -1,4 +1,4 @@
-"""Occasional readings of the displacement, e.g. by a touch probe, merged with samples."""
+"""Occasional displacement readings, e.g. by a touch probe, merged with samples."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from thermojoint.artefacts.quantities import column_named
 
 
 def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
-    """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the axes that were read.
+    """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the measured axes.
 
-    An axis that carries its unit, as a column of a log does, names its column itself.
+    An axis with its unit, like a log column, is a column name itself.
 
     Returns
     -------
@@ -28,10 +28,10 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     Raises
     ------
     InputError
-        The file is unusable, or holds a reading of no axis.
+        The file is unusable, or has no column of an axis.
     """
     log = read_log([path])
-    known = {name: k for k, one in enumerate(log.columns) for name in (one.base, one.name)}
+    known = {name: k for k, column in enumerate(log.columns) for name in (column.base, column.name)}
     if not known.keys() & set(axes):
         wanted = ", ".join(axis if column_named(axis) else f"{axis}_um" for axis in axes)
         raise InputError(f"{path}: no reading of a displacement; name its columns {wanted}")
@@ -50,14 +50,14 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
 def with_probe_readings(
     samples: Iterable[Sequence[float]], times: Array, values: Array
 ) -> Iterator[tuple[float, ...]]:
-    """Yield every sample with the readings that came since the one before it, NaN for none.
+    """Yield every sample with the readings since the previous one, NaN for none.
 
     Parameters
     ----------
     samples : iterable of sequences
         Time (s) and values.
     times : ndarray, shape (k,)
-        Of the readings, s, increasing. What was read before the first sample is left out.
+        Of the readings, s, increasing. Readings before the first sample are ignored.
     values : ndarray, shape (k, axes)
         m.
     """

@@ -1,4 +1,4 @@
-"""How far an estimate can be used: good, uncertain or bad, by its status."""
+"""Quality of an estimate: good, uncertain or bad, from its status."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: Reasons that leave a value good: a run longer than the calibration is what a service is for, and
-#: a reading of the displacement that was refused changes nothing.
+#: Reasons that leave a value good: a service is meant to run longer than the calibration, and a
+#: refused displacement reading changes nothing.
 HARMLESS = frozenset({"ok", "beyond-time", "reading-refused"})
 
 
 class Quality(IntEnum):
-    """How far a value can be used; the number is what a history keeps."""
+    """Quality of a value; the number is stored in a history."""
 
     GOOD = 0
     UNCERTAIN = 1
@@ -27,14 +27,14 @@ class Quality(IntEnum):
 
 
 def quality_of(status: str, displacement: Array) -> Quality:
-    """Return the quality of an estimate that has just come.
+    """Return the quality of a new estimate.
 
     Parameters
     ----------
     status : str
-        In words: ``ok``, or reasons with what they are of: ``sensor-distrusted:T1,T2``.
+        In words: ``ok``, or reasons with the channels concerned: ``sensor-distrusted:T1,T2``.
     displacement : ndarray, shape (axes,)
-        m; a value that is not finite is no estimate.
+        m; a value that is not finite is bad.
     """
     if not np.isfinite(displacement).all():
         return Quality.BAD
@@ -42,5 +42,5 @@ def quality_of(status: str, displacement: Array) -> Quality:
 
 
 def reasons_of(status: str) -> set[str]:
-    """Return the reasons of a status in words, without the channels they are of."""
+    """Return the reasons of a status in words, without the channels."""
     return {word.partition(":")[0] for word in status.split()}

@@ -1,4 +1,4 @@
-"""What a model was calibrated for, as a person reads it."""
+"""Calibrated ranges of a model, in readable form."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 
 class Range(NamedTuple):
-    """Where a calibration has been.
+    """Range of the calibration for one quantity.
 
     Attributes
     ----------
     name : str
-        Of what.
+        Name of the quantity.
     low, high : float
         In `unit`.
     unit : str

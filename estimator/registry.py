@@ -1,7 +1,7 @@
-"""The one door to estimators: a file's own schema says of which kind it is.
+"""Registry of estimators: the schema of a model file determines its kind.
 
-A kind of another distribution is named by an entry point of the group `GROUP`: its name is the
-schema of the model files, its value where the `estimator.kind.Kind` stands.
+A kind from another distribution is named by an entry point of the group `GROUP`: its name is the
+schema of the model files, its value the location of the `estimator.kind.Kind`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.schema import schema_of
 
 GROUP = "thermojoint.estimators"
-#: Schema of a model file to where its kind stands; a kind is loaded when a file asks for it.
+#: Schema of a model file to the location of its kind, which is imported on demand.
 KINDS = {
     "thermojoint-model": "estimator.fchs.kind:KIND",
     "thermojoint-assembly": "estimator.fchs.kind:KIND",
@@ -30,8 +30,8 @@ KINDS = {
 
 
 def known_schemas() -> dict[str, str]:
-    """Return the schema of every kind of model that can be opened, and where the kind stands."""
-    return {one.name: one.value for one in entry_points(group=GROUP)} | KINDS
+    """Return the schema of every kind of model that can be opened, and the location of the kind."""
+    return {entry.name: entry.value for entry in entry_points(group=GROUP)} | KINDS
 
 
 def kind_of_file(path: Path | str) -> Kind[Any, Any]:
@@ -52,7 +52,7 @@ def kind_of_file(path: Path | str) -> Kind[Any, Any]:
 
 
 def kind_of(estimator: OpenedEstimator) -> Kind[Any, Any]:
-    """Return the kind of an estimator that was opened."""
+    """Return the kind of an opened estimator."""
     return _kind(estimator.schema)
 
 
@@ -65,19 +65,19 @@ def open_estimator(
     ageing: tuple[str, ...] = (),
     regression: str | None = None,
 ) -> OpenedEstimator:
-    """Open whatever is a model: the estimator that it describes.
+    """Open a model file of any kind: return its estimator.
 
     Parameters
     ----------
     path : Path or str
         A model file of any kind, or an assembled estimator.
     interval, run_length : float
-        Nominal sampling interval and length of a run, s; a kind that is not made for them does not
-        look at them.
+        Nominal sampling interval and length of a run, s; kinds that are not assembled for them
+        ignore them.
     reading_noise : float, optional
-        Standard deviation of a displacement that is read, m (learned, joint-aware).
+        Standard deviation of a displacement reading, m (learned, joint-aware).
     ageing : tuple of str
-        What is learnt as the machine runs: ``preload``, ``friction``, ``film`` (joint-aware).
+        Parameters learned online: ``preload``, ``friction``, ``film`` (joint-aware).
     regression : str, optional
         ``mlr``, ``ridge`` (default) or ``arx`` (a file of baselines).
 
@@ -101,7 +101,7 @@ def resume_estimator(
     ageing: tuple[str, ...] = (),
     regression: str | None = None,
 ) -> tuple[OpenedEstimator, Array]:
-    """Return the estimator of a model, and the state that `save_state` wrote for the same one.
+    """Return the estimator of a model with a state written by `save_state` for the same model.
 
     Parameters
     ----------
@@ -123,21 +123,21 @@ def resume_estimator(
 
 
 def save_state(estimator: OpenedEstimator, state: Array, path: Path | str) -> None:
-    """Write where an estimator stands, whole or not at all.
+    """Write the state of an estimator, whole or not at all.
 
     Parameters
     ----------
     estimator : OpenedEstimator
         From `open_estimator`.
     state : ndarray
-        What its last sample returned, or its initial state.
+        From its last sample, or its initial state.
     path : Path or str
         JSON to write.
 
     Raises
     ------
     InputError
-        The state is not finite: a sample before was too large to be a measurement.
+        The state is not finite: an earlier sample was too large to be a measurement.
     """
     kind = kind_of(estimator)
     states.write_state(
@@ -152,7 +152,7 @@ def save_state(estimator: OpenedEstimator, state: Array, path: Path | str) -> No
 
 
 def started(kind: Kind[Any, Any], model: Any, options: Options) -> OpenedEstimator:  # noqa: ANN401
-    """Return the estimator of a model; refuses an option that its kind does not take."""
+    """Return the estimator of a model; refuses options that its kind does not take."""
     _check(kind, options)
     estimator: OpenedEstimator = kind.start(model, options)
     return estimator
@@ -185,13 +185,13 @@ def resumed(
 
 @lru_cache
 def _kind(schema: str) -> Kind[Any, Any]:
-    found = resolve_name(known_schemas()[schema])
-    if not isinstance(found, Kind):
+    kind = resolve_name(known_schemas()[schema])
+    if not isinstance(kind, Kind):
         raise InputError(
             f"{known_schemas()[schema]}: is no kind of estimator; correct the entry point in the "
             "distribution that has it"
         )
-    return found
+    return kind
 
 
 def _check(kind: Kind[Any, Any], options: Options) -> None:

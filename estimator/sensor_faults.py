@@ -2,20 +2,20 @@
 
 Start at `judge_sample`: it judges a sample before it is used. A channel is distrusted when it is
 
-- impossible: no part of the machine is so hot or so cold;
-- hasty: it changed faster than any part of a machine does;
-- stuck: it repeats its last value far longer than it ever did; or the model says that it should
+- impossible: no part of the machine can be so hot or so cold;
+- hasty: it changed faster than any part of a machine can;
+- stuck: it repeats its last value far longer than ever before; or the model says that it should
   have moved by now;
-- contradicted: its innovation, given the other channels, is beyond what is to be expected.
+- contradicted: its innovation, given the other channels, is larger than can be expected.
 
-The first three are found by `look`, channel by channel; the last by `_contradicted`, the worst
-channel first. A channel is believed again when all that has been over for `Thresholds.clear`; one
-that was contradicted must have come nearer the model than the model is likely to have come to it,
-and stay there for `Thresholds.agreed`. Where most channels contradict the model, it is the model's
-state that is wrong (`Verdict.lost`): then all are believed.
+The first three are detected by `look`, channel by channel; the last by `_contradicted`, the worst
+channel first. A channel is trusted again after `Thresholds.clear` without a fault; one that was
+contradicted must have approached the model by more than the model can have approached it, and stay
+there for `Thresholds.agreed`. If most channels contradict the model, the model's state is wrong
+(`Verdict.lost`): then all are trusted.
 
-Proved by tests/test_sensor_faults.py, one rule at a time and without a machine, and by
-``python -m benchmarks.sensor_faults`` on the reference machine (docs/faulty-sensors.md).
+Verified by tests/test_sensor_faults.py, one rule at a time and without a machine, and by ``python
+-m benchmarks.sensor_faults`` on the reference machine (docs/faulty-sensors.md).
 """
 
 from __future__ import annotations
@@ -30,57 +30,59 @@ from numpy.typing import NDArray
 from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array, Flags
 
-#: From the innovations (n,), K, and the channels that count (indices): what of them no possible
-#: change of the heat explains, K, shape (n,), and its covariance, K2, shape (n, n).
+#: From the innovations (n,), K, and the indices of the channels that count: the part that no
+#: admissible change of heat explains, K, shape (n,), and its covariance, K2, shape (n, n).
 Explain = Callable[[Array, NDArray[np.int64]], tuple[Array, Array]]
 
 
 class Thresholds(NamedTuple):
-    """When a channel is distrusted, and when it is believed again.
+    """Thresholds at which a channel is distrusted, and trusted again.
 
     Set and checked together by ``python -m benchmarks.sensor_faults``: 128 faults over 35 min, of
-    which 126 are survived, and 64 over 8 h, of which 63 are (docs/faulty-sensors.md). What a field
-    alone is worth there stands with it.
+    which 126 are tolerated, and 64 over 8 h, of which 63 are (docs/faulty-sensors.md). The effect
+    of a single threshold is stated with it.
 
     Attributes
     ----------
     gate : float
-        Standard deviations of an innovation beyond which a reading is contradicted.
+        Innovation gate in standard deviations, beyond which a reading is contradicted.
     model_error, model_share : float
-        Standard deviation of a healthy reading for want of a perfect model, K, and a part of what
-        the model says beside: no innovation below `gate` of it counts, however sure the model is.
+        Model error of a healthy reading as a standard deviation, K, and as a fraction of the
+        model's own one: no innovation below `gate` times it counts, however certain the model is.
     clear : float
-        A distrusted channel is believed again after this long without a fault, s.
+        A distrusted channel is trusted again after this time without a fault, s.
     agreed : float
-        One that was contradicted, after this long near the model, s: a jump of the heat brings what
-        is off near it for as long as the other channels take to see that heat. With 30 s, 59 of
-        the 64 faults over 8 h are survived.
+        A contradicted channel is trusted again after this time near the model, s: a jump of the
+        heat brings a wrong reading near it until the other channels have seen that heat. With 30 s,
+        59 of the 64 faults over 8 h are tolerated.
     nearer, near : float
-        It counts as near if it is off by no more than this part of what it was, or by so many
-        standard deviations of the model: a model that has lost a channel wanders. Without this
-        rule and those for `witnesses`, 119 of the 128 faults are survived.
+        It counts as near if its error is at most this fraction of the original one, or this many
+        standard deviations of the model: a model that has lost a channel drifts. Without this rule
+        and those for `witnesses`, 119 of the 128 faults are tolerated.
     jumped_back : float
-        If it has jumped back by this part of what it was off by, it need only be as near as any.
+        If it has jumped back by this fraction of its error, the usual gate decides whether it is
+        near.
     rate, jump : float
         No thermometer in a machine changes faster than this, K/s, beyond a jump, K.
     stuck, repeats : float
-        A value that repeats for this long, s, and this many samples may be stuck, ...
+        A value that repeats for this time, s, and this many samples may be stuck, ...
     improbable : float
-        ... if by its own habit the channel would do so with this probability, or less, ...
+        ... if the channel's usual behaviour makes that as unlikely as this, or more, ...
     grain, seen : float
-        ... and has no coarse display: it has changed by less than its noise, or by what is on
-        average so far from multiples of one step, over so many changes; ...
+        ... and its display is not coarse: it has changed by less than its noise, or its changes
+        have been, on average, this far from multiples of one step, over this many changes; ...
     steps : float
-        ... or if the model says that it should have moved by so many of its steps or its noise.
+        ... or if the model says that it should have moved by this many steps or standard
+        deviations.
     witnesses, turning : float
-        A channel that never changed is stuck as well if this many others turn back in this share
-        of their changes, as noise does, and by their habit it would have changed.
+        A channel that never changed is also stuck if this many others reverse in this fraction of
+        their changes, as noise does, and it would usually have changed.
     unknown_step : float
-        The step of a display that has shown none yet, K.
+        Assumed step of a display that has not shown any yet, K.
     habit, learnt : float
-        Repetition that a channel is given at first, and the samples over which it is learnt.
+        Initial repetition rate of a channel, and the samples over which it is learned.
     rounding : float
-        Changes below this are none, K.
+        Changes below this are ignored, K.
     """
 
     gate: float = 5.0
@@ -115,9 +117,10 @@ class Channels(NamedTuple):
     noise : ndarray
         Standard deviation of a reading.
     low, high : ndarray
-        Lowest and highest reading that is possible.
+        Lowest and highest possible reading.
     thermometers : int
-        Channels, the first ones, that are thermometers in the machine; others may be constants.
+        Number of channels, the first ones, that are thermometers in the machine; others may be
+        constant.
     """
 
     noise: Array
@@ -127,14 +130,14 @@ class Channels(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """A sample and what the model expects of it.
+    """A sample and the prediction for it.
 
     Attributes
     ----------
     time : float
         s.
     readings : ndarray, shape (n,)
-        K; NaN where there is none.
+        Readings, K; NaN where missing.
     predicted : ndarray, shape (n,)
         K.
     """
@@ -145,36 +148,36 @@ class Sample(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """What is remembered of every channel; arrays of shape (n,), NaN where nothing is known yet.
+    """Memory of every channel; arrays of shape (n,), NaN where unknown.
 
     Attributes
     ----------
     distrusted : ndarray
-        1 where it is left out, else 0.
+        1 if it is excluded, else 0.
     fault : ndarray
-        When it last showed a fault, s.
+        Time of its last fault, s.
     read : ndarray
-        When it was last there, s.
+        Time of its last reading, s.
     last : ndarray
-        What it said then, K.
+        Its last reading, K.
     changed : ndarray
-        When it first said so, s.
+        Time since which it has had this value, s.
     expected : ndarray
-        What the model said at that time, K.
+        Prediction of the model at that time, K.
     repeats : ndarray
-        How often it said so since.
+        Number of repetitions since.
     habit : ndarray
-        The share of its readings that repeat the one before.
+        Fraction of its readings that repeat the previous one.
     finest : ndarray
-        The smallest change that it has shown, K.
+        Smallest change so far, K.
     grain : ndarray
-        How far its changes are from multiples of that, as a part of it: 0 for a coarse display.
+        Mean distance of its changes from multiples of that, relative to it: 0 for a coarse display.
     rise : ndarray
         Its last change, K.
     turned : ndarray
-        The share of its changes that turn back: a smooth one's none, two thirds of pure noise's.
+        Fraction of its changes that reverse: none for a smooth signal, two thirds for pure noise.
     off : ndarray
-        How far it was from the model when that contradicted it, K; negative since it jumped back.
+        Its error when the model contradicted it, K; negative once it has jumped back.
     """
 
     distrusted: Array
@@ -193,7 +196,7 @@ class Watch(NamedTuple):
 
 
 def fresh(channels: int, rules: Thresholds) -> Watch:
-    """Return a watch that has seen nothing."""
+    """Return a watch without any memory."""
     nothing, unknown = np.zeros(channels), np.full(channels, np.nan)
     return Watch(
         distrusted=nothing,
@@ -218,11 +221,11 @@ class Verdict(NamedTuple):
     Attributes
     ----------
     believed : ndarray of bool, shape (n,)
-        To be used.
+        Readings to be used.
     lost : bool
-        Most channels contradict the model: its state is not the machine's.
+        Most channels contradict the model: its state is wrong.
     watch : Watch
-        To be kept for the next sample.
+        Memory for the next sample.
     """
 
     believed: Flags
@@ -233,20 +236,20 @@ class Verdict(NamedTuple):
 def judge_sample(
     watch: Watch, sample: Sample, explain: Explain, channels: Channels, rules: Thresholds
 ) -> Verdict:
-    """Say which readings of a sample are to be used.
+    """Judge which readings of a sample are to be used.
 
     Parameters
     ----------
     watch : Watch
-        Of the sample before.
+        Memory of the previous sample.
     sample : Sample
-        The readings beside what the model expects.
+        The readings and their predictions.
     explain : callable
-        As `Explain`; called where it matters.
+        As `Explain`; called only where it matters.
     channels : Channels
-        What they can say.
+        Prior knowledge of the channels.
     rules : Thresholds
-        When one is distrusted.
+        Thresholds of distrust.
     """
     time, readings, predicted = sample
     present = np.isfinite(readings)
@@ -275,15 +278,15 @@ def judge_sample(
 
 
 def model_error(predicted: Array, rules: Thresholds) -> Array:
-    """Return what healthy readings may be off by for want of a perfect model, K, shape (n,)."""
+    """Return the standard deviation of the model error of healthy readings, K, shape (n,)."""
     return np.asarray(rules.model_error + rules.model_share * np.abs(predicted))
 
 
 @compiled
 def certainly_alike(innovation: Array, rules: Thresholds) -> bool:
-    """Whether innovations are so small, K, that whatever the covariance none is a contradiction.
+    """Whether innovations are so small, K, that none is a contradiction for any covariance.
 
-    No statistic of a contradiction, and none of a jump, exceeds |innovation| / `model_error`.
+    No statistic of a contradiction or a jump exceeds |innovation| / `model_error`.
     """
     return math.sqrt(np.dot(innovation, innovation)) <= rules.gate * rules.model_error
 
@@ -303,7 +306,7 @@ def _stuck(watch: Watch, channel: int, sample: Sample, noise: float, rules: Thre
 
 @compiled
 def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) -> bool:
-    """Whether a channel never changed where others have noise."""
+    """Whether a channel has never changed while others have noise."""
     if channel >= thermometers or watch.finest[channel] >= 0.0:
         return False
     witnesses, habit = 0, 0.0
@@ -320,7 +323,7 @@ def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) ->
 def look(
     watch: Watch, sample: Sample, channels: Channels, rules: Thresholds, odd: Flags, near: Flags
 ) -> None:
-    """Put a sample into the watch, in place; say what is odd, and what is near the model."""
+    """Update the watch by a sample, in place; return what is faulty, and what is near the model."""
     time, readings, predicted = sample.time, sample.readings, sample.predicted
     for k in range(readings.size):
         reading, said = readings[k], predicted[k]
@@ -333,7 +336,7 @@ def look(
             limit = min(limit, max(rules.near * imperfect, rules.nearer * watch.off[k]))
         near[k] = abs(reading - said) <= limit
         change, since = abs(reading - watch.last[k]), time - watch.read[k]
-        # Compared with what is not known yet, NaN, nothing is odd.
+        # Comparisons with unknown values, NaN, find no fault.
         odd[k] = reading < channels.low[k] or reading > channels.high[k]
         odd[k] = odd[k] or change > rules.rate * since + rules.jump
         watch.read[k] = time
@@ -362,32 +365,33 @@ def look(
 
 
 def _contradicted(sample: Sample, explain: Explain, trusted: Flags, rules: Thresholds) -> Flags:
-    """Channels that the others and the model contradict, the worst first; shape (n,)."""
+    """Channels contradicted by the others and the model, the worst first; shape (n,)."""
     innovation = sample.readings - sample.predicted
-    found = np.zeros_like(trusted)
+    contradicted = np.zeros_like(trusted)
     at = np.flatnonzero(trusted)
     if certainly_alike(innovation[at], rules):
-        return found
+        return contradicted
     imperfect = model_error(sample.predicted, rules)
     while at.size:
         rest, covariance = explain(innovation, at)
         whole = covariance + np.diag(imperfect**2)
         inverse = np.linalg.inv(whole[np.ix_(at, at)])
-        # What the others leave open in i is r = (S^-1 nu)_i / (S^-1)_ii, of variance 1 / (S^-1)_ii.
+        # The part of i that the others leave unexplained is r = (S^-1 nu)_i / (S^-1)_ii, of
+        # variance 1 / (S^-1)_ii.
         relative = np.abs(inverse @ rest[at]) / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(relative))
         if relative[worst] <= rules.gate:
             break
-        found[at[worst]] = True
+        contradicted[at[worst]] = True
         at = np.delete(at, worst)
-    return found
+    return contradicted
 
 
 def _mostly(doubtful: Flags, credible: Flags, first: bool) -> bool:
     """Whether more than half of the channels, and more than one, are doubtful.
 
-    At the first sample more than one is enough: a machine that is not as it was said to be is
-    likelier then than two faults at once.
+    At the first sample more than one is enough: a wrong initial state is then more likely than two
+    simultaneous faults.
     """
     most = 1.0 if first else max(1.0, 0.5 * credible.sum())
     return bool((doubtful & credible).sum() > most)

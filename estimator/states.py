@@ -1,7 +1,7 @@
-"""Where an estimator stands, as a file or as bytes: versioned, fingerprinted, with a checksum.
+"""State of an estimator as a file or as bytes: versioned, fingerprinted, with a checksum.
 
-Both are read back bit for bit, on any processor: JSON has a double with as many digits as bring it
-back exactly. The fingerprint is that of the model: a state means nothing to any other.
+Both are read back bit for bit on any processor: JSON stores every double with enough digits. The
+fingerprint is that of the model: a state is valid for its own model only.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ FILE = JsonKind(
     "saved by 'thermojoint estimate --save-state'",
     "start afresh",
 )
-#: Begins the bytes of a state; the digit is their version.
+#: Prefix of the bytes of a state; the digit is the version.
 _MAGIC = b"TJS2"
 _DIGEST = hashlib.sha256().digest_size
 
 
 class SavedState(NamedTuple):
-    """A state with what it belongs to.
+    """A state and the model that it belongs to.
 
     Attributes
     ----------
     schema : str
-        Of the model file: the kind of the estimator.
+        Kind of the estimator, from the model file.
     fingerprint : str
-        Of the model.
+        Fingerprint of the model.
     carried : object
-        What the kind keeps with its states, as JSON has it; None for nothing.
+        Additional JSON data of the kind; None for nothing.
     values : ndarray
         The state.
     """
@@ -58,7 +58,7 @@ def write_state(saved: SavedState, path: Path | str) -> None:
     Raises
     ------
     InputError
-        A value is infinite: a sample before was too large to be a measurement.
+        A value is infinite: an earlier sample was too large to be a measurement.
     """
     if np.isinf(saved.values).any():
         raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
@@ -66,7 +66,7 @@ def write_state(saved: SavedState, path: Path | str) -> None:
         "model_schema": saved.schema,
         "fingerprint": saved.fingerprint,
         "carried": saved.carried,
-        # What is not known yet is NaN, which JSON does not have.
+        # Unknown values are NaN, which JSON lacks.
         "state": [None if math.isnan(value) else value for value in saved.values.tolist()],
     }
     content = FILE.header | body | {"checksum": _checksum(body)}
@@ -74,19 +74,19 @@ def write_state(saved: SavedState, path: Path | str) -> None:
 
 
 def read_state(path: Path | str) -> SavedState:
-    """Read a state that `write_state` wrote.
+    """Read a state written by `write_state`.
 
     Raises
     ------
     InputError
-        The file is missing, truncated, no state, of another version, or was changed.
+        The file is missing, truncated, corrupted, no state, or of another version.
     """
     content = read_json(path, FILE)
     stated = content.pop("checksum", None)
     if stated != _checksum(content):
         raise InputError(f"{path}: the state's values are damaged; start afresh")
     try:
-        values = [math.nan if one is None else float(one) for one in content["state"]]
+        values = [math.nan if value is None else float(value) for value in content["state"]]
         return SavedState(
             str(content["model_schema"]),
             str(content["fingerprint"]),
@@ -98,19 +98,19 @@ def read_state(path: Path | str) -> SavedState:
 
 
 def as_bytes(fingerprint: str, values: Array) -> bytes:
-    """Return a state as bytes: what begins them, digests of model and numbers, the numbers."""
+    """Return a state as bytes: prefix, digests of model and numbers, numbers."""
     numbers = np.asarray(values).astype("<f8").tobytes()
     return _MAGIC + _digest(fingerprint.encode()) + _digest(numbers) + numbers
 
 
 def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
-    """Return the state that `as_bytes` made bytes of.
+    """Return the state from the bytes of `as_bytes`.
 
     Parameters
     ----------
     data : bytes
     fingerprint : str
-        Of the model that is to go on.
+        Fingerprint of the model to resume.
     where : str
         For the error message.
 

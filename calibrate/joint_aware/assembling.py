@@ -63,7 +63,7 @@ def make_observer(
     fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)
-    system = linear_system(modes, fit.remainder, machine.power, machine.step)
+    system = linear_system(modes, fit.discrepancy, machine.power, machine.step)
     design, after = design_filter(system, modes, machine.power, machine.step, noise)
     # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
     hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
@@ -75,24 +75,24 @@ def make_observer(
     moved = np.hstack(
         [
             sticking_tangent(modes.elastic, fitted.laws),
-            fit.remainder.displacement,
+            fit.discrepancy.displacement,
             np.zeros((len(machine.axes), machine.power.size + 1)),
         ]
     )
-    nothing = np.zeros((len(machine.axes), fit.remainder.rates.size))
+    nothing = np.zeros((len(machine.axes), fit.discrepancy.rates.size))
     spread = np.sqrt(np.diag(fit.covariance))
     return ObserverModel(
         modes=modes,
         held=held,
         joints=fitted.joints,
-        remainder=fit.remainder,
+        discrepancy=fit.discrepancy,
         filter=steady,
         band=Band(
             tangent=moved,
             steady=np.maximum(np.einsum("an,nm,am->a", moved, after, moved), 0.0),
             constant=fit.residual_displacement**2,
             history=np.zeros(len(machine.axes)),
-            open=np.zeros((len(machine.axes), 1, 2 * fit.remainder.displacement.shape[1])),
+            open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
         ),
         warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady.scale),
@@ -116,7 +116,7 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
     Any past is a sum of heatings that lasted for some time and ended some time ago: the columns
     span those of `PASTS`, of every source at `power` (W) and of a change of the ambient.
     """
-    rates = fit.remainder.rates
+    rates = fit.discrepancy.rates
     count, sources = modes.rates.size, power.size
     columns = []
     for given in range(sources + 1):
@@ -127,7 +127,7 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
                 column[:count] = strength * modes.drive[:, given] * answer(modes.rates, lasted, ago)
                 if given < sources:
                     at = slice(count + given * rates.size, count + (given + 1) * rates.size)
-                    level = strength / power[given] * fit.remainder.rates
+                    level = strength / power[given] * fit.discrepancy.rates
                     column[at] = level * answer(rates, lasted, ago)
                 if ago == 0.0:
                     column[system.decay.size + given] = strength

@@ -187,7 +187,7 @@ def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit
     planned = make_problem(machine, [day])
 
     def moved(logarithms: Array) -> Array:
-        gains = fit_linear(known, *errors(known, fit.parameters, logarithms)).remainder
+        gains = fit_linear(known, *errors(known, fit.parameters, logarithms)).discrepancy
         _, physics = errors(planned, fit.parameters, logarithms)
         return np.asarray(planned.states @ gains.displacement.T - physics)
 

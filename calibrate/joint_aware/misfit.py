@@ -35,7 +35,7 @@ MOST_SAMPLES = 120
 #: these are errors of 0.03 K and 0.05 um that last for a run.
 TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 0.5e-6
 #: ... and of the remainder, which is there to follow what is left sample by sample.
-REMAINDER_TEMPERATURE, REMAINDER_DISPLACEMENT = 0.03, 1e-7
+DISCREPANCY_TEMPERATURE, DISCREPANCY_DISPLACEMENT = 0.03, 1e-7
 #: Sensors of which the model leaves this, K, or as much as of the median one are trusted alike.
 ALIKE = 0.005
 #: Prior standard deviation of a sensor's offset, K.
@@ -249,7 +249,7 @@ class Linear:
 
     Attributes
     ----------
-    remainder : Discrepancy
+    discrepancy : Discrepancy
     offset : ndarray, shape (p,)
         Of every sensor, K.
     temperature : ndarray, shape (k, p)
@@ -258,7 +258,7 @@ class Linear:
         Left, m.
     """
 
-    remainder: Discrepancy
+    discrepancy: Discrepancy
     offset: Array
     temperature: Array
     displacement: Array
@@ -267,11 +267,11 @@ class Linear:
 def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Linear:
     """Return the remainder and the offsets that explain `errors`, and what they leave."""
     sensed = [
-        channel.gains(column, REMAINDER_TEMPERATURE)
+        channel.gains(column, DISCREPANCY_TEMPERATURE)
         for channel, column in zip(problem.temperature, temperature.T, strict=True)
     ]
     moved = [
-        channel.gains(column, REMAINDER_DISPLACEMENT)
+        channel.gains(column, DISCREPANCY_DISPLACEMENT)
         for channel, column in zip(problem.displacement, displacement.T, strict=True)
     ]
     gains = np.array([one for one, _ in sensed])

@@ -20,9 +20,9 @@ from scipy.stats import t as student
 
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import (
+    DISCREPANCY_DISPLACEMENT,
+    DISCREPANCY_TEMPERATURE,
     OFFSET,
-    REMAINDER_DISPLACEMENT,
-    REMAINDER_TEMPERATURE,
     Problem,
     Run,
     coarser,
@@ -120,7 +120,7 @@ def open_band(
         (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
     )
     histories = [
-        _history_of(heat, fit.remainder.rates, slow.step) for heat in (day, begun, 0.5 * begun)
+        _history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
     ]
     problem = make_problem(slow, [coarser(run, SEARCH_STEPS) for run in runs])
     found: list[Array] = []
@@ -170,7 +170,7 @@ class _Drawn:
     """A machine that the calibration runs do not tell from the fitted one."""
 
     factors: dict[str, float]
-    remainder: Discrepancy
+    discrepancy: Discrepancy
     offset: Array
 
 
@@ -198,23 +198,23 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: flo
         fit_linear(problem, *errors(problem, fit.parameters, at))
         for at in (logarithms, fit.logarithms)
     ]
-    sensed = [np.column_stack([one.remainder.temperature, one.offset]) for one in moved]
+    sensed = [np.column_stack([one.discrepancy.temperature, one.offset]) for one in moved]
     constant = np.column_stack([problem.states, np.ones(len(problem.states))])
-    own = np.column_stack([fit.remainder.temperature, fit.offset])
+    own = np.column_stack([fit.discrepancy.temperature, fit.offset])
     temperature = own + sensed[0] - sensed[1]
     displacement = (
-        fit.remainder.displacement
-        + moved[0].remainder.displacement
-        - moved[1].remainder.displacement
+        fit.discrepancy.displacement
+        + moved[0].discrepancy.displacement
+        - moved[1].discrepancy.displacement
     )
     for row in temperature:
-        tau = _size(row[:-1], REMAINDER_TEMPERATURE, least_share)
+        tau = _size(row[:-1], DISCREPANCY_TEMPERATURE, least_share)
         row += _unknown(
-            rng, constant, np.append(tau * problem.shape, OFFSET), REMAINDER_TEMPERATURE
+            rng, constant, np.append(tau * problem.shape, OFFSET), DISCREPANCY_TEMPERATURE
         )
     for row in displacement:
-        tau = _size(row, REMAINDER_DISPLACEMENT, least_share)
-        row += _unknown(rng, problem.states, tau * problem.shape, REMAINDER_DISPLACEMENT)
+        tau = _size(row, DISCREPANCY_DISPLACEMENT, least_share)
+        row += _unknown(rng, problem.states, tau * problem.shape, DISCREPANCY_DISPLACEMENT)
     return _Drawn(
         factors_of(fit.parameters, logarithms),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),
@@ -240,8 +240,8 @@ def _errors(
     count = len(history.heat)
     inputs = np.column_stack([history.heat * machine.power, np.zeros(count)])
     temperature, displacement = simulate_known(physics, inputs, machine.step)
-    temperature = drawn.offset + temperature + history.states @ drawn.remainder.temperature.T
-    displacement = displacement + history.states @ drawn.remainder.displacement.T
+    temperature = drawn.offset + temperature + history.states @ drawn.discrepancy.temperature.T
+    displacement = displacement + history.states @ drawn.discrepancy.displacement.T
     readings = np.vstack([drawn.offset, temperature])
     times = machine.step * np.arange(count + 1)
     samples = ((time, *row, 0.0) for time, row in zip(times, readings, strict=True))

@@ -78,7 +78,7 @@ class Fit:
         Of `misfit.residuals` there.
     jacobian : ndarray, shape (n, k)
         Of the residuals by the logarithms in units of their priors.
-    remainder : Discrepancy
+    discrepancy : Discrepancy
         Fitted at these parameters.
     offset, noise : ndarray, shape (p,)
         Of every sensor, and the standard deviation of its reading, K.
@@ -96,7 +96,7 @@ class Fit:
     logarithms: Array
     residuals: Array
     jacobian: Array
-    remainder: Discrepancy
+    discrepancy: Discrepancy
     offset: Array
     noise: Array
     residual_temperature: Array
@@ -252,7 +252,7 @@ def _fit(
         logarithms=logarithms,
         residuals=residuals(problem, parameters, logarithms),
         jacobian=jacobian,
-        remainder=linear.remainder,
+        discrepancy=linear.discrepancy,
         offset=linear.offset,
         noise=reading_noise(problem, linear.temperature),
         residual_temperature=np.sqrt(np.mean(linear.temperature**2, axis=0)),

@@ -100,7 +100,7 @@ def make_family(
         plant = with_factors(slow, factors_of(fit.parameters, logarithms))
         try:
             temperature, moved = _answers(plant, day)
-            beside = fit_linear(problem, *errors(problem, fit.parameters, logarithms)).remainder
+            beside = fit_linear(problem, *errors(problem, fit.parameters, logarithms)).discrepancy
         except ConvergenceError:
             continue
         readings.append(temperature + states @ beside.temperature.T - nominal[0])

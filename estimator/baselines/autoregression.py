@@ -17,7 +17,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.models.baselines import FILE, Baselines
 from thermojoint.models.sensors import ROLES
 
-#: A sample this near to a step of the autoregression is at it, relative to the interval.
+#: A sample closer to an autoregression step than this, relative to the interval, counts as on it.
 _AT_STEP = 1e-6
 
 
@@ -25,8 +25,8 @@ _AT_STEP = 1e-6
 class AutoregressionEstimator:
     """Steps at a fixed interval from the start of the run; samples may come at any time.
 
-    Temperatures are joined by straight lines. Between two steps the estimate is on the straight
-    line to what the next step would be if the temperatures stayed. The state is (time of the last
+    Temperatures are interpolated linearly. Between two steps the estimate is interpolated linearly
+    towards the next step, computed with the present temperatures. The state is (time of the last
     sample, start of the run, steps done, last temperatures, past estimates, past temperatures).
 
     Attributes
@@ -49,12 +49,12 @@ class AutoregressionEstimator:
     @cached_property
     def _past(self) -> Array:
         """Weights of past estimates, shape (axes, order)."""
-        return np.array([one.past for one in self.model.arx.values()])
+        return np.array([regression.past for regression in self.model.arx.values()])
 
     @cached_property
     def _inputs(self) -> Array:
         """Weights of temperatures, shape (axes, lags, channels)."""
-        return np.array([one.inputs for one in self.model.arx.values()])
+        return np.array([regression.inputs for regression in self.model.arx.values()])
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""

@@ -1,4 +1,4 @@
-"""Regressions on the calibration's data as a kind: a file holds three, one of them is run."""
+"""Baseline regressions as a kind: a file holds three (mlr, ridge, arx), of which one is run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def regressions(baselines: Baselines, dt_s: float) -> list[RegressedEstimator]:
     ----------
     baselines : Baselines
     dt_s : float
-        Nominal sampling interval, s: how long before the first sample the machine is at rest.
+        Nominal sampling interval, s; the machine is at rest until this long before the first
+        sample.
     """
     return [
         RegressionEstimator("mlr", baselines, dt_s),
@@ -44,7 +45,7 @@ def regressions(baselines: Baselines, dt_s: float) -> list[RegressedEstimator]:
 
 
 def _start(baselines: Baselines, options: Options) -> RegressedEstimator:
-    known = {one.kind: one for one in regressions(baselines, options.interval)}
+    known = {estimator.kind: estimator for estimator in regressions(baselines, options.interval)}
     wanted = options.regression or "ridge"
     if wanted not in known:
         raise unknown_name("regression", wanted, known, "baselines")
@@ -96,7 +97,7 @@ def _log(
         )
         values = piece.values[:, [piece.index(name) for name in wanted]]
         rise = values if above else values[:, :-1] - values[:, -1:]
-        # A row in which a reading is missing is left out.
+        # Rows with a missing reading are skipped.
         there = np.isfinite(rise).all(axis=1)
         for time, row in zip(piece.times[there].tolist(), rise[there].tolist(), strict=True):
             yield (time, *row)

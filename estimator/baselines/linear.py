@@ -25,7 +25,7 @@ class Linear:
     Attributes
     ----------
     assembly : Assembly
-        Of which the first two blocks are used.
+        Only its first two blocks are used.
     """
 
     assembly: Assembly

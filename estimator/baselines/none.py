@@ -1,4 +1,4 @@
-"""No compensation: the displacement is taken to be zero."""
+"""No compensation: the estimate is always zero."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Nothing:
-    """Zero at every sample; its state is the time of the last one.
+    """Zero at every sample; the state is the time of the last sample.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ from thermojoint.models.baselines import FILE, Baselines, Regression, taus_of
 from thermojoint.models.filters.relaxations import relaxed
 from thermojoint.models.sensors import ROLES
 
-#: Rises of the four sensors above the current ambient.
+#: Temperature rises of the four sensors above the current ambient.
 CHANNELS = tuple(Channel(role, "K") for role in ROLES)
 
 

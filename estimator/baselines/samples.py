@@ -1,4 +1,4 @@
-"""Checks of samples for the baselines."""
+"""Validation of samples for the baselines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thermojoint.artefacts.errors import InputError
 def began(
     state: Array, time: float, values: Sequence[float], channels: Sequence[Channel], lead: float
 ) -> tuple[float, float]:
-    """Return when the run began and the interval that ends at this sample, s.
+    """Return the start of the run and the interval that ends at this sample, s.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def began(
     time, values
         Of the sample.
     channels : sequence of Channel
-        What the sample must hold.
+        The channels of a sample.
     lead : float
         The machine is at rest until this long before the first sample, s.
 

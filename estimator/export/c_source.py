@@ -16,12 +16,12 @@ from thermojoint.artefacts.templates import templates_of
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-#: Of numbers in C: the type, and what ends a constant of it and the name of a function of math.h.
+#: For each precision: the C type, the suffix of its constants and of the functions of math.h.
 _TYPES = {Precision.DOUBLE: ("double", ""), Precision.SINGLE: ("float", "f")}
 
 
 def c_files(program: Program) -> dict[str, str]:
-    """Return NAME.h, NAME.c and NAME_selftest.c: name to text."""
+    """Return the text of NAME.h, NAME.c and NAME_selftest.c by file name."""
     kind = program.interface.kind
     real, f = _TYPES[program.precision]
     endings = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
@@ -29,14 +29,14 @@ def c_files(program: Program) -> dict[str, str]:
 
 
 def write_c(program: Program, folder: Path | str) -> list[Path]:
-    """Write a program as C99 into a folder, which is all old or all new.
+    """Write a program as C99 into a folder, replacing it as a whole.
 
     Parameters
     ----------
     program : Program
         What `export_program` returns.
     folder : Path or str
-        To write; what is there must be a program of this kind, or nothing.
+        Destination; it must be empty, missing, or contain a program of this kind.
 
     Returns
     -------
@@ -46,13 +46,13 @@ def write_c(program: Program, folder: Path | str) -> list[Path]:
     Raises
     ------
     InputError
-        A coefficient has no number of the precision, or the folder is somebody's own.
+        A coefficient is not representable at this precision, or the folder contains other files.
     """
     return write_folder(Path(folder), c_files(program))
 
 
 def literal(value: float, precision: Precision) -> str:
-    """Return a number as C99 reads it, to the last bit: in hexadecimal.
+    """Return a number as an exact hexadecimal C99 literal.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def table(values: ArrayLike, precision: Precision) -> str:
 def _braces(array: np.ndarray, precision: Precision) -> str:
     if array.ndim == 0:
         return literal(float(array), precision)
-    parts = [_braces(one, precision) for one in array]
+    parts = [_braces(entry, precision) for entry in array]
     if array.ndim == 1:
         return "{" + ", ".join(parts) + "}"
     return "{\n" + ",\n".join(parts) + "\n}"
@@ -85,7 +85,7 @@ def _braces(array: np.ndarray, precision: Precision) -> str:
 
 def environment(precision: Precision) -> Environment:
     """The templates, with ``| c`` for a number, ``| table`` for an array, ``| wide`` in double."""
-    found = templates_of("estimator.export")
+    templates = templates_of("estimator.export")
 
     def c(value: float) -> str:
         return literal(value, precision)
@@ -93,7 +93,7 @@ def environment(precision: Precision) -> Environment:
     def as_table(values: Any) -> str:  # noqa: ANN401
         return table(values, precision)
 
-    found.filters["c"] = c
-    found.filters["table"] = as_table
-    found.filters["wide"] = lambda values: table(values, Precision.DOUBLE)
-    return found
+    templates.filters["c"] = c
+    templates.filters["table"] = as_table
+    templates.filters["wide"] = lambda values: table(values, Precision.DOUBLE)
+    return templates

@@ -1,7 +1,7 @@
 """The complementary error function for languages without one: rational approximations.
 
 W. J. Cody, Rational Chebyshev approximations for the error function, Math. Comp. 23 (1969). Below
-|x| = 0.46875, up to 4, and beyond; good to the last digits in double precision.
+|x| = 0.46875, up to 4, and beyond; accurate to double precision.
 """
 
 from __future__ import annotations

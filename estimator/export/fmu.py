@@ -23,14 +23,14 @@ class Standard(StrEnum):
     FMI3 = "fmi3"
 
 
-#: Types of FMI 3.0 of which there is no number, and their names in C.
+#: Types of FMI 3.0 without numbers, and their C names.
 _OTHERS = (
     ("Float32", "float"),
     *((f"Int{bits}", f"int{bits}_t") for bits in (8, 16, 32, 64)),
     *((f"UInt{bits}", f"uint{bits}_t") for bits in (8, 16, 32, 64)),
     ("Boolean", "bool"),
 )
-#: Unit to its exponents of base units, as FMI writes them.
+#: Units as exponents of the base units, in FMI notation.
 BASES = {
     "1": "",
     "K": ' K="1"',
@@ -41,7 +41,7 @@ BASES = {
     "A": ' A="1"',
     "N m": ' kg="1" m="2" s="-2"',
 }
-#: What every member of the archive is dated with: the same program gives the same bytes.
+#: Date of every member of the archive, fixed so that the same program gives the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -60,7 +60,7 @@ def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.
     Raises
     ------
     InputError
-        There is no C compiler, it fails, or this is no machine that units are made for.
+        No C compiler is installed, compiling fails, or FMUs cannot be built on this platform.
     """
     place = _platform(standard)
     compiler = shutil.which("cc") or shutil.which("gcc")
@@ -95,25 +95,25 @@ def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.
         members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
         members[f"binaries/{place}/{name}.so"] = library
         for member, content in members.items():
-            one = zipfile.ZipInfo(member, _DATE)
-            one.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(one, content)
+            entry = zipfile.ZipInfo(member, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content)
 
 
 def fmi_files(program: Program, standard: Standard) -> dict[str, str]:
-    """Return what a program needs beside itself: descriptions, and NAME_fmi2.c or NAME_fmi3.c."""
-    templates, one = environment(program.precision), program.interface
+    """Return the files beside the program itself: descriptions, and NAME_fmi2.c or NAME_fmi3.c."""
+    templates, interface = environment(program.precision), program.interface
     values = {
         "name": program.name,
-        "kind": one.kind,
-        "fingerprint": one.fingerprint,
-        "guid": f"{{{one.kind}-{program.precision}-{one.fingerprint}}}",
+        "kind": interface.kind,
+        "fingerprint": interface.fingerprint,
+        "guid": f"{{{interface.kind}-{program.precision}-{interface.fingerprint}}}",
         "version": program.version,
-        "interval": repr(one.interval),
-        "timed": one.timed,
-        "inputs": one.inputs,
-        "outputs": one.outputs,
-        "units": sorted({variable.unit for variable in (*one.inputs, *one.outputs)}),
+        "interval": repr(interface.interval),
+        "timed": interface.timed,
+        "inputs": interface.inputs,
+        "outputs": interface.outputs,
+        "units": sorted({variable.unit for variable in (*interface.inputs, *interface.outputs)}),
         "bases": BASES,
         "others": _OTHERS,
     }
@@ -125,7 +125,7 @@ def fmi_files(program: Program, standard: Standard) -> dict[str, str]:
 
 
 def _platform(standard: Standard) -> str:
-    """What the folder of a library of this machine is called."""
+    """Name of the folder for libraries of this platform."""
     if sys.platform == "linux" and platform.machine() == "x86_64":
         return "linux64" if standard is Standard.FMI2 else "x86_64-linux"
     raise InputError(

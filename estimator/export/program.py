@@ -1,4 +1,4 @@
-"""An estimator as a program for a control, in any language: calls, numbers, samples, costs."""
+"""Language-independent program of an estimator: interface, constants, test samples, costs."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ from estimator.export.recorded import Recorded, check_answerable, even, recorded
 from estimator.interface import Estimator, Status
 from thermojoint.artefacts.errors import InputError
 
-#: What a self-test allows: in double precision relative to the largest displacement, in single m.
+#: Tolerance of the self-test: in double precision relative to the largest displacement, in single
+#: precision in m.
 RELATIVE, ABSOLUTE = 1e-12, 1e-8
-#: Bits of the status that an estimator in Python has, too.
+#: Status bits shared with the estimators in Python.
 COMMON = 0xFFF
-#: The status of a sample that is left out: a bit that no estimator in Python has.
+#: Status of a rejected sample: a bit that no estimator in Python has.
 REFUSED = 1 << 15
-#: What begins a name, and leaves room for the rest of it.
+#: Valid prefix of a symbol, which leaves room for the rest.
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 31
-#: The rest of it; with what stands before, no name has more than 63 characters.
+#: Longest rest of a symbol: with its prefix, no symbol has more than 63 characters.
 _LONGEST_PART = 48
 
 
 class Precision(StrEnum):
-    """Of every number in the exported program."""
+    """Precision of every number in the exported program."""
 
     DOUBLE = "double"
     SINGLE = "single"
 
     @property
     def size(self) -> int:
-        """Of one number, bytes."""
+        """Bytes of one number."""
         return 8 if self is Precision.DOUBLE else 4
 
 
@@ -64,7 +65,7 @@ class Operations:
         )
 
     def times(self, count: int) -> Operations:
-        """Return those of as many repetitions."""
+        """Return the operations of this many repetitions."""
         return Operations(
             count * self.multiplications,
             count * self.additions,
@@ -74,14 +75,14 @@ class Operations:
 
 
 class Variable(NamedTuple):
-    """A number that a program takes or gives.
+    """Input or output of a program.
 
     Attributes
     ----------
     name, unit : str
         The unit in SI, ``1`` if it has none.
     place : str
-        Of a reading or of a member of the estimate in C, e.g. ``displacement[0]``.
+        Of a reading or estimate member in C, e.g. ``displacement[0]``.
     """
 
     name: str
@@ -96,17 +97,17 @@ class Interface:
     Attributes
     ----------
     kind, fingerprint : str
-        Of the estimator.
+        Kind and fingerprint of the estimator.
     interval : float
         Nominal, s.
     timed : bool
-        Whether any other interval may follow.
+        Whether other intervals are accepted.
     inputs, outputs : tuple of Variable
-        Readings, and what it says beside its status; displacements first.
+        Inputs, and outputs beside the status; displacements first.
     axes : tuple of str
         Of the displacement.
     statuses : tuple of Status
-        What it says as the estimator in Python does.
+        Status bits shared with the estimator in Python.
     """
 
     kind: str
@@ -121,26 +122,26 @@ class Interface:
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of a program.
+    """Kind-specific contents of a program.
 
     Attributes
     ----------
     estimator : Estimator
-        What the program does, in Python, from its initial state on.
+        The estimator in Python, as the reference.
     interface : Interface
-        How it is called.
+        Its interface.
     values : dict
-        What its templates ask for, beside what is the same for every kind.
+        Template values specific to this kind.
     constants, state : int
         Numbers in the tables and in the state.
     usual, worst : Operations
-        Of a sample as they usually come, and at most.
+        Of a typical sample, and upper bound.
     labels : pair of str
-        What these two are of.
+        Descriptions of these two.
     duty : callable
-        Gives time, s, and readings for a self-test where none are recorded.
+        Generates time, s, and readings for a self-test if none are recorded.
     origin : str
-        What these are.
+        Description of these readings.
     """
 
     estimator: Estimator
@@ -157,28 +158,28 @@ class Contents:
 
 @dataclass(frozen=True)
 class Program:
-    """A program and what it costs; `c_source` and `structured_text` write it.
+    """A program and its costs; `c_source` and `structured_text` write it.
 
     Attributes
     ----------
     name : str
-        Begins its symbols.
+        Prefix of its symbols.
     interface : Interface
-        How it is called.
+        Its interface.
     precision : Precision
         Of its numbers.
     values : dict
-        What its templates ask for.
+        Template values.
     kept : Recorded
         Samples of the self-test.
     constants, state : int
         Bytes of the tables and of the state.
     usual, worst : Operations
-        Of a sample as they usually come, and at most.
+        Of a typical sample, and upper bound.
     labels : pair of str
-        What these two are of.
+        Descriptions of these two.
     version : str
-        Of the program that exported it.
+        Of the exporting program.
     """
 
     name: str
@@ -195,23 +196,23 @@ class Program:
 
     @property
     def samples(self) -> int:
-        """Of the self-test."""
+        """Number of samples in the self-test."""
         return len(self.kept.samples)
 
     @property
     def common(self) -> dict[str, Any]:
-        """What every template may ask for."""
-        one = self.interface
+        """Template values common to all kinds."""
+        interface = self.interface
         return {
             "name": self.name,
-            "fingerprint": one.fingerprint,
-            "dt": one.interval,
-            "timed": one.timed,
-            "inputs": one.inputs,
-            "outputs": one.outputs,
-            "channels": [variable.name for variable in one.inputs],
-            "axes": one.axes,
-            "statuses": [(status.name, status.value) for status in one.statuses],
+            "fingerprint": interface.fingerprint,
+            "dt": interface.interval,
+            "timed": interface.timed,
+            "inputs": interface.inputs,
+            "outputs": interface.outputs,
+            "channels": [variable.name for variable in interface.inputs],
+            "axes": interface.axes,
+            "statuses": [(status.name, status.value) for status in interface.statuses],
             "refused": REFUSED,
             "common": COMMON,
             "version": self.version,
@@ -221,7 +222,7 @@ class Program:
             "samples": self.kept.samples,
             "expected": self.kept.displacement,
             "words": self.kept.words,
-            # It stands in a comment, which no file name may end.
+            # It is written into a comment, which a file name must not end.
             "origin": re.sub(r"[^\w .,-]", "_", self.kept.origin),
             "relative": self.precision is Precision.DOUBLE,
             "allowed": RELATIVE if self.precision is Precision.DOUBLE else ABSOLUTE,
@@ -236,16 +237,16 @@ def program(
     samples: Iterable[Sequence[float]] | None,
     origin: str,
 ) -> Program:
-    """Return the program of what an estimator gives.
+    """Return the program for an estimator's contents.
 
     Parameters
     ----------
     contents : Contents
-        What the estimator gives.
+        From the estimator's kind.
     precision : Precision
         Of all numbers.
     name : str
-        Begins every symbol.
+        Prefix of every symbol.
     samples : iterable of sequences, optional
         Time, s, and readings for the self-test; default: a duty cycle.
     origin : str
@@ -254,7 +255,7 @@ def program(
     Raises
     ------
     InputError
-        The name is none, or a sample is one to which the program has no answer.
+        The name is invalid, or a sample is one that the program cannot process.
     """
     checked_name(name)
     interface = contents.interface
@@ -300,12 +301,12 @@ def rounded(value: float, precision: Precision) -> float:
 
 
 def checked_name(name: str) -> str:
-    """Return a name that C and Structured Text take at the beginning of every symbol.
+    """Return a name that is a valid symbol prefix in C and Structured Text.
 
     Raises
     ------
     InputError
-        It is none.
+        The name is invalid.
     """
     if not _NAME.fullmatch(name) or len(name) > _LONGEST:
         raise InputError(
@@ -316,29 +317,29 @@ def checked_name(name: str) -> str:
 
 
 def listed(name: str, unit: str, of: Sequence[str]) -> list[Variable]:
-    """Return the members of an array of the estimate."""
-    return [Variable(f"{name}_{one}", unit, f"{name}[{k}]") for k, one in enumerate(of)]
+    """Return the members of an array in the estimate."""
+    return [Variable(f"{name}_{member}", unit, f"{name}[{k}]") for k, member in enumerate(of)]
 
 
 def identifier(text: str) -> str:
-    """Return what C and Structured Text take as the rest of a name: single underscores inside."""
+    """Return a name as the rest of a C or Structured Text symbol, with single underscores."""
     return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "_"
 
 
 def distinct(names: Sequence[str], what: str) -> tuple[str, ...]:
-    """Return names as the program may have them.
+    """Return names as distinct symbols.
 
     Raises
     ------
     InputError
-        Two of them become the same, or one is too long.
+        Two of them become identical, or one is too long.
     """
-    found = tuple(map(identifier, names))
-    if len({one.upper() for one in found}) < len(found) or "_" in found:
+    identifiers = tuple(map(identifier, names))
+    if len({name.upper() for name in identifiers}) < len(identifiers) or "_" in identifiers:
         raise InputError(
             f"export: the {what} {', '.join(names)} are not distinct as names of a program; "
             "rename one"
         )
-    if max(map(len, found), default=0) > _LONGEST_PART:
+    if max(map(len, identifiers), default=0) > _LONGEST_PART:
         raise InputError(f"export: the {what} {', '.join(names)}: a name is too long; rename it")
-    return found
+    return identifiers

@@ -13,28 +13,29 @@ from estimator.interface import Estimator, Status, follow
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: Samples at the nominal interval that a duty cycle begins with; then intervals of so many of it.
+#: Samples at the nominal interval that a duty cycle starts with, and the later intervals in
+#: multiples of it.
 EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)
 #: Length of the duty cycle and of the gap in its middle, s.
 DAY, GAP = 86400.0, 3600.0
-#: One period of the load, the share of it that is on, and how fast the machine follows, s.
+#: Period of the load, its on-time as a fraction of it, and the time constant of the machine, s.
 PERIOD, ON, FOLLOWS = 7200.0, 0.6, 1800.0
-#: Most samples that are compiled in.
+#: Maximum number of compiled-in samples.
 MOST = 5000
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Samples and what the estimator says of them.
+    """Samples and the estimates for them.
 
     Attributes
     ----------
     samples : ndarray, shape (n, 1 + channels)
-        Interval since the sample before (the nominal one at the first), s, and readings.
+        Interval since the previous sample (nominal for the first), s, and readings.
     displacement : ndarray, shape (n, axes)
         m.
     words : tuple of int
-        Status of each.
+        Status words.
     origin : str
         Where the samples come from.
     """
@@ -48,7 +49,7 @@ class Recorded:
 def recorded(
     estimator: Estimator, samples: Iterable[Sequence[float]], interval: float, origin: str
 ) -> Recorded:
-    """Return samples with the estimates from the initial state on; not more than `MOST`.
+    """Return at most `MOST` samples with the estimates, starting from the initial state.
 
     Parameters
     ----------
@@ -64,16 +65,16 @@ def recorded(
     Raises
     ------
     InputError
-        A sample is unusable, or there is none.
+        A sample is unusable, or there are none.
     """
     rows, shifts, words = [], [], []
     last = math.nan
     kept = list(islice(samples, MOST))
     states = follow(estimator, kept, estimator.initial_state())
-    for sample, (_, found) in zip(kept, states, strict=True):
+    for sample, (_, estimate) in zip(kept, states, strict=True):
         rows.append((interval if math.isnan(last) else sample[0] - last, *sample[1:]))
-        shifts.append(found.displacement)
-        words.append(int(found.status))
+        shifts.append(estimate.displacement)
+        words.append(int(estimate.status))
         last = sample[0]
     if not rows:
         raise InputError(f"{origin}: no samples; give at least one")
@@ -81,12 +82,12 @@ def recorded(
 
 
 def even(samples: Iterable[Sequence[float]], step: float, origin: str) -> Iterator[Sequence[float]]:
-    """Yield samples that come at every step, nothing missing.
+    """Yield samples, which must be evenly spaced and complete.
 
     Raises
     ------
     InputError
-        One is late or has a reading missing.
+        A sample is late or lacks a reading.
     """
     last = None
     for sample in samples:
@@ -101,14 +102,14 @@ def even(samples: Iterable[Sequence[float]], step: float, origin: str) -> Iterat
 
 
 def check_answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
-    """Refuse samples of which Python says what no program of this kind does.
+    """Refuse samples for which an exported program would differ from Python.
 
     Raises
     ------
     InputError
-        There is one.
+        There is such a sample.
     """
-    known = sum(one.value for one in statuses)
+    known = sum(status.value for status in statuses)
     for row, word in enumerate(kept.words):
         if word & ~known:
             raise InputError(
@@ -119,7 +120,7 @@ def check_answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
 
 
 def duty_cycle(ranges: Sequence[tuple[float, float]], interval: float) -> Array:
-    """Return a day of samples (n, 1 + channels): a load on and off, within what was calibrated.
+    """Return a day of samples (n, 1 + channels): an intermittent load in the calibrated range.
 
     Parameters
     ----------

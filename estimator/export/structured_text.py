@@ -18,16 +18,16 @@ from thermojoint.artefacts.templates import templates_of
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-#: Of numbers in Structured Text.
+#: Types of numbers in Structured Text.
 _TYPES = {Precision.DOUBLE: "LREAL", Precision.SINGLE: "REAL"}
-#: Numbers in a line of a table.
+#: Numbers per line of a table.
 _IN_A_LINE = 6
 #: Indentation, variable and value of a loop from a number to the same.
 _ONE_PASS = re.compile(r"^( *)FOR (\w+) := (\d+) TO \3 DO\n", re.MULTILINE)
 
 
 def st_files(program: Program) -> dict[str, str]:
-    """Return NAME.st and NAME_selftest.st: name to text."""
+    """Return the text of NAME.st and NAME_selftest.st by file name."""
     endings = {".st": f"{program.interface.kind}.st.j2", "_selftest.st": "selftest.st.j2"}
     templates = _environment(program.precision)
     files = rendered(program, templates, endings, real=_TYPES[program.precision])
@@ -35,14 +35,14 @@ def st_files(program: Program) -> dict[str, str]:
 
 
 def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
-    """Write a program as Structured Text into a folder, which is all old or all new.
+    """Write a program as Structured Text into a folder, replacing it as a whole.
 
     Parameters
     ----------
     program : Program
         What `export_program` returns.
     folder : Path or str
-        To write; what is there must be a program of this kind, or nothing.
+        Destination; it must be empty, missing, or contain a program of this kind.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
     Raises
     ------
     InputError
-        A coefficient has no number of the precision, or the folder is somebody's own.
+        A coefficient is not representable at this precision, or the folder contains other files.
     """
     return write_folder(Path(folder), st_files(program))
 
@@ -72,9 +72,9 @@ def without_single_passes(text: str) -> str:
 
 
 def decimal(value: float, precision: Precision) -> str:
-    """Return a number with as many digits as bring it back to the last bit, e.g. ``1.5E-7``.
+    """Return a decimal literal that reads back exactly, e.g. ``1.5E-7``.
 
-    A real literal has a point, also before an exponent.
+    A real literal needs a decimal point, even before an exponent.
 
     Raises
     ------
@@ -89,25 +89,25 @@ def decimal(value: float, precision: Precision) -> str:
 
 
 def literal(value: float, precision: Precision) -> str:
-    """Return a number with its type, for an expression: nothing is converted unseen."""
+    """Return a typed literal for use in expressions, so that nothing is converted implicitly."""
     text = decimal(value, precision)
     typed = f"{_TYPES[precision]}#{text.removeprefix('-')}"
     return f"(-{typed})" if text.startswith("-") else typed
 
 
 def initial(values: ArrayLike, precision: Precision) -> str:
-    """Return an array of any shape, real or complex, as initial values: flat, last index fastest.
+    """Return initial values of an array of any shape, real or complex: flat, last index fastest.
 
-    Arrays of several dimensions are initialised differently from one system to the next.
+    PLC systems differ in how they initialise multi-dimensional arrays.
     """
     array = np.asarray(values)
     if np.iscomplexobj(array):
         array = np.stack((array.real, array.imag), axis=-1)
-    return _listed([decimal(one, precision) for one in array.ravel().tolist()])
+    return _listed([decimal(number, precision) for number in array.ravel().tolist()])
 
 
 def words(values: Sequence[int]) -> str:
-    """Return status words as initial values."""
+    """Return initial values of status words."""
     return _listed([f"WORD#16#{value:04X}" for value in values])
 
 
@@ -117,14 +117,14 @@ def _listed(flat: Sequence[str]) -> str:
 
 
 def numbers_in(values: ArrayLike) -> int:
-    """Return how many real numbers an array has."""
+    """Return the number of real numbers in an array."""
     array = np.asarray(values)
     return int(array.size * (2 if np.iscomplexobj(array) else 1))
 
 
 def _environment(precision: Precision) -> Environment:
     """The templates, with ``| r`` for a number, ``| initial`` and ``| wide`` for an array."""
-    found = templates_of("estimator.export")
+    templates = templates_of("estimator.export")
 
     def r(value: float) -> str:
         return literal(value, precision)
@@ -132,10 +132,10 @@ def _environment(precision: Precision) -> Environment:
     def as_initial(values: Any) -> str:  # noqa: ANN401
         return initial(values, precision)
 
-    found.filters["r"] = r
-    found.filters["initial"] = as_initial
-    found.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
-    found.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
-    found.filters["words"] = words
-    found.filters["size"] = numbers_in
-    return found
+    templates.filters["r"] = r
+    templates.filters["initial"] = as_initial
+    templates.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
+    templates.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
+    templates.filters["words"] = words
+    templates.filters["size"] = numbers_in
+    return templates

@@ -1,4 +1,4 @@
-"""The templates of programs."""
+"""Rendering of the program templates."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 def rendered(
     program: Program, templates: Environment, endings: Mapping[str, str], **words: str
 ) -> dict[str, str]:
-    """Return the files of a program, name to text.
+    """Return the text of a program's files by name.
 
     Parameters
     ----------
     program : Program
-        What is in them.
+        The program to render.
     templates : Environment
         From `thermojoint.artefacts.templates.templates_of`, with the filters of a language.
     endings : mapping
-        What follows the program's name in the name of a file, to its template.
+        File name endings to template names.
     **words : str
-        Of the language.
+        Language-specific values.
     """
     return {
         f"{program.name}{ending}": templates.get_template(template).render(

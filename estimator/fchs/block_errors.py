@@ -1,6 +1,6 @@
 """Contributions of the blocks of Figure 5 to the error, using true signals.
 
-The difference between two rows is the error of what was replaced.
+The difference between two rows is the error of the replaced block.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def assembled_for(model: Model, times: Array) -> Assembly:
     """Return the estimator for samples at `times` (s), by their shortest interval.
 
-    The run is taken to be as long as those of the calibration at least: by them the inverse of the
+    The run length is at least that of the longest calibration run, for which the inverse of the
     sources is known to be stable.
     """
     length = max(float(times[-1] - times[0]), model.span.duration_s)
@@ -49,7 +49,9 @@ def block_errors(
     2 and 3), "true deviations" (∂T from the superposed reference for blocks 4 to 7), "both".
     Errors are against the superposed reference (linear), the displacement less it (nonlinear) and
     the displacement (total). With "both", what is left of the linear error is Eq. 8's, and of the
-    nonlinear error that of the source model and Eq. 18.
+    Errors are relative to the superposed reference (linear), the displacement minus that
+    (nonlinear) and the displacement (total). With "both", the remaining linear error is that of Eq.
+    8, and the remaining nonlinear error that of the source model and Eq. 18.
 
     Parameters
     ----------

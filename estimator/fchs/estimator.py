@@ -1,4 +1,4 @@
-"""The paper's estimator behind the common interface."""
+"""The paper's estimator with the common interface."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Fchs(Described):
     def _facts(self) -> dict[str, str]:
         return {
             "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
         }
 
     @property
     def model(self) -> Model:
-        """What was assembled."""
+        """The assembled model."""
         return self.assembly.model
 
     @property
@@ -95,7 +95,7 @@ class Fchs(Described):
             signals.nonlinear,
         )
         details = np.hstack(parts)
-        named = {one.name: value for one, value in zip(self.channels, values, strict=True)}
+        named = {channel.name: value for channel, value in zip(self.channels, values, strict=True)}
         span = self.assembly.model.span
         status = status_of(span, time - begun, named, float(signals.heat))
         return np.concatenate((inner[:1], [begun], inner[1:])), Estimate(

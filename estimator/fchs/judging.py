@@ -1,8 +1,8 @@
 """Validation of estimators against the displacement of a response.
 
-All that are given are judged by the same samples of the same sensors: FCHS and its linear part
-alone, no compensation, regressions, observers. `estimator.fchs.block_errors` then says which block
-of FCHS an error comes from.
+All estimators are judged by the same samples of the same sensors: FCHS and its linear part alone,
+no compensation, regressions, observers. `estimator.fchs.block_errors` then attributes the error of
+FCHS to its blocks.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from thermojoint.models.sensors import readings, rises, roles_in
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Their order everywhere.
+#: Their order in all tables.
 ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", "joint-aware")
 
 
@@ -90,7 +90,7 @@ class Validated:
     errors: dict[str, dict[str, Array]]
 
     def figures(self) -> dict[str, list[Row]]:
-        """All errors, ready for a JSON file."""
+        """All errors, as content of a JSON file."""
         return {
             "rows": self.rows,
             "vectors": self.vectors,
@@ -100,16 +100,16 @@ class Validated:
 
 
 def joined(parts: Sequence[Validated]) -> Validated:
-    """Return several validations as one; no two have a case in common."""
-    found = Validated([], [], [], [], {}, {})
+    """Return several validations as one; their cases are distinct."""
+    whole = Validated([], [], [], [], {}, {})
     for part in parts:
-        found.rows.extend(part.rows)
-        found.vectors.extend(part.vectors)
-        found.as_printed.extend(part.as_printed)
-        found.blocks.extend(part.blocks)
-        found.estimates.update(part.estimates)
-        found.errors.update(part.errors)
-    return found
+        whole.rows.extend(part.rows)
+        whole.vectors.extend(part.vectors)
+        whole.as_printed.extend(part.as_printed)
+        whole.blocks.extend(part.blocks)
+        whole.estimates.update(part.estimates)
+        whole.errors.update(part.errors)
+    return whole
 
 
 def validate(
@@ -138,10 +138,10 @@ def validate(
     baselines : Baselines, optional
         Regressions to judge beside the model.
     observers : sequence of (OpenedEstimator, ndarray)
-        Observers to judge beside the model, and the state that each starts from. They read the
+        Observers to judge beside the model, each with its initial state. They read the
         probes that are named as their sensors.
     settled_s : float
-        Samples count from this long after the first one on, s.
+        Samples count from this time after the first one, s.
     """
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = assembled_for(model, seen.times)
@@ -194,12 +194,12 @@ def _regressed(
     for axis in axes:
         if axis not in baselines.axes:
             raise unknown_name("axis", axis, baselines.axes, "baselines")
-    found: dict[str, Array] = {}
-    for one in regressions(baselines, interval):
-        order = [one.axes.index(axis) for axis in axes]
-        run_of = follow(one, told, one.initial_state())
-        found[one.kind] = np.array([each.displacement[order] for _, each in run_of])
-    return found
+    displacements: dict[str, Array] = {}
+    for regression in regressions(baselines, interval):
+        order = [regression.axes.index(axis) for axis in axes]
+        run_of = follow(regression, told, regression.initial_state())
+        displacements[regression.kind] = np.array([each.displacement[order] for _, each in run_of])
+    return displacements
 
 
 def _observed(
@@ -220,8 +220,8 @@ def _observed(
     samples = kind.response(observer.model, seen)
     run_of = [estimate for _, estimate in follow(observer, samples, state)]
     return (
-        np.array([one.displacement for one in run_of])[:, order],
-        np.array([one.band for one in run_of])[:, order],
+        np.array([estimate.displacement for estimate in run_of])[:, order],
+        np.array([estimate.band for estimate in run_of])[:, order],
     )
 
 
@@ -251,7 +251,7 @@ def validate_model(
         What is judged beside the model, and from when on; as in `validate`.
     """
     printed = as_printed(model)
-    found = Validated([], [], [], [], {}, {})
+    validated = Validated([], [], [], [], {}, {})
     for name, response in responses.items():
         roles = roles_in(response, model)
         again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
@@ -267,10 +267,10 @@ def validate_model(
                 observers=observers,
                 settled_s=settled_s,
             )
-            found.rows.extend(judged.rows)
-            found.vectors.extend(judged.vectors)
-            found.estimates[case] = judged.estimate
-            found.errors[case] = judged.errors
+            validated.rows.extend(judged.rows)
+            validated.vectors.extend(judged.vectors)
+            validated.estimates[case] = judged.estimate
+            validated.errors[case] = judged.errors
             paper = validate(
                 case,
                 response,
@@ -280,14 +280,16 @@ def validate_model(
                 noise=noise,
                 settled_s=settled_s,
             )
-            found.as_printed.extend(row for row in paper.rows if row["estimator"] == "fchs")
+            validated.as_printed.extend(row for row in paper.rows if row["estimator"] == "fchs")
             if reference is not None:
-                found.blocks.extend(
+                validated.blocks.extend(
                     block_errors(case, response, model, reference, roles=roles, noise=noise)
                 )
-    return found
+    return validated
 
 
 def as_printed(model: Model) -> Model:
-    """Return the paper's own scheme: Eq. 18 calibrated to steps, strengths that do not fade."""
-    return replace(model, sources=tuple(replace(one, driven={}) for one in model.sources), leak=0.0)
+    """Return the paper's scheme: Eq. 18 calibrated to steps, strengths that do not decay."""
+    return replace(
+        model, sources=tuple(replace(source, driven={}) for source in model.sources), leak=0.0
+    )

@@ -1,4 +1,4 @@
-"""The paper's estimator as a kind: from a model file, or from one that was assembled."""
+"""The paper's estimator as a kind: from a model file, or from an assembled estimator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from estimator.export.program import Contents, Precision
 
-#: A model is assembled when it is started; what was assembled is taken as it is.
+#: A model is assembled when it is started; an assembled estimator is used as it is.
 Given = Model | Assembly
 
 
@@ -45,7 +45,7 @@ def _start(given: Given, options: Options) -> Fchs:
 
 
 def _resumed(given: Given, options: Options, carried: Any, where: str) -> Fchs:  # noqa: ANN401
-    """Go on with the very coefficients that the run began with."""
+    """Resume with the same coefficients that the run started with."""
     assembly = from_content(carried, f"{where}: estimator")
     if assembly.model.digest != _model(given).digest:
         raise InputError(

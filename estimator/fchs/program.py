@@ -18,7 +18,7 @@ _STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
 
 
 class NamedBank(NamedTuple):
-    """A bank as it stands in the program."""
+    """A bank as it is named in the program."""
 
     name: str
     modes: modes.Modes
@@ -26,7 +26,7 @@ class NamedBank(NamedTuple):
 
 
 def contents(estimator: Fchs) -> Contents:
-    """Return what an assembled estimator gives to a program."""
+    """Return the program contents of an assembled estimator."""
     assembly = estimator.assembly
     channels = [channel.name for channel in estimator.channels]
     span, dt = assembly.model.span, assembly.dt_s
@@ -38,7 +38,7 @@ def contents(estimator: Fchs) -> Contents:
         _interface(estimator),
         values={
             "banks": banks,
-            "limits": [with_slack(one) for one in ranges],
+            "limits": [with_slack(limits) for limits in ranges],
             "longest": (1.0 + SLACK) * span.duration_s,
             "no_temperature": LARGEST,
         },
@@ -64,7 +64,7 @@ def _interface(estimator: Fchs) -> Interface:
         fingerprint=fingerprint(assembly),
         interval=assembly.dt_s,
         timed=True,
-        inputs=tuple(Variable(one, "K", "") for one in channels),
+        inputs=tuple(Variable(channel, "K", "") for channel in channels),
         outputs=(
             *listed("displacement", "m", axes),
             Variable("heat", "1", "heat"),
@@ -90,15 +90,15 @@ def _banks(estimator: Fchs) -> tuple[NamedBank, ...]:
 
 
 def _operations(banks: Sequence[NamedBank]) -> Operations:
-    found = Operations(additions=9)
+    operations = Operations(additions=9)
     for bank in banks:
         count = modes.operations_on_lines if bank.on_lines else modes.operations_on_constants
-        found += count(bank.modes)
-    return found
+        operations += count(bank.modes)
+    return operations
 
 
 def _another_interval(banks: Sequence[NamedBank]) -> Operations:
-    found = Operations()
+    operations = Operations()
     for bank in banks:
-        found += modes.operations_of_interval(bank.modes, bank.on_lines)
-    return found
+        operations += modes.operations_of_interval(bank.modes, bank.on_lines)
+    return operations

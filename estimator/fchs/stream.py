@@ -8,15 +8,15 @@ One sample passes seven blocks:
 4, 5. ∂T = T - T_lin -> q̂, the strengths of the fictitious sources, by one matrix inverse (Eq. 16);
 6, 7. q̂ -> δ_NL (Eq. 18), for each axis; δ = δ_L + δ_NL.
 
-What a heat estimate means between samples: the temperatures are joined by straight lines, and Q̂
-(likewise q̂) at a sample is the **mean heat over the interval that has just ended**. It drives the
-blocks behind it as a constant over that interval. So the heat that has gone in by any sample is
-exactly that of the straight lines, whatever the intervals, and a step that starts at a sample is
-not smeared forward in time. Before the first sample the structure is at rest for one nominal
-interval, in which the temperatures rise to their first values.
+Between samples the temperatures are interpolated linearly, and Q̂ (likewise q̂) at a sample is the
+**mean heat over the interval that has just ended**. It drives the blocks behind it as a constant
+over that interval. So the heat delivered by any sample is exactly that of the interpolated
+temperatures, whatever the intervals, and a step that starts at a sample is not smeared forward in
+time. Before the first sample the structure is at rest for one nominal interval, in which the
+temperatures rise to their first values.
 
 All blocks together are linear, so a sample at a given interval is one product of a precomputed
-matrix with (state, measured values). The state is a plain array; nothing else is remembered.
+matrix with (state, measured values). The state is a plain array; there is no other memory.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from thermojoint.models.filters.bank import over_interval
 
 
 class Signals(NamedTuple):
-    """What the blocks give at one sample, or at many (arrays with a leading time axis).
+    """Outputs of the blocks at one sample, or at many (arrays with a leading time axis).
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Signals(NamedTuple):
 def initial_state(assembly: Assembly) -> np.ndarray:
     """Return the state of a structure at rest at ambient temperature, before any sample.
 
-    Its first entry, the time of the last sample, is NaN: there is none yet.
+    Its first entry, the time of the last sample, is NaN: there has been none yet.
     """
     state = np.zeros(assembly.n_state)
     state[0] = np.nan
@@ -136,7 +136,7 @@ def stream(
     Raises
     ------
     InputError
-        As `step`, with the number of the sample (from 0); or the state is another assembly's.
+        As `step`, with the number of the sample (from 0); or the state belongs to another assembly.
     """
     if np.shape(state) != (assembly.n_state,):
         raise InputError(
@@ -158,7 +158,7 @@ def run(
     temperatures: np.ndarray,
     state: np.ndarray | None = None,
 ) -> tuple[Signals, np.ndarray]:
-    """Take a block of samples: the same numbers as one `step` after another, bit for bit.
+    """Process a block of samples: bit for bit the same as successive calls of `step`.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def run(
     temperatures : ndarray, shape (k, n)
         K.
     state : ndarray, optional
-        Where the last block ended; by default at rest.
+        State after the previous block; by default at rest.
 
     Returns
     -------

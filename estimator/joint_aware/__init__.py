@@ -1,1 +1,1 @@
-"""The joint-aware estimator: the machine's own reduced physics, corrected by its temperatures."""
+"""The joint-aware estimator: the machine's reduced physics, corrected by measured temperatures."""

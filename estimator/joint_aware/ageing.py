@@ -1,15 +1,15 @@
 """Online learning of preload, friction and convection of an ageing machine.
 
-Recursive prediction error (Ljung, System Identification, 1999, section 11.4). Beside the observer
-runs one copy for each parameter with that parameter a little off, on the same readings. The
-innovations of the copies give the sensitivities to the parameters, including filter and slips,
-without explicit equations. Innovations are averaged over `Learning.window`, because model errors
-are correlated from sample to sample. A Kalman filter estimates from them the logarithms of the
-parameters and a slowly varying bias of every sensor's innovations, so that a model error that lasts
-for hours is not mistaken for ageing.
+Recursive prediction error method (Ljung, System Identification, 1999, section 11.4). In parallel
+with the observer, one copy for each parameter runs with that parameter slightly changed, on the
+same readings. The innovations of the copies give the sensitivities to the parameters, including
+filter and slips, without explicit equations. Innovations are averaged over `Learning.window`,
+because model errors are correlated from sample to sample. From them a Kalman filter estimates the
+logarithms of the parameters and a slowly varying bias of every sensor's innovations, so that a
+model error that lasts for hours is not mistaken for ageing.
 
-Modes and gain remain those of the calibration: preload and friction enter only the joint's law, and
-the change of convection is applied between two samples.
+Modes and gain remain as calibrated: preload and friction enter only the joint's law, and the change
+of convection is applied between two samples.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ TEACHES = (
 class _State:
     """Parts of the flat state, in this order.
 
-    time () of the last sample and begun () of the window, s; what is learnt, logarithms (q,) and
-    biases (p + 1,), and its covariance; of the window: readings that counted (p + 1,), sums of
-    their innovations (p + 1,) and of the sensitivities of these (p + 1, q), in K; the observer and
-    its copies (q + 1, n).
+    time () of the last sample and begun () of the window, s; learnt: logarithms (q,) and biases (p
+    + 1,), and their covariance; for the window: number of used readings (p + 1,), sums of their
+    innovations (p + 1,) and of the sensitivities of these (p + 1, q), in K; the observer and its
+    copies (q + 1, n).
     """
 
     time: Array
@@ -76,9 +76,9 @@ class AgeingJointAware:
     Attributes
     ----------
     observer : JointAware
-        As calibrated.
+        With the calibrated parameters.
     ageing : tuple of str
-        Names out of `SLOW`.
+        Names from `SLOW`.
     learning : Learning
         Settings of the learning.
 
@@ -95,12 +95,12 @@ class AgeingJointAware:
     schema: str = SCHEMA
 
     def __post_init__(self) -> None:
-        """Check what is to age; raises as `check_ageing`."""
+        """Check the ageing parameters; raises as `check_ageing`."""
         check_ageing(self.observer.model, self.ageing)
 
     @property
     def model(self) -> ObserverModel:
-        """That of the observer."""
+        """Model of the observer."""
         return self.observer.model
 
     @property
@@ -110,12 +110,12 @@ class AgeingJointAware:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """Those of the observer."""
+        """Channels of the observer."""
         return self.observer.channels
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """Those of the observer; factor on each calibrated parameter, and its uncertainty.
+        """Details of the observer; factor on each calibrated parameter, and its uncertainty.
 
         The uncertainty is the standard deviation of the factor's logarithm.
         """
@@ -159,7 +159,7 @@ class AgeingJointAware:
             nothing,
             time=np.array(np.nan),
             begun=np.array(np.nan),
-            covariance=np.diag([one.spread**2 for one in self._slow]),
+            covariance=np.diag([slow.spread**2 for slow in self._slow]),
             runs=np.tile(start, (len(self.ageing) + 1, 1)),
         ).flat()
 
@@ -180,7 +180,8 @@ class AgeingJointAware:
         logarithms = before.learnt[:count]
         machines = _aged(self.observer, self.ageing, tuple(logarithms.tolist()), self.learning.step)
         taken = [
-            one.sample(run, time, values) for one, run in zip(machines, before.runs, strict=True)
+            machine.sample(run, time, values)
+            for machine, run in zip(machines, before.runs, strict=True)
         ]
         estimate = taken[0][1]
         moved = np.array([other.displacement - estimate.displacement for _, other in taken[1:]]).T
@@ -199,7 +200,7 @@ class AgeingJointAware:
         )
         if not estimate.status & ~TEACHES:
             after = self._counting(after, values, length)
-        at = self._touched(values)
+        at = self._probed(values)
         if at.any():
             innovation, sensitivity, variance = self._without(before, machines, time, values, at)
             unbiased = np.zeros((len(innovation), before.learnt.size - count))
@@ -219,13 +220,13 @@ class AgeingJointAware:
         """Update the parameters from a window and begin the next one."""
         some = state.counted > 0.0
         count = state.counted[some]
-        found, covariance = wandered(
+        learned, covariance = wandered(
             self._slow, state.learnt, state.covariance, float(state.time - state.begun)
         )
         biases = np.eye(some.size)[some]
         taught = self._taught(
-            replace(state, learnt=found, covariance=covariance),
-            state.innovation[some] / count - biases @ found[len(self.ageing) :],
+            replace(state, learnt=learned, covariance=covariance),
+            state.innovation[some] / count - biases @ learned[len(self.ageing) :],
             np.hstack([-state.sensitivity[some] / count[:, None], biases]),
             np.full(count.size, self.learning.lasting_K**2),
         )
@@ -239,13 +240,13 @@ class AgeingJointAware:
 
     def _taught(self, state: _State, innovation: Array, rows: Array, variance: Array) -> _State:
         """Update by innovations; as `learnt`."""
-        found, covariance = learnt(
+        learned, covariance = learnt(
             state.learnt, state.covariance, innovation, rows, variance, self.learning.farthest
         )
-        return replace(state, learnt=found, covariance=covariance)
+        return replace(state, learnt=learned, covariance=covariance)
 
-    def _touched(self, values: Sequence[float]) -> Flags:
-        """Mask of the available readings of the displacement."""
+    def _probed(self, values: Sequence[float]) -> Flags:
+        """Mask of the available displacement readings."""
         metres = np.array([channel.unit == "m" for channel in self.channels])
         return metres & np.isfinite(np.asarray(values, dtype=float))
 
@@ -260,21 +261,22 @@ class AgeingJointAware:
         """Innovations of the displacement, their sensitivities (k, q) and variances, m."""
         read = np.asarray(values, dtype=float)
         unread = np.where(at, np.nan, read).tolist()
-        found = [
-            one.sample(run, time, unread)[1] for one, run in zip(machines, before.runs, strict=True)
+        samples = [
+            machine.sample(run, time, unread)[1]
+            for machine, run in zip(machines, before.runs, strict=True)
         ]
         axes = at[-len(self.axes) :]
-        nominal = found[0]
+        nominal = samples[0]
         innovation = read[at] - nominal.displacement[axes]
         sensitivity = (
-            np.array([(nominal.displacement - other.displacement)[axes] for other in found[1:]]).T
+            np.array([(nominal.displacement - other.displacement)[axes] for other in samples[1:]]).T
             / self.learning.step
         )
         variance = (nominal.band[axes] / WIDTH) ** 2 + self.learning.lasting_m**2
         return innovation, sensitivity, variance
 
     def _films(self, logarithms: Array) -> list[float]:
-        """Logarithm of the film's factor in the observer and in each copy."""
+        """Logarithm of the convection factor in the observer and in each copy."""
         if "film" not in self.ageing:
             return [0.0] * (len(self.ageing) + 1)
         at = self.ageing.index("film")
@@ -282,7 +284,7 @@ class AgeingJointAware:
         return [now, *(now + self.learning.step * (k == at) for k in range(len(self.ageing)))]
 
     def _with_film(self, run: Array, exponent: float, length: float) -> Array:
-        """A run after the convection that the film has beyond the calibrated one, for a while."""
+        """A run after an interval with the change of convection since the calibration."""
         if not exponent or not length:
             return run
         after = run.copy()
@@ -296,7 +298,7 @@ class AgeingJointAware:
         return convection_of(self.observer.model.modes)
 
     def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:
-        """The window with one more sample."""
+        """The window after one more sample."""
         innovations = np.array([self._innovation(run, values, length) for run in after.runs])
         present = np.isfinite(innovations[0])
         slope = (innovations[1:] - innovations[0]).T / self.learning.step
@@ -308,9 +310,9 @@ class AgeingJointAware:
         )
 
     def _innovation(self, run: Array, values: Sequence[float], length: float) -> Array:
-        """Innovation (p + 1,) of a sample, from what its correction has left; NaN where missing.
+        """Innovation (p + 1,) of a sample, recovered from its residual; NaN where missing.
 
-        With all of S = H P H' + R, the correction leaves R S^-1 of the innovation.
+        With all S = H P H' + R, the correction leaves R S^-1 times the innovation.
         """
         observer = self.observer
         rows, steady = observer.observer.system.rows, observer.model.filter
@@ -320,10 +322,10 @@ class AgeingJointAware:
         noise = steady.noise[here]
         if 0.0 < length < observer.model.step:
             noise = noise * observer.model.step / length
-        found = np.full(len(rows), np.nan)
+        innovation = np.full(len(rows), np.nan)
         share = left[here] / noise
-        found[here] = steady.innovation[np.ix_(here, here)] @ share + left[here]
-        return found
+        innovation[here] = steady.innovation[np.ix_(here, here)] @ share + left[here]
+        return innovation
 
 
 @lru_cache(maxsize=32)
@@ -332,10 +334,12 @@ def _aged(
 ) -> list[JointAware]:
     """The observer and its copies at these parameters; cached, as they are constant in a window."""
     every = [logarithms] + [
-        tuple(value + step * (k == one) for k, value in enumerate(logarithms))
-        for one in range(len(names))
+        tuple(value + step * (k == changed) for k, value in enumerate(logarithms))
+        for changed in range(len(names))
     ]
-    return [replace(observer, model=_with_joints(observer.model, names, one)) for one in every]
+    return [
+        replace(observer, model=_with_joints(observer.model, names, factors)) for factors in every
+    ]
 
 
 def _with_joints(
@@ -346,5 +350,5 @@ def _with_joints(
         for name, value in zip(names, logarithms, strict=True)
         if name != "film"
     }
-    joints: tuple[Joint, ...] = tuple(joint_with_factors(one, factors) for one in model.joints)
+    joints: tuple[Joint, ...] = tuple(joint_with_factors(joint, factors) for joint in model.joints)
     return replace(model, joints=joints)

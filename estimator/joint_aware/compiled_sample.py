@@ -1,8 +1,8 @@
 """JIT-compiled processing of an ordinary sample: all readings present and trusted, one step.
 
-The same arithmetic as `observer.Observer`, whose steps take what is unusual: a start or a silence
-that still counts, a reading that is missing, doubted or far from what is expected, a jump that is
-not yet judged. What is usual is decided here, before anything is changed.
+The same arithmetic as `observer.Observer`, which handles all exceptions: an unknown start or a long
+gap that still has an effect, a missing or distrusted reading, one far from its prediction, a
+pending jump. Whether a sample is ordinary is decided here, before anything is changed.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ class Filter(NamedTuple):
         Rows of the readings.
     gain : ndarray, shape (n, p + 1)
         Of all readings with the steady covariance.
-    remainder : ndarray, shape (axes, s q)
+    discrepancy : ndarray, shape (axes, s q)
         Displacement per relaxation, m.
     channels : Channels
         Properties of the readings.
     rules : Thresholds
         Thresholds for rejecting a reading.
     forgetting : float
-        Decay rate of the corrections by readings of the displacement, 1/s.
+        Decay rate of the corrections by displacement readings, 1/s.
     """
 
     relaxing: Array
     power: Array
     rows: Array
     gain: Array
-    remainder: Array
+    discrepancy: Array
     channels: Channels
     rules: Thresholds
     forgetting: float
@@ -88,7 +88,7 @@ def usual_sample(
     readings : ndarray, shape (p + 1,)
         K.
     displacement : ndarray, shape (axes,)
-        m, without what readings of it have told.
+        m, without the correction by displacement readings.
 
     Returns
     -------
@@ -97,10 +97,10 @@ def usual_sample(
     """
     own, heat, joint = place.own, place.heat, place.joint
     channels, size = own.rows.shape
-    judging = state.suspicion.channel[()]
+    judging = state.pending.channel[()]
     if state.memory[()] == UNKNOWN or judging == judging:
         return False
-    for more in state.excess.flat:
+    for more in state.covariance_factor.flat:
         if more != 0.0:
             return False
     for k in range(channels):
@@ -131,7 +131,7 @@ def usual_sample(
     now = JointState(state.gap, state.slip, state.pressure, state.change)
     if settle_step(joint, linear[:modes], now, displacement) != 0:
         return False
-    displacement += np.dot(own.remainder, relaxed)
+    displacement += np.dot(own.discrepancy, relaxed)
     kept = math.exp(-own.forgetting * length)
     told = state.model_error
     for axis in range(displacement.size):

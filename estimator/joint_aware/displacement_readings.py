@@ -1,10 +1,10 @@
-"""Readings of the displacement itself, e.g. by a touch probe, as measurements.
+"""Displacement readings, e.g. by a touch probe, as measurements.
 
-What the temperatures leave open in the displacement has two parts: what the state is not known to
-(the columns L, which a reading corrects like any other measurement), and what the model is wrong
-by. The latter is taken as b = beta sigma, sigma being the model's own standard deviation at the
-present heat (`Band`) and beta of unit variance, forgotten over `Touch.memory`: what was found at
-one heat is taken to grow and to fade with sigma.
+The uncertainty of the displacement given the temperatures has two parts: that of the state (the
+columns L, corrected by a reading like by any other measurement), and the model error. The latter is
+modelled as b = beta sigma, where sigma is the model's standard deviation at the present heat
+(`Band`) and beta has unit variance and decays over `DisplacementProbe.memory`: an error found at
+one heat is assumed to grow and shrink with sigma.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)
-class Touch:
-    """Properties of readings of the displacement (docs/faulty-sensors.md).
+class DisplacementProbe:
+    """Properties of displacement readings (docs/faulty-sensors.md).
 
     Attributes
     ----------
@@ -60,71 +60,71 @@ def unknown(axes: int) -> ModelError:
 
 
 def later(known: ModelError, elapsed: float, memory: float) -> ModelError:
-    """Return the estimate after some time, s, with the correlation time `memory`, s."""
+    """Return the estimate after some time, s, for the correlation time `memory`, s."""
     kept = math.exp(-elapsed / memory)
     return ModelError(kept * known.mean, 1.0 - kept**2 * (1.0 - known.variance))
 
 
 class Correction(NamedTuple):
-    """Correction by a reading of the displacement.
+    """Correction by a displacement reading.
 
     Attributes
     ----------
     state : ndarray, shape (n,)
-        To be added to the linear state.
-    excess : ndarray, shape (n, k)
+        Increment of the linear state.
+    covariance_factor : ndarray, shape (n, k)
         L after it.
     known : ModelError
         After it.
     refused : bool
-        It contradicts everything: nothing is changed.
+        The reading is inconsistent: nothing is changed.
     """
 
     state: Array
-    excess: Array
+    covariance_factor: Array
     known: ModelError
     refused: bool
 
 
 def correct_by(
     innovation: Array,
-    touch: Touch,
+    probe: DisplacementProbe,
     band: Band,
     sigma: Array,
-    excess: Array,
+    factor: Array,
     known: ModelError,
 ) -> Correction:
-    """Return the correction by a reading of the displacement.
+    """Return the correction by a displacement reading.
 
     With Y = T L and S = Y Y' + diag(steady + sigma^2 var(beta) + noise^2), the gains are L Y' S^-1
-    and diag(sigma var(beta)) S^-1. What L and beta then have in common is left out.
+    and diag(sigma var(beta)) S^-1. Correlations between L and beta are neglected.
 
     Parameters
     ----------
     innovation : ndarray, shape (axes,)
-        Reading less estimate, m; NaN along an axis that was not read.
-    touch : Touch
-        How it is taken.
+        Reading minus estimate, m; NaN for an axis that was not read.
+    probe : DisplacementProbe
+        Properties of the readings.
     band : Band
-        Of the model: T, displacement per state, and the variance that the steady covariance has.
+        Band of the model: T, displacement per state, and the variance by the steady covariance.
     sigma : ndarray, shape (axes,)
         The model's standard deviation, m.
-    excess : ndarray, shape (n, k)
+    factor : ndarray, shape (n, k)
         L.
     known : ModelError
         Before it.
     """
     at = np.flatnonzero(np.isfinite(innovation))
-    own = (band.steady + sigma**2 * known.variance + touch.noise**2)[at]
-    seen = band.tangent[at] @ excess
+    own = (band.steady + sigma**2 * known.variance + probe.noise**2)[at]
+    seen = band.tangent[at] @ factor
     covariance = seen @ seen.T + np.diag(own)
     told = np.linalg.solve(covariance, innovation[at])
-    if innovation[at] @ told > touch.gate**2 * at.size:
-        return Correction(np.zeros(len(excess)), excess, known, True)
+    if innovation[at] @ told > probe.gate**2 * at.size:
+        return Correction(np.zeros(len(factor)), factor, known, True)
     gain = (sigma * known.variance)[at]
     mean, variance = known.mean.copy(), known.variance.copy()
     mean[at] += gain * told
     variance[at] -= gain**2 * np.diag(np.linalg.inv(covariance))
-    root = np.linalg.cholesky(np.eye(excess.shape[1]) + seen.T @ (seen / own[:, None]))
-    after = excess @ np.linalg.inv(root).T
-    return Correction(excess @ (seen.T @ told), after, ModelError(mean, variance), False)
+    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen.T @ (seen / own[:, None]))
+    after = factor @ np.linalg.inv(root).T
+    return Correction(factor @ (seen.T @ told), after, ModelError(mean, variance), False)

@@ -13,7 +13,7 @@ import numpy as np
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
-from estimator.joint_aware.displacement_readings import ModelError, Touch
+from estimator.joint_aware.displacement_readings import DisplacementProbe, ModelError
 from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
@@ -32,7 +32,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.physics import heat_step
 
-#: Half a band of 95 % in standard deviations.
+#: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
 
 Names = tuple[str, ...]
@@ -46,21 +46,21 @@ class Taken(NamedTuple):
     after : ObserverState
         State after the sample.
     displacement : ndarray, shape (axes,)
-        m, without what readings of it have told.
+        m, without the correction by displacement readings.
     memory : float
         Knowledge of the joint's slips before it.
-    excess : ndarray, shape (n, k)
+    covariance_factor : ndarray, shape (n, k)
         Covariance factor in addition to the steady covariance, after the readings.
     believed : ndarray of bool, shape (p + 1,)
         Readings that were used.
     refused : bool
-        A reading of the displacement was not.
+        Whether a displacement reading was refused.
     """
 
     after: ObserverState
     displacement: Array
     memory: float
-    excess: Array
+    covariance_factor: Array
     believed: sensor_faults.Flags
     refused: bool
 
@@ -69,28 +69,28 @@ class Taken(NamedTuple):
 class JointAware(Described):
     """Observer of the machine's reduced physics and joint, corrected by the available readings.
 
-    A channel that is NaN is left out of its sample. `warm_state` is for a machine with an unknown
-    past, `initial_state` for one at rest at ambient temperature.
+    A channel that is NaN is ignored. `warm_state` is for a machine with an unknown past,
+    `initial_state` for one at rest at ambient temperature.
 
     Attributes
     ----------
     model : ObserverModel
         Model of the machine and the filter.
-    touch_noise : float
-        Standard deviation of a reading of the displacement, m.
+    reading_noise : float
+        Standard deviation of a displacement reading, m.
     thresholds : Thresholds
-        What is taken for possible, known, settled or beyond.
+        Thresholds of faults, jumps and the calibrated range.
     """
 
     model: ObserverModel
-    touch_noise: float = READING_NOISE
+    reading_noise: float = READING_NOISE
     thresholds: Thresholds = USUAL
     schema: str = SCHEMA
 
     def _facts(self) -> dict[str, str]:
         return {
             "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
         }
 
     @property
@@ -107,7 +107,7 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Readings of the displacement stand last, m; a sample may end before them.
+        Displacement readings come last, m; a sample may end before them.
         """
         return (
             *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
@@ -143,7 +143,7 @@ class JointAware(Described):
 
     @cached_property
     def calibrated_readings(self) -> tuple[Array, Array]:
-        """Lowest and highest reading of every channel that is not beyond the calibration, K."""
+        """Calibrated range of every channel, K."""
         known = self.model.calibrated.temperatures
         low, high = np.array([known[name] for name in self.model.sensors]).T
         slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(self.model.filter.noise[:-1]))
@@ -161,7 +161,7 @@ class JointAware(Described):
         """Return the state of a machine with an unknown past, before any sample."""
         return self._state(self.model.warm, UNKNOWN)
 
-    def _state(self, excess: Array, memory: float) -> Array:
+    def _state(self, factor: Array, memory: float) -> Array:
         unseen, size = np.array(np.nan), self.observer.system.size
         return ObserverState(
             time=unseen,
@@ -169,10 +169,10 @@ class JointAware(Described):
             memory=np.array(memory),
             linear=np.zeros(size),
             **self.observer.physics.at_rest()._asdict(),
-            excess=excess,
+            covariance_factor=factor,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=displacement_readings.unknown(len(self.axes)),
-            suspicion=fault_isolation.none(size),
+            pending=fault_isolation.none(size),
         ).flat()
 
     @cached_property
@@ -182,21 +182,21 @@ class JointAware(Described):
 
     @cached_property
     def _place(self) -> compiled_sample.Place | None:
-        """Where a usual sample is taken in machine code; None where there is none."""
+        """Data for usual samples in compiled code; None where it does not apply."""
         model, observer = self.model, self.observer
         kernel = observer.physics.kernel
         if kernel is None:
             return None
-        relaxing = 1.0 / (1.0 + model.step * model.remainder.rates)
+        relaxing = 1.0 / (1.0 + model.step * model.discrepancy.rates)
         own = compiled_sample.Filter(
             relaxing=np.tile(relaxing, (model.power.size, 1)),
             power=model.power,
             rows=np.ascontiguousarray(observer.system.rows),
             gain=np.ascontiguousarray(observer.usual_gain),
-            remainder=np.ascontiguousarray(model.remainder.displacement),
+            discrepancy=np.ascontiguousarray(model.discrepancy.displacement),
             channels=self._readable,
             rules=self.thresholds.faults,
-            forgetting=1.0 / self.thresholds.touch.memory,
+            forgetting=1.0 / self.thresholds.probe.memory,
         )
         return compiled_sample.Place(own, heat_step(model.modes, model.step), kernel)
 
@@ -219,23 +219,23 @@ class JointAware(Described):
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
-        readings, touched = self.separated(values)
+        readings, probed = self.separated(values)
         flat = state.copy()
         after = unpacked(flat, self.parts)
         moment = self._moment(float(after.time), time)
-        taken = self._usual(after, moment, readings, touched)
+        taken = self._usual(after, moment, readings, probed)
         if taken is None:
-            taken = self._taken(unpacked(state, self.parts), moment, readings, touched)
+            taken = self._taken(unpacked(state, self.parts), moment, readings, probed)
             flat = taken.after.flat()
         return flat, self._told(taken, time, readings)
 
     def _usual(
-        self, state: ObserverState, moment: Moment, readings: Array, touched: Array
+        self, state: ObserverState, moment: Moment, readings: Array, probed: Array
     ) -> Taken | None:
-        """Take a sample in machine code, in place, if it is a usual one."""
+        """Process a usual sample in compiled code, in place; None if it is unusual."""
         if self._place is None or moment.steps != 1 or moment.length != self.model.step:
             return None
-        if not np.isnan(touched).all():
+        if not np.isnan(probed).all():
             return None
         displacement = np.empty(len(self.axes))
         if not compiled_sample.usual_sample(
@@ -243,41 +243,41 @@ class JointAware(Described):
         ):
             return None
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
-        return Taken(state, displacement, memory, state.excess, everything, False)
+        return Taken(state, displacement, memory, state.covariance_factor, everything, False)
 
     def _taken(
-        self, before: ObserverState, moment: Moment, readings: Array, touched: Array
+        self, before: ObserverState, moment: Moment, readings: Array, probed: Array
     ) -> Taken:
-        """Take a sample, whatever it is like."""
+        """Process any sample."""
         expected = self.observer.expected(before, moment.length, moment.steps)
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
-        linear, excess = self._corrected(used, moment, readings)
+        linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
-        found = self.observer.read(linear, expected.joint, expected.memory)
-        elapsed, memory = moment.length * moment.steps, self.thresholds.touch.memory
+        settled = self.observer.read(linear, expected.joint, expected.memory)
+        elapsed, memory = moment.length * moment.steps, self.thresholds.probe.memory
         known = displacement_readings.later(before.model_error, elapsed, memory)
         refused = False
-        if np.isfinite(touched).any():
-            correction = self._touched(touched, found, expected.memory, excess, known)
-            linear, excess = linear + correction.state, correction.excess
+        if np.isfinite(probed).any():
+            correction = self._corrected_by_probe(probed, settled, expected.memory, factor, known)
+            linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
-            found = self.observer.read(linear, expected.joint, expected.memory)
+            settled = self.observer.read(linear, expected.joint, expected.memory)
         after = ObserverState(
             time=np.array(moment.time),
             begun=before.begun if moment.steps else np.array(moment.time),
-            memory=np.array(self.observer.remembered(expected.memory, excess)),
+            memory=np.array(self.observer.remembered(expected.memory, factor)),
             linear=linear,
-            **found.joint._asdict(),
-            excess=self.observer.onward(excess),
+            **settled.joint._asdict(),
+            covariance_factor=self.observer.onward(factor),
             watch=used.watch,
             model_error=known,
-            suspicion=used.suspicion,
+            pending=used.pending,
         )
-        return Taken(after, found.displacement, expected.memory, excess, used.believed, refused)
+        return Taken(after, settled.displacement, expected.memory, factor, used.believed, refused)
 
     def _told(self, taken: Taken, time: float, readings: Array) -> Estimate:
-        """What is said of a sample."""
-        after, excess = taken.after, taken.excess
+        """The estimate after a sample."""
+        after, factor = taken.after, taken.covariance_factor
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
         sigma = self.observer.sigma(after.linear[count:dynamic], taken.memory)
         inputs = after.linear[dynamic:]
@@ -288,14 +288,14 @@ class JointAware(Described):
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
             (taken.refused, Status.READING_REFUSED),
-            (excess.any(), Status.UNSETTLED),
+            (factor.any(), Status.UNSETTLED),
         ):
             if holds:
                 status |= flag
         return Estimate(
             time=time,
             displacement=taken.displacement + after.model_error.mean * sigma,
-            band=self._half_band(sigma, after.model_error, excess) + self._undecided(after),
+            band=self._half_band(sigma, after.model_error, factor) + self._undecided(after),
             status=status,
             details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
             missing=missing,
@@ -303,9 +303,9 @@ class JointAware(Described):
         )
 
     def separated(self, values: Sequence[float]) -> tuple[Array, Array]:
-        """Return the readings of the temperatures, K, and of the displacement, m.
+        """Return the temperature readings, K, and the displacement readings, m.
 
-        Offsets are taken off the former; what is not there is NaN.
+        Offsets are subtracted from the former; missing readings are NaN.
 
         Parameters
         ----------
@@ -331,7 +331,7 @@ class JointAware(Described):
         return given[:thermal], given[thermal:]
 
     def _moment(self, last: float, time: float) -> Moment:
-        """When a sample comes after the last one (s)."""
+        """Time of a sample relative to the last one (s)."""
         if not math.isfinite(time):
             raise InputError(f"time {time:g} s is no time; drop the sample")
         if math.isnan(last):
@@ -340,7 +340,7 @@ class JointAware(Described):
             raise InputError(
                 f"time {time:g} s does not come after {last:g} s; drop or re-order the sample"
             )
-        # An interval of a step, but for its rounding, is one step.
+        # An interval of one step, up to rounding, is one step.
         steps = max(1, math.ceil((time - last) / self.model.step - 1e-6))
         steps = min(steps, self.thresholds.most_steps)
         length = (time - last) / steps
@@ -348,26 +348,26 @@ class JointAware(Described):
         return Moment(time, self.model.step if near else length, steps)
 
     def _corrected(self, used: Trusted, moment: Moment, readings: Array) -> tuple[Array, Array]:
-        """The linear state and the excess columns after the readings that are used."""
+        """The linear state and the covariance factor after the readings that are used."""
         at, expected = np.flatnonzero(used.believed), used.expected
         length = moment.length if moment.steps else self.model.step
-        gain, excess = self.observer.gain(at, expected.excess, length, expected.memory)
+        gain, factor = self.observer.gain(at, expected.covariance_factor, length, expected.memory)
         innovation = readings - self.observer.system.rows @ expected.linear
-        return expected.linear + gain @ innovation[at], excess
+        return expected.linear + gain @ innovation[at], factor
 
-    def _touched(
-        self, touched: Array, found: Settled, memory: float, excess: Array, known: ModelError
+    def _corrected_by_probe(
+        self, probed: Array, settled: Settled, memory: float, factor: Array, known: ModelError
     ) -> displacement_readings.Correction:
-        """Correction by a reading of the displacement."""
-        sigma = self.observer.sigma(found.relaxed, memory)
-        touch: Touch = replace(self.thresholds.touch, noise=self.touch_noise)
-        innovation = touched - found.displacement - known.mean * sigma
+        """Correction by a displacement reading."""
+        sigma = self.observer.sigma(settled.relaxed, memory)
+        probe: DisplacementProbe = replace(self.thresholds.probe, noise=self.reading_noise)
+        innovation = probed - settled.displacement - known.mean * sigma
         return displacement_readings.correct_by(
-            innovation, touch, self.model.band, sigma, excess, known
+            innovation, probe, self.model.band, sigma, factor, known
         )
 
     def _left_out(self, readings: Array, believed: sensor_faults.Flags) -> tuple[Names, Names]:
-        """Channels that are empty, and those that are not and yet left out."""
+        """Missing channels, and channels that are present but excluded."""
         if believed.all():
             return (), ()
         names = [channel.name for channel in self.channels[: readings.size]]
@@ -377,19 +377,19 @@ class JointAware(Described):
             tuple(name for name, bad in zip(names, ~empty & ~believed, strict=True) if bad),
         )
 
-    def _half_band(self, sigma: Array, known: ModelError, excess: Array) -> Array:
-        """Half the width of 95 %, m, shape (axes,)."""
+    def _half_band(self, sigma: Array, known: ModelError, factor: Array) -> Array:
+        """Half-width of the 95 % interval, m, shape (axes,)."""
         variance = self.model.band.steady + known.variance * sigma**2
-        if excess.any():
-            told = np.square(self.model.band.tangent @ excess).sum(axis=1)
+        if factor.any():
+            told = np.square(self.model.band.tangent @ factor).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * told
         return np.asarray(WIDTH * np.sqrt(variance))
 
     def _undecided(self, after: ObserverState) -> Array:
-        """What a jump that is not yet judged has moved, m, shape (axes,): the band holds both."""
-        if not np.isfinite(after.suspicion.channel):
+        """Effect of a pending jump, m, shape (axes,): the band covers both causes."""
+        if not np.isfinite(after.pending.channel):
             return np.zeros(len(self.axes))
-        return np.abs(self.model.band.tangent @ (after.linear - after.suspicion.linear))
+        return np.abs(self.model.band.tangent @ (after.linear - after.pending.linear))
 
     def _beyond(
         self, elapsed: float, inputs: Array, readings: Array, believed: sensor_faults.Flags

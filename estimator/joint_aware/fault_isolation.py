@@ -1,9 +1,9 @@
 """Fault isolation of jumps: heat or a faulty sensor, decided by the samples that follow.
 
-A thermometer on a source that is suddenly off by some kelvin, and a source that is switched on,
-look alike in one sample. The reading is used; beside the state a second one is marched without it.
-A temperature that follows the heat goes on rising; one that is off stays where it is; a spike is
-gone. In the latter two cases the second state is the machine's.
+In a single sample, a thermometer near a source that suddenly reads some kelvin wrong looks like a
+source that is switched on. The reading is used, and a second state is marched without it. A
+temperature that follows the heat keeps rising; a wrong one stays at its offset; a spike is gone. In
+the latter two cases the second state is the correct one.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from thermojoint.artefacts.arrays import Array
 
 
 class PendingJump(NamedTuple):
-    """A jump that is not yet judged.
+    """A jump whose cause is still unknown.
 
     Attributes
     ----------
     channel : ndarray, shape ()
-        Which reading jumped; NaN for none, and so the others.
+        Index of the reading that jumped; NaN if none, and so the others.
     since : ndarray, shape ()
-        When, s.
+        Time of the jump, s.
     interval : ndarray, shape ()
-        Since the sample before, s.
+        Interval from the previous sample, s.
     jump : ndarray, shape ()
-        By how much, K.
+        Size, K.
     samples : ndarray, shape ()
-        That came since.
+        Number of samples since.
     linear : ndarray, shape (n,)
-        The linear state without that channel.
+        Linear state without that channel.
     """
 
     channel: Array
@@ -56,26 +56,26 @@ class Judgement(Enum):
 
 
 def none(states: int) -> PendingJump:
-    """Return that there is nothing to be judged."""
+    """Return that no jump is pending."""
     unknown = np.array(np.nan)
     return PendingJump(unknown, unknown, unknown, unknown, np.array(0.0), np.zeros(states))
 
 
-def suspected(
+def pending_jump(
     linear: Array, innovation: Array, limit: Array, time: float, interval: float
 ) -> PendingJump:
-    """Return the suspicion that a sample arouses.
+    """Return the pending jump after a sample, if there is one.
 
     Parameters
     ----------
     linear : ndarray, shape (n,)
-        What was expected before it.
+        Linear state predicted before it.
     innovation : ndarray, shape (p,)
-        Of the readings that are believed, K; 0 for the others.
+        Innovations of the readings that are used, K; 0 for the others.
     limit : ndarray, shape (p,)
-        Beyond which one is a jump, K.
+        Innovations beyond it are jumps, K.
     time, interval : float
-        Of the sample and since the one before, s.
+        Time of the sample and interval from the previous one, s.
     """
     relative = np.abs(innovation) / limit
     channel = int(np.argmax(relative))
@@ -92,16 +92,16 @@ def suspected(
 
 
 def growth(known: PendingJump, elapsed: float, answer: Array, step: float) -> float:
-    """Return by what factor a jump that was heat would have grown by now.
+    """Return the factor by which a jump caused by heat would have grown by now.
 
     Parameters
     ----------
     known : PendingJump
         The jump.
     elapsed : float
-        Since it, s.
+        Time since, s.
     answer : ndarray, shape (k,)
-        The reading's answer to heat that is switched on, after 1, 2 ... steps, K/W.
+        Step response of the reading to heat, after 1, 2 ... steps, K/W.
     step : float
         s.
     """
@@ -114,20 +114,20 @@ def growth(known: PendingJump, elapsed: float, answer: Array, step: float) -> fl
 def judged(
     known: PendingJump, departure: float, limit: float, due: bool, expected: float
 ) -> Judgement:
-    """Say what a jump was, a sample later.
+    """Return the cause of a jump, judged one sample later.
 
     Parameters
     ----------
     known : PendingJump
         The jump.
     departure : float
-        The reading less what the state without it expects, K; NaN where there is none.
+        Reading minus prediction of the state without it, K; NaN if missing.
     limit : float
-        What the reading may be off by, K.
+        Tolerance of the reading, K.
     due : bool
-        Whether it is late enough to tell heat from an offset.
+        Whether enough time has passed to distinguish heat from an offset.
     expected : float
-        By what factor it would have grown if it was heat (`growth`).
+        Expected growth factor if it was heat (`growth`).
     """
     if not math.isfinite(departure):
         return Judgement.OPEN
@@ -146,21 +146,21 @@ def without_heat(
     onset: Array,
     bounds: tuple[Array, Array],
 ) -> Array:
-    """Return what of the innovations no change of the heat within bounds explains, K, shape (p,).
+    """Return the part of the innovations, K, shape (p,), that no possible change of heat explains.
 
     Parameters
     ----------
     innovation : ndarray, shape (p,)
         K.
     at : ndarray of int, shape (q,)
-        The readings that count.
+        Indices of the readings to consider.
     covariance : ndarray, shape (p, p)
         K2.
     onset : ndarray, shape (p, s)
-        Readings per W of each source, switched on since the sample before, K/W.
+        Change of the readings per W of each source, switched on since the previous sample, K/W.
     bounds : pair of ndarray, shape (s,)
-        Least and largest change of the heat, W.
+        Bounds on the change of heat, W.
     """
     root = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(at, at)]))
-    found = lsq_linear(root @ onset[at], root @ innovation[at], bounds=bounds)
-    return np.asarray(innovation - onset @ found.x)
+    heat = lsq_linear(root @ onset[at], root @ innovation[at], bounds=bounds)
+    return np.asarray(innovation - onset @ heat.x)

@@ -1,10 +1,11 @@
 """Steady Kalman filter of the linear part, and low-rank deviations of its covariance.
 
-State: amplitudes of the modes, relaxations of the remainder, heat of the sources and ambient. With
-the joint at its preload one step is x' = F x + w, where F is diagonal but for the columns of the
-inputs, which are random walks; readings are y = H x + v. The steady covariance P before a reading
-solves the discrete Riccati equation. Any other covariance is P + L L^T with few columns L: a start
-of which little is known, readings that are missing, samples that come late (`forget`, `correct`).
+State: amplitudes of the modes, relaxations of the model discrepancy, heat of the sources and
+ambient. With the joint at its preload one step is x' = F x + w, where F is diagonal but for the
+columns of the inputs, which are random walks; readings are y = H x + v. The steady covariance P
+before a reading solves the discrete Riccati equation. Any other covariance is P + L L^T with a
+covariance factor L of few columns: an unknown start, missing readings, late samples (`forget`,
+`correct`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from thermojoint.reduced.machine import Modes
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations that the filter reckons with; of one step where they are walks.
+    """Standard deviations assumed by the filter; per step for random walks.
 
     Attributes
     ----------
@@ -36,11 +37,11 @@ class Noise:
     ambient_walk : float
         K per step.
     joint_flow : float
-        Of the heat across each contact element, W: what the frozen conductance leaves out.
+        Heat flow across each contact element, W, that the frozen conductance misses.
     lasting : float
-        Of what the model's readings err by for minutes, K, as if it were new in every sample. Only
-        departures from the steady covariance reckon with it: a start of which nothing is known is
-        learnt from many samples, whose errors are not independent.
+        Model errors of the readings that last for minutes, K, as an equivalent white noise. Only
+        deviations from the steady covariance take it into account: an unknown start is learned from
+        many samples, whose errors are not independent.
     """
 
     sensor: float | Array = 0.03
@@ -53,7 +54,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of what is read.
+    """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of the readings.
 
     Attributes
     ----------
@@ -77,9 +78,11 @@ class LinearSystem:
     def advance(self, columns: Array) -> Array:
         """F times columns, shape (n, k)."""
         dynamic = self.decay.size
-        found = columns.copy()
-        found[:dynamic] = self.decay[:, None] * columns[:dynamic] + self.drive @ columns[dynamic:]
-        return found
+        advanced = columns.copy()
+        advanced[:dynamic] = (
+            self.decay[:, None] * columns[:dynamic] + self.drive @ columns[dynamic:]
+        )
+        return advanced
 
     @property
     def matrix(self) -> Array:
@@ -89,22 +92,22 @@ class LinearSystem:
 
 @dataclass(frozen=True, eq=False)
 class SteadyFilter:
-    """All that a run needs of the steady covariance P.
+    """Precomputed data of the steady covariance P.
 
     Attributes
     ----------
     cross : ndarray, shape (n, p + 1)
         P H^T.
     innovation : ndarray, shape (p + 1, p + 1)
-        H P H^T, without the readings' own noise.
+        H P H^T, without the readings' noise.
     noise : ndarray, shape (p + 1,)
         Variance of a reading, K2.
     lasting : ndarray, shape (p + 1,)
-        Variance of what lasts in it, K2 (`Noise`).
+        Variance of lasting errors, K2 (`Noise`).
     scale : ndarray, shape (n,)
-        Size of every state in which columns of a covariance are compared.
+        Scale of every state, used to compare columns of a covariance.
     walk : ndarray, shape (s + 1,)
-        Standard deviation of a step of the inputs: W and K.
+        Standard deviation of the inputs' random walk per step: W and K.
     """
 
     cross: Array
@@ -115,10 +118,12 @@ class SteadyFilter:
     walk: Array
 
 
-def linear_system(modes: Modes, remainder: Discrepancy, power: Array, step: float) -> LinearSystem:
-    """Return the linear part of a machine whose modes hold the joint at its preload."""
+def linear_system(
+    modes: Modes, discrepancy: Discrepancy, power: Array, step: float
+) -> LinearSystem:
+    """Return the linear part of a machine with the joint at its preload."""
     inputs = modes.drive.shape[1]
-    rates, sources = remainder.rates, power.size
+    rates, sources = discrepancy.rates, power.size
     decay = 1.0 / (1.0 + step * np.concatenate([modes.rates, np.tile(rates, sources)]))
     drive = np.zeros((decay.size, inputs))
     count = modes.rates.size
@@ -127,7 +132,7 @@ def linear_system(modes: Modes, remainder: Discrepancy, power: Array, step: floa
         at = slice(count + source * rates.size, count + (source + 1) * rates.size)
         drive[at, source] = (1.0 - decay[at]) / power[source]
     sensors = np.hstack(
-        [modes.sensors, remainder.temperature, np.zeros((len(modes.sensors), inputs))]
+        [modes.sensors, discrepancy.temperature, np.zeros((len(modes.sensors), inputs))]
     )
     ambient = np.zeros((1, sensors.shape[1]))
     ambient[0, -1] = 1.0
@@ -147,7 +152,7 @@ def design_filter(
     Raises
     ------
     ConvergenceError
-        It has no solution: what the sensors read does not determine the inputs.
+        No solution exists: the readings do not determine the inputs.
     """
     size, dynamic = system.size, system.decay.size
     walk = np.append(noise.heat_walk * power, noise.ambient_walk)
@@ -161,7 +166,7 @@ def design_filter(
     readings = np.append(
         np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
     )
-    # Units of one step's walk for the inputs: amplitudes, W and K are of one size then.
+    # Scaled by one step's walk of the inputs, amplitudes, W and K are of the same order.
     unit = np.concatenate([np.ones(dynamic), walk])
     matrix, rows = system.matrix * unit / unit[:, None], system.rows * unit
     source = source / unit[:, None]
@@ -178,24 +183,24 @@ def design_filter(
     every = np.broadcast_to(np.square(noise.lasting), len(readings) - 1)
     lasting = np.append(every, 0.0)
     after = before - cross @ cho_solve(factor, cross.T)
-    found = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
-    return found, 0.5 * (after + after.T)
+    steady = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
+    return steady, 0.5 * (after + after.T)
 
 
 def correct(
     filter_: SteadyFilter,
     rows: Array,
     present: NDArray[np.int64],
-    excess: Array,
+    factor: Array,
     weight: float,
     doubt: float = 1.0,
 ) -> tuple[Array, Array]:
-    """Return the gain of some readings, and what the covariance then has more than the steady one.
+    """Return the gain for some readings, and the covariance factor after them.
 
-    With S_s = H P H^T + R of the readings that came, K_s = P H^T S_s^-1, X = (1 - K_s H) L and
-    Y = H L, the covariance after them is P_s+ + X (1 + Y^T S_s^-1 Y)^-1 X^T, and P_s+ is more than
-    the steady one by what the readings that did not come would have told. That is exact; where L is
-    corrected, what lasts in the readings is added to S_s, which makes it slower.
+    With S_s = H P H^T + R of the present readings, K_s = P H^T S_s^-1, X = (1 - K_s H) L and Y = H
+    L, the covariance after them is P_s+ + X (1 + Y^T S_s^-1 Y)^-1 X^T, where P_s+ exceeds the
+    steady one by the information of the missing readings. That is exact; for the correction of L,
+    lasting errors are added to S_s, which slows it down.
 
     Parameters
     ----------
@@ -204,24 +209,24 @@ def correct(
     rows : ndarray, shape (p + 1, n)
         H.
     present : ndarray of int, shape (q,)
-        The readings that came.
-    excess : ndarray, shape (n, k)
+        Indices of the present readings.
+    factor : ndarray, shape (n, k)
         L before them.
     weight : float
-        Factor on the variance of the readings: above 1 where they come more often than in steps.
+        Factor on the variance of the readings: above 1 if they come more often than once a step.
     doubt : float, optional
-        Part of what lasts in the readings that counts, as a standard deviation.
+        Share of the lasting errors that counts, as a standard deviation.
 
     Returns
     -------
     gain : ndarray, shape (n, q)
-    excess : ndarray, shape (n, k + p + 1 - q)
+    covariance_factor : ndarray, shape (n, k + p + 1 - q)
         L after them.
     """
     absent = np.setdiff1d(np.arange(len(rows)), present)
     covariance = filter_.innovation + np.diag(weight * filter_.noise)
     seen = filter_.cross[:, present]
-    # Few readings, many states: inverses of the small matrices, then products.
+    # Few readings, many states: invert small matrices, then multiply.
     precision = np.linalg.inv(covariance[np.ix_(present, present)])
     gain = seen @ precision
     lost = np.empty((len(seen), 0))
@@ -230,28 +235,28 @@ def correct(
         rest = covariance[np.ix_(absent, absent)] - across.T @ precision @ across
         unseen = filter_.cross[:, absent] - gain @ across
         lost = unseen @ np.linalg.inv(np.linalg.cholesky(rest)).T
-    if not (present.size and excess.any()):
-        return gain, np.hstack([excess, lost])
-    seen_excess = rows[present] @ excess
-    shifted = excess - gain @ seen_excess
+    if not (present.size and factor.any()):
+        return gain, np.hstack([factor, lost])
+    seen_factor = rows[present] @ factor
+    shifted = factor - gain @ seen_factor
     doubted = covariance + doubt**2 * np.diag(filter_.lasting)
-    told = np.linalg.solve(doubted[np.ix_(present, present)], seen_excess)
-    root = np.linalg.cholesky(np.eye(excess.shape[1]) + seen_excess.T @ told)
+    told = np.linalg.solve(doubted[np.ix_(present, present)], seen_factor)
+    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen_factor.T @ told)
     inverse = np.linalg.inv(root)
     left = shifted @ inverse.T
     more = left @ (inverse @ told.T)
     return gain + more, np.hstack([left, lost])
 
 
-def compressed(excess: Array, scale: Array, count: int) -> Array:
-    """Return the `count` columns that come nearest to L L^T, in units of `scale`; shape (n, count).
+def compressed(factor: Array, scale: Array, count: int) -> Array:
+    """Return the rank-`count` approximation of L L^T, in units of `scale`; shape (n, count).
 
-    Columns that say nothing any more are zero.
+    Columns without information are zero.
     """
-    if excess.shape[1] > count:
+    if factor.shape[1] > count:
         unit = np.where(scale > 0.0, scale, 1.0)[:, None]
-        relative = excess / unit
+        relative = factor / unit
         values, turn = np.linalg.eigh(relative.T @ relative)
         largest = np.argsort(values)[::-1][:count]
-        return excess @ turn[:, largest]
-    return excess
+        return factor @ turn[:, largest]
+    return factor

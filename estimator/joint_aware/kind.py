@@ -1,4 +1,4 @@
-"""The joint-aware estimator as a kind, with the one whose joint is linear (``kalman-linear``)."""
+"""The joint-aware estimator as a kind, and its variant with a linear joint (``kalman-linear``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from estimator.export.program import Contents, Precision
 
-#: As calibrated, or with parameters that are learnt as the machine runs.
+#: With the calibrated parameters, or with parameters learned online.
 JointAwareEstimator = JointAware | AgeingJointAware
 
 
@@ -63,7 +63,7 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     count = len(thermal)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
-        # The machine was cold at the first ambient temperature that was ever read.
+        # The machine was cold at the first ambient temperature on record.
         if math.isnan(cold):
             cold = 0.0 if above_ambient else readings[count - 1]
         temperatures = [value - cold for value in readings[:count]]

@@ -1,12 +1,12 @@
 """Temperatures of the sensors of a joint-aware model, row by row, from a table in any dialect.
 
-A table has one of two layouts, told apart by its units; the order is free, other columns are
-ignored, a reading that is missing is NaN:
+A table has one of two layouts, distinguished by its units; the order is free, other columns are
+ignored, missing readings are NaN:
 
 - time, ``NAME_K``, ..., ``ambient_K``: above the ambient at which the machine was cold; without the
-  last column the ambient stays as it was;
+  last column the ambient is constant;
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
-  the first ambient temperature that the log has.
+  the first ambient temperature in the log.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ def log_samples(
 
 
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:
-    """Where sensors and ambient stand, -1 for an ambient that is not recorded; if above it."""
+    """Columns of the sensors and the ambient (-1 if it is not recorded), absolute or `above` it."""
     wanted = [*sensors, "ambient"]
     rises, read = (
         {
-            one.base: k
-            for k, one in enumerate(log.columns)
-            if one.quantity == "temperature" and (one.unit == "K") == above
+            column.base: k
+            for k, column in enumerate(log.columns)
+            if column.quantity == "temperature" and (column.unit == "K") == above
         }
         for above in (True, False)
     )

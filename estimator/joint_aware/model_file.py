@@ -1,4 +1,4 @@
-"""The observer of one machine as one HDF5 file: written whole, read back to the last bit.
+"""Observer of one machine as one HDF5 file, written as a whole and read back exactly.
 
 Arrays are datasets, everything else is JSON in the attribute ``header``; the fingerprint is a
 digest of both, so that a damaged file is never taken for a model.
@@ -29,10 +29,10 @@ from thermojoint.reduced.machine import Joint, Modes
 
 SCHEMA_VERSION = 2
 
-#: Reads the kind: what is none of them is no model.
+#: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
-#: Parts of the model that are arrays alone: attribute to class, with the arrays of each.
+#: Parts of the model that consist of arrays: attribute to class, and its arrays.
 _MODES = ("rates", "drive", "jump", "sensors", "film")
 _ELASTIC = (
     "compliance",
@@ -53,7 +53,7 @@ def write_observer(model: ObserverModel, path: Path) -> None:
     Parameters
     ----------
     model : ObserverModel
-        As `calibrate_joint_aware` gives it.
+        From `calibrate_joint_aware`.
     path : Path
         HDF5.
     """
@@ -68,7 +68,7 @@ def write_observer(model: ObserverModel, path: Path) -> None:
 
 
 def read_observer(path: Path) -> ObserverModel:
-    """Read a model that `write_observer` wrote.
+    """Read a model written by `write_observer`.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def read_observer(path: Path) -> ObserverModel:
     Raises
     ------
     InputError
-        The file is missing, truncated, no joint-aware model, of another version, or was changed.
+        The file is missing, truncated, corrupted, of another version, or not a joint-aware model.
     """
     path = Path(path)
     if not path.is_file():
@@ -108,45 +108,45 @@ def read_observer(path: Path) -> ObserverModel:
 
 
 def fingerprint(model: ObserverModel) -> str:
-    """Return the digest of a model: a state belongs to the model with the same one."""
+    """Return the digest of a model, which ties states to it."""
     return _digest(_header(model), _arrays(model))
 
 
 def _names(file: h5py.File) -> list[str]:
-    found: list[str] = []
+    names: list[str] = []
     file.visititems(
-        lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+        lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
     )
-    return found
+    return names
 
 
 def _digest(header: str, arrays: Mapping[str, Array]) -> str:
-    found = hashlib.sha256(header.encode())
+    digest = hashlib.sha256(header.encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
-        found.update(f"{name} {array.shape} {array.dtype.str}".encode())
-        found.update(array.tobytes())
-    return found.hexdigest()
+        digest.update(f"{name} {array.shape} {array.dtype.str}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def _arrays(model: ObserverModel) -> dict[str, Array]:
     parts: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
         ("modes", model.modes, _MODES),
         ("elastic", model.modes.elastic, _ELASTIC),
-        ("remainder", model.remainder, _REMAINDER),
+        ("remainder", model.discrepancy, _REMAINDER),
         ("filter", model.filter, _FILTER),
         ("band", model.band, _BAND),
     )
-    found = {f"{part}/{name}": getattr(of, name) for part, of, names in parts for name in names}
-    found |= {
+    arrays = {f"{part}/{name}": getattr(of, name) for part, of, names in parts for name in names}
+    arrays |= {
         "held": model.held,
         "warm": model.warm,
         "power": model.power,
         "offset": model.offset,
     }
     for k, joint in enumerate(model.joints):
-        found[f"joints/{k}"] = joint.conductivity
-    return {name: np.asarray(array, dtype=np.float64) for name, array in found.items()}
+        arrays[f"joints/{k}"] = joint.conductivity
+    return {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
 def _header(model: ObserverModel) -> str:
@@ -174,7 +174,7 @@ def _header(model: ObserverModel) -> str:
 
 def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel:
     def part(name: str, names: tuple[str, ...]) -> dict[str, Array]:
-        return {one: arrays[f"{name}/{one}"] for one in names}
+        return {attribute: arrays[f"{name}/{attribute}"] for attribute in names}
 
     known = header["calibrated"]
     return ObserverModel(
@@ -186,7 +186,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             Joint(JointSection.model_validate(section), arrays[f"joints/{k}"])
             for k, section in enumerate(header["joints"])
         ),
-        remainder=Discrepancy(**part("remainder", _REMAINDER)),
+        discrepancy=Discrepancy(**part("remainder", _REMAINDER)),
         filter=SteadyFilter(**part("filter", _FILTER)),
         band=Band(**part("band", _BAND)),
         warm=arrays["warm"],

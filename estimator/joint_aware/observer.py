@@ -22,21 +22,21 @@ from thermojoint.reduced.physics import (
     settle_joint,
 )
 
-#: Steps over which the answer of the readings to the heat is kept.
+#: Number of steps for which the response of the readings to heat is stored.
 ANSWER = 60
 
 
 class Expected(NamedTuple):
-    """What is expected at a sample; attributes as in `ObserverState`."""
+    """Prediction for a sample; attributes as in `ObserverState`."""
 
     linear: Array
     joint: JointState
-    excess: Array
+    covariance_factor: Array
     memory: float
 
 
 class Settled(NamedTuple):
-    """The joint, the relaxations (s q,) and the displacement (axes,), m, that belong together."""
+    """Consistent joint, relaxations (s q,) and displacement (axes,), m."""
 
     joint: JointState
     relaxed: Array
@@ -45,14 +45,14 @@ class Settled(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """What a model does in a step; nothing here knows where the readings come from.
+    """Predictions and corrections of a model; independent of the source of the readings.
 
     Attributes
     ----------
     model : ObserverModel
-        All it runs on.
+        Model of the machine and the filter.
     thresholds : Thresholds
-        What it takes for known.
+        Thresholds of the observer.
     """
 
     model: ObserverModel
@@ -65,9 +65,9 @@ class Observer:
 
     @cached_property
     def system(self) -> LinearSystem:
-        """Its linear part over one step of the filter."""
+        """Linear part over one step of the filter."""
         model = self.model
-        return linear_system(model.modes, model.remainder, model.power, model.step)
+        return linear_system(model.modes, model.discrepancy, model.power, model.step)
 
     @cached_property
     def usual_gain(self) -> Array:
@@ -78,31 +78,31 @@ class Observer:
 
     @cached_property
     def onset(self) -> Array:
-        """Readings 1, 2 ... steps after 1 W more heat of each source, K, shape (k, p + 1, s)."""
+        """Readings 1, 2 ... steps after a step of 1 W at each source, K, shape (k, p + 1, s)."""
         columns = np.zeros((self.system.size, self.model.power.size))
         columns[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
-        found = []
+        readings = []
         for _ in range(ANSWER):
             columns = self.system.advance(columns)
-            found.append(self.system.rows @ columns)
-        return np.array(found)
+            readings.append(self.system.rows @ columns)
+        return np.array(readings)
 
     def expected(self, before: ObserverState, length: float, steps: int) -> Expected:
-        """What is expected at a sample, `steps` of `length` (s) after the one before it."""
-        linear, joint, excess = before.linear, before.joint, before.excess
+        """Prediction `steps` of `length` (s) after the previous sample."""
+        linear, joint, factor = before.linear, before.joint, before.covariance_factor
         memory = float(before.memory)
         for k in range(steps):
             linear = self._later(linear, joint, length)
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory)
-                excess = self._forgetting(excess, length)
-        return Expected(linear, joint, excess, memory)
+                factor = self._forgetting(factor, length)
+        return Expected(linear, joint, factor, memory)
 
     def _later(self, linear: Array, joint: JointState, length: float) -> Array:
-        """The linear state one step later, with the joint as it was."""
+        """The linear state one step later, with the joint unchanged."""
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
         inputs = linear[dynamic:]
-        sources, rates = self.model.power.size, self.model.remainder.rates
+        sources, rates = self.model.power.size, self.model.discrepancy.rates
         decay = 1.0 / (1.0 + length * rates)
         relaxed = linear[count:dynamic].reshape(sources, -1)
         heat = inputs[:sources] / self.model.power
@@ -113,39 +113,39 @@ class Observer:
         return after
 
     def gain(
-        self, present: NDArray[np.int64], excess: Array, length: float, memory: float
+        self, present: NDArray[np.int64], factor: Array, length: float, memory: float
     ) -> tuple[Array, Array]:
-        """Gain of the readings that came, and the excess columns after them."""
+        """Gain of the present readings, and the covariance factor after them."""
         weight = max(1.0, self.model.step / length)
-        if present.size == len(self.system.rows) and weight == 1.0 and not excess.any():
-            return self.usual_gain, excess
+        if present.size == len(self.system.rows) and weight == 1.0 and not factor.any():
+            return self.usual_gain, factor
         doubt = self.thresholds.doubt_of_heat if memory == KNOWN else 1.0
-        gain, after = correct(self.model.filter, self.system.rows, present, excess, weight, doubt)
-        return gain, compressed(after, self.model.filter.scale, excess.shape[1])
+        gain, after = correct(self.model.filter, self.system.rows, present, factor, weight, doubt)
+        return gain, compressed(after, self.model.filter.scale, factor.shape[1])
 
-    def innovation_covariance(self, excess: Array) -> Array:
+    def innovation_covariance(self, factor: Array) -> Array:
         """Covariance of the innovations, K2, shape (p + 1, p + 1)."""
-        told = self.system.rows @ excess
+        told = self.system.rows @ factor
         own = np.diag(self.model.filter.noise)
         return np.asarray(self.model.filter.innovation + own + told @ told.T)
 
-    def _forgetting(self, excess: Array, length: float) -> Array:
-        """Excess columns after a step of some length without any reading."""
+    def _forgetting(self, factor: Array, length: float) -> Array:
+        """Covariance factor after a step of some length without any reading."""
         nothing, own = np.arange(0), self.model.filter
-        _, after = correct(own, self.system.rows, nothing, excess, 1.0)
-        after = compressed(after, own.scale, excess.shape[1])
+        _, after = correct(own, self.system.rows, nothing, factor, 1.0)
+        after = compressed(after, own.scale, factor.shape[1])
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
         if walks.any():
             more = np.zeros((len(after), walks.size))
             more[-walks.size :] = np.diag(walks)
-            after = compressed(np.hstack([after, more]), self.model.filter.scale, excess.shape[1])
+            after = compressed(np.hstack([after, more]), self.model.filter.scale, factor.shape[1])
         return self.onward(after)
 
-    def onward(self, excess: Array) -> Array:
-        """Excess columns one step later; none where they have come to say nothing."""
-        if not excess.any():
-            return excess
-        after = self.system.advance(excess)
+    def onward(self, factor: Array) -> Array:
+        """Covariance factor one step later; zero once it is negligible."""
+        if not factor.any():
+            return factor
+        after = self.system.advance(factor)
         told = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
         moved = np.square(self.model.band.tangent @ after).sum(axis=1)
         least = self.thresholds.forgotten
@@ -155,29 +155,29 @@ class Observer:
     def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
         """The joint and the displacement at the present temperatures.
 
-        As long as these are guesses the joint is taken there from rest each time: a way through
-        temperatures that never were would leave slips that never were.
+        As long as the temperatures are uncertain, the joint is loaded from rest each time: a path
+        through temperatures that never occurred would leave slips that never occurred.
         """
         if memory == UNKNOWN:
             joint = joint._replace(slip=np.zeros_like(joint.slip))
         return settle_joint(self.physics, joint, linear[: self.model.modes.rates.size])
 
-    def remembered(self, memory: float, excess: Array) -> float:
-        """What is known of the slips after a sample."""
-        uncertain = np.square(self.model.band.tangent @ excess).sum(axis=1)
+    def remembered(self, memory: float, factor: Array) -> float:
+        """Knowledge of the slips after a sample."""
+        uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
         known = uncertain.max() <= self.thresholds.followable**2
         return FOLLOWED if memory == UNKNOWN and known else memory
 
     def read(self, linear: Array, joint: JointState, memory: float) -> Settled:
-        """The joint settled at the corrected temperatures, and what is read off it."""
+        """The joint in equilibrium at the corrected temperatures, and the displacement."""
         count = self.model.modes.rates.size
         joint, moved = self._settled(joint, linear, memory)
         relaxed = linear[count : self.system.decay.size]
-        return Settled(joint, relaxed, moved + self.model.remainder.displacement @ relaxed)
+        return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
     def sigma(self, relaxed: Array, memory: float) -> Array:
-        """What the model may be wrong by, m, one standard deviation, shape (axes,)."""
-        band, rates = self.model.band, self.model.remainder.rates.size
+        """Standard deviation of the model error, m, shape (axes,)."""
+        band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.size // rates
         square = np.square(relaxed.reshape(sources, rates)).sum(axis=0) / sources
         indistinct = band.open @ np.concatenate([relaxed, relaxed**2])

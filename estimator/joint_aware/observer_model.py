@@ -11,15 +11,15 @@ from thermojoint.artefacts.display import Described
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes
 
-#: Of the model file.
+#: Version of the model file.
 SCHEMA = "thermojoint-joint-aware-model"
-#: With its joint, or with the joint linearised at its preload (`linear_joint`).
+#: With the joint, or with the joint linearised at its preload (`linear_joint`).
 Kind = Literal["joint-aware", "kalman-linear"]
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What is not known of the displacement, as variances; axes in rows.
+    """Variances of the unknown part of the displacement; axes in rows.
 
     Attributes
     ----------
@@ -28,14 +28,14 @@ class Band:
     steady : ndarray, shape (axes,)
         Of the state after a reading, m2.
     constant : ndarray, shape (axes,)
-        What the calibration left, m2.
+        Residual of the calibration, m2.
     history : ndarray, shape (axes,)
-        Of slips of which nothing is known, after a warm start, m2.
+        Unknown slips after a warm start, m2.
     open : ndarray, shape (axes, draws, 2 s q)
-        Error of machines that the calibration does not tell apart, per relaxation of the heat and
+        Error of machines that the calibration cannot distinguish, per relaxation of the heat and
         per square of it, m.
     square : ndarray, shape (axes, q)
-        What this leaves of their errors, per square of the heat relaxed at each rate, m2.
+        Remaining error, per square of the heat relaxed at each rate, m2.
     """
 
     tangent: Array
@@ -48,14 +48,14 @@ class Band:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Where the calibration has been.
+    """Range of the calibration.
 
     Attributes
     ----------
     duration_s : float
         Of its longest run, s.
     heat : float
-        Largest heat relative to the reference; the least is 0.
+        Largest heat relative to the reference; the smallest is 0.
     temperatures : dict of str to (float, float)
         Sensor to its least and largest value, K.
     """
@@ -74,38 +74,38 @@ class ObserverModel(Described):
     modes : Modes
         With the joint held at its preload.
     held : ndarray, shape (m,)
-        The conductance times area that this is, W/K.
+        Conductance times area at the preload, W/K.
     joints : tuple of Joint
         As calibrated.
-    remainder : Discrepancy
-        Beside the physics.
+    discrepancy : Discrepancy
+        Model discrepancy.
     filter : SteadyFilter
-        Of the linear part.
+        Filter of the linear part.
     band : Band
-        Of the displacement.
+        Band of the displacement.
     warm : ndarray, shape (n, k)
-        Columns of the covariance of a start of which nothing is known.
+        Covariance factor of an unknown start.
     power : ndarray, shape (s,)
-        Heat of each source at heat input 1 by the case, W.
+        Heat of each source at heat input 1 according to the case, W.
     step : float
-        Longest step, s; the filter's.
+        Longest step, s; that of the filter.
     offset : ndarray, shape (p,)
-        What every sensor reads too much, K.
+        Offset of every sensor, K.
     sensors, axes, sources : tuple of str
         Names.
     calibrated : Calibrated
-        Where the calibration has been.
+        Range of the calibration.
     factors : dict of str to (float, float)
         Calibrated parameter to the factor on the case's value and the standard deviation of its
         logarithm.
     kind : str
-        What an estimator on it is called.
+        Name of the kind of estimator.
     """
 
     modes: Modes
     held: Array
     joints: tuple[Joint, ...]
-    remainder: Discrepancy
+    discrepancy: Discrepancy
     filter: SteadyFilter
     band: Band
     warm: Array

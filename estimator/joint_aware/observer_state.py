@@ -15,13 +15,13 @@ from estimator.sensor_faults import Watch
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import JointState
 
-#: The joint's slips are those of a run from rest; or they are not known at all, because the
-#: temperatures are not yet; or they are followed since the temperatures are known.
+#: Knowledge of the joint's slips: those of a run from rest; unknown, because the temperatures are;
+#: or tracked since the temperatures became known.
 KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
 
 
 class ObserverState(NamedTuple):
-    """All that the next sample depends on.
+    """State of the observer between samples.
 
     Attributes
     ----------
@@ -30,19 +30,19 @@ class ObserverState(NamedTuple):
     begun : ndarray, shape ()
         Of the first sample, s; NaN before it.
     memory : ndarray, shape ()
-        What is known of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
+        Knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
     linear : ndarray, shape (n,)
         Amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
     gap, slip, pressure, change : ndarray
         Of the joint: `physics.JointState`.
-    excess : ndarray, shape (n, k)
-        What the covariance has more than the steady one: L of P + L L^T.
+    covariance_factor : ndarray, shape (n, k)
+        Covariance factor L of P + L L^T.
     watch : Watch
-        What is remembered of every channel.
+        Memory of every channel.
     model_error : ModelError
-        What readings of the displacement have told.
-    suspicion : PendingJump
-        A jump that is not yet judged.
+        Model error estimated from displacement readings.
+    pending : PendingJump
+        A jump whose cause is still unknown.
     """
 
     time: Array
@@ -53,25 +53,25 @@ class ObserverState(NamedTuple):
     slip: Array
     pressure: Array
     change: Array
-    excess: Array
+    covariance_factor: Array
     watch: Watch
     model_error: ModelError
-    suspicion: PendingJump
+    pending: PendingJump
 
     @property
     def joint(self) -> JointState:
-        """The joint alone."""
+        """State of the joint."""
         return JointState(self.gap, self.slip, self.pressure, self.change)
 
     def flat(self) -> Array:
-        """Return one array that holds it all."""
-        *own, watch, error, suspicion = self
-        return np.concatenate([np.ravel(part) for part in (*own, *watch, *error, *suspicion)])
+        """Return the whole state as one array."""
+        *own, watch, error, pending = self
+        return np.concatenate([np.ravel(part) for part in (*own, *watch, *error, *pending)])
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parts of a flat state stand.
+    """Positions of the parts of a flat state.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Values of the state."""
+        """Number of values in the state."""
         return self.parts[-1][1].stop
 
     def views(self, state: Array) -> dict[str, Array]:
@@ -95,14 +95,14 @@ class Layout:
 
 
 def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
-    """Return where parts of these shapes stand, one after the other."""
+    """Return the positions of consecutive parts of these shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
     places = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
     return Layout(tuple(zip(shapes, places, shapes.values(), strict=True)))
 
 
 def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -> Layout:
-    """Return where the parts of the state of an observer stand."""
+    """Return the layout of an observer's state."""
     return placed(
         {
             "time": (),
@@ -113,18 +113,18 @@ def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -
             "slip": (2, contacts),
             "pressure": (contacts,),
             "change": (3, contacts),
-            "excess": (states, columns),
+            "covariance_factor": (states, columns),
             "watch": (len(Watch._fields), channels),
             "model_error": (len(ModelError._fields), axes),
-            **{f"suspicion.{name}": () for name in PendingJump._fields[:-1]},
-            "suspicion.linear": (states,),
+            **{f"pending.{name}": () for name in PendingJump._fields[:-1]},
+            "pending.linear": (states,),
         }
     )
 
 
 def unpacked(state: Array, known: Layout) -> ObserverState:
     """Return views of the parts of a flat state."""
-    found = known.views(state)
-    suspicion = PendingJump(*(found.pop(f"suspicion.{name}") for name in PendingJump._fields))
-    watch, error = Watch(*found.pop("watch")), ModelError(*found.pop("model_error"))
-    return ObserverState(watch=watch, model_error=error, suspicion=suspicion, **found)
+    views = known.views(state)
+    pending = PendingJump(*(views.pop(f"pending.{name}") for name in PendingJump._fields))
+    watch, error = Watch(*views.pop("watch")), ModelError(*views.pop("model_error"))
+    return ObserverState(watch=watch, model_error=error, pending=pending, **views)

@@ -1,7 +1,7 @@
 """Export of the joint-aware estimator: its usual path with a bounded number of Newton steps.
 
-Expect, correct, settle, read, as `estimator.joint_aware.estimator` does where every reading is
-there and none lies. What is left out stands in the header of the program.
+Predict, correct, settle, read, as `estimator.joint_aware.estimator` does when every reading is
+present and none is faulty. The header of the program lists what is omitted.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.discrepancy import relaxed
 from thermojoint.reduced.physics import heat_step, simulate_known
 
-#: Bits of the status that no estimator in Python has.
+#: Status bits that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
-#: Newton steps at most, and how often one is halved.
+#: Most Newton steps, and how often one is halved.
 ITERATIONS, HALVINGS = 12, 6
-#: Of the gap equations in single precision, m: below it is rounding.
+#: Tolerance of the gap equations in single precision, m: below it is rounding.
 SINGLE_TOLERANCE = 2e-11
-#: Samples of the self-test where none are recorded, and its load: relative to the largest
-#: calibrated, the share of a period that is on, and the period, in samples.
+#: Samples of the self-test if none are recorded, and its load: relative to the largest calibrated,
+#: the share of the period that is on, and the period, in samples.
 SAMPLES, LOAD, ON, PERIOD = 2000, 0.6, 0.6, 800
 _STATUSES = (
     Status.BEYOND_TIME,
@@ -59,12 +59,12 @@ class Table(NamedTuple):
 
     @property
     def shape(self) -> str:
-        """Its dimensions as C writes them."""
+        """Dimensions in C notation."""
         return "".join(f"[{size}]" for size in self.values.shape)
 
 
 def contents(estimator: JointAware, precision: Precision) -> Contents:
-    """Return what a joint-aware estimator gives to a program.
+    """Return the program contents of a joint-aware estimator.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     Raises
     ------
     InputError
-        The joints have no law that is known in machine code, or there are none.
+        The joints have no compiled law, or there are none.
     """
     kernel = estimator.observer.physics.kernel
     if kernel is None:
@@ -103,7 +103,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "linear": linear,
             "contacts": contacts,
             "modes": model.modes.rates.size,
-            "rates": model.remainder.rates.size,
+            "rates": model.discrepancy.rates.size,
             "draws": draws,
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
@@ -116,7 +116,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "longest": (1.0 + SLACK) * model.calibrated.duration_s,
             "root2": math.sqrt(2.0),
             "root2pi": math.sqrt(2.0 * math.pi),
-            # Beyond, exp underflows (`fesim.joint.law`).
+            # Beyond it, exp underflows (`fesim.joint.law`).
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
         },
         constants=sum(table.values.size for table in tables),
@@ -137,7 +137,7 @@ def _interface(estimator: JointAware) -> Interface:
         fingerprint=fingerprint(model),
         interval=model.step,
         timed=False,
-        inputs=tuple(Variable(one, "K", "") for one in readings),
+        inputs=tuple(Variable(sensor, "K", "") for sensor in readings),
         outputs=(
             *listed("displacement", "m", axes),
             *listed("band", "m", axes),
@@ -152,13 +152,13 @@ def _interface(estimator: JointAware) -> Interface:
 
 
 def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
-    """Coefficients of a function that Structured Text has not, if a law of the joint has it."""
+    """Coefficients of erfc, which Structured Text lacks, if a joint's law needs it."""
     if (kernel.laws[:, 0] != 0.0).all():
         return None
     return {
         **{name.lower(): getattr(erfc, name) for name in "ABCDPQ"},
         "inverse_root_pi": erfc.INVERSE_ROOT_PI,
-        # Beyond, it underflows.
+        # Beyond it, the function underflows.
         "largest": 26.5 if precision is Precision.DOUBLE else 9.0,
     }
 
@@ -168,7 +168,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     heat = heat_step(model.modes, model.step)
     system = observer.system
     gain = observer.usual_gain
-    relaxing = model.step * model.remainder.rates / (1.0 + model.step * model.remainder.rates)
+    relaxing = model.step * model.discrepancy.rates / (1.0 + model.step * model.discrepancy.rates)
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
     calibrated = estimator.calibrated_readings
@@ -197,7 +197,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("reference", "Pa/m.", kernel.reference),
         Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
         Table("free_moved", "Displacement per mode, m.", kernel.free),
-        Table("remainder_moved", "... per relaxation, m.", model.remainder.displacement),
+        Table("remainder_moved", "... per relaxation, m.", model.discrepancy.displacement),
         Table("steady", "Variance of the state after a reading, m2.", band.steady),
         Table("constant", "What the calibration left, m2.", band.constant),
         Table("squares", "... per square of the heat relaxed, m2.", band.square),
@@ -207,7 +207,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
-    """Yield what the sensors of the model's own machine read under a load that is on and off."""
+    """Yield the sensor readings of the model's machine under an intermittent load."""
     model, observer = estimator.model, estimator.observer
     at = np.arange(1, SAMPLES)
     level = LOAD * model.calibrated.heat * (at % PERIOD < ON * PERIOD)
@@ -215,7 +215,7 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     heat = np.repeat(level[:, None], model.power.size, axis=1)
     inputs = np.column_stack([heat * model.power, ambient])
     read, _ = simulate_known(observer.physics, inputs, model.step)
-    read += relaxed(heat, model.remainder.rates, model.step) @ model.remainder.temperature.T
+    read += relaxed(heat, model.discrepancy.rates, model.step) @ model.discrepancy.temperature.T
     rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
     rows[:, :-1] += model.offset
     for k, row in enumerate(rows.tolist()):
@@ -235,21 +235,21 @@ def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operatio
 
 
 def _solve(size: int) -> Operations:
-    """Gauss on so many unknowns."""
+    """Gaussian elimination with this many unknowns."""
     square = size * (size - 1)
     inner = square * (2 * size - 1) // 6
     return Operations(inner + 2 * square, inner + 2 * square + size, 2 * size)
 
 
 def _look(contacts: int) -> Operations:
-    """Law and residual once."""
+    """One evaluation of law and residual."""
     unknowns = 3 * contacts
     law = Operations(35, 15, 8, 3).times(contacts)
     return law + Operations(unknowns * (unknowns + 2), unknowns * (unknowns + 4))
 
 
 def _newton(contacts: int, size: int, halvings: int) -> Operations:
-    """One Newton step with so many unknowns that are solved for."""
+    """One Newton step with this many unknowns."""
     unknowns = 3 * contacts
     build = Operations(3 * size * size + 3 * size, 2 * size * size + 4 * size)
     move = Operations(unknowns * size + unknowns, unknowns * size + unknowns)

@@ -1,4 +1,4 @@
-"""What a joint-aware estimator reads in a response."""
+"""Sensor readings of a joint-aware estimator from a response."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from thermojoint.artefacts.response import columns_of
 
 
 def ambient_in(response: xr.Dataset) -> Array:
-    """Return the ambient above its initial value, K, shape (n,); zero where none is recorded."""
+    """Return the ambient above its initial value, K, shape (n,); zero if it is not recorded."""
     if "ambient" in response:
         return np.asarray(response["ambient"].to_numpy(), dtype=float)
     return np.zeros(response.sizes["time"])
 
 
 def samples_in(response: xr.Dataset, sensors: Sequence[str]) -> Iterator[tuple[float, ...]]:
-    """Yield (time, temperature of every sensor, ambient) of every sample of a response.
+    """Yield (time, temperature of every sensor, ambient) for every sample of a response.
 
     Raises
     ------

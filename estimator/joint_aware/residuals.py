@@ -1,4 +1,4 @@
-"""Reading minus model, for every sensor, used or not."""
+"""Reading minus model for every sensor, used or excluded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 def residuals(estimator: JointAware, state: Array, values: Array) -> Array:
-    """Return reading minus model after a sample, K, shape (channels,); NaN for what is missing.
+    """Return reading minus model after a sample, K, shape (channels,); NaN where missing.
 
     Parameters
     ----------

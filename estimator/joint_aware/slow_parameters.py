@@ -1,4 +1,4 @@
-"""Slowly varying parameters as random processes, and the Kalman filter that estimates them."""
+"""Slowly varying parameters as random processes, and a Kalman filter that estimates them."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Slow:
     Attributes
     ----------
     spread : float
-        Standard deviation in the long run.
+        Long-term standard deviation.
     lasts : float
-        Time after which it has forgotten where it was, s.
+        Correlation time, s.
     """
 
     spread: float
@@ -29,8 +29,8 @@ class Slow:
 
 
 DAY = 86400.0
-#: What can age. A preload is lost in days and comes back when somebody tightens the bolts;
-#: lubricant and wear change the friction, coolant and draught the film.
+#: Parameters that can age. A preload is lost within days and restored when bolts are tightened;
+#: lubricant and wear change the friction, coolant and draught the convection.
 SLOW = {
     "preload": Slow(0.3, 10.0 * DAY),
     "friction": Slow(0.2, 10.0 * DAY),
@@ -40,23 +40,23 @@ SLOW = {
 
 @dataclass(frozen=True)
 class Learning:
-    """How parameters are learnt (``python -m benchmarks.ageing``, docs/ageing.md).
+    """Settings of online learning (``python -m benchmarks.ageing``, docs/ageing.md).
 
-    All were found together on the first plant of that study, with another history of heat.
+    All were determined together on the first plant of that study, with another history of heat.
 
     Attributes
     ----------
     step : float
-        The copies' parameters are off by this, in the logarithm.
+        Offset of the copies' parameters, in the logarithm.
     window : float
         Innovations are averaged over this time, s, ...
     lasting_K, lasting_m : float
-        ... and are then wrong by this, K and m.
+        ... and then have errors of this size, K and m.
     bias : Slow
-        That of a sensor's innovations, K. Without it the factor strayed to 0.90 on a machine that
+        Bias of a sensor's innovations, K. Without it the factor drifted to 0.90 on a machine that
         had not aged; at 0.5 K it went the wrong way.
     farthest : float
-        Farther than this from the calibration no logarithm goes, nor a bias, K.
+        Largest change of a logarithm from the calibration, and largest bias, K.
     """
 
     step: float = 0.03
@@ -76,7 +76,7 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
     Raises
     ------
     InputError
-        A name is unknown, stands twice, or the machine has no such thing.
+        A name is unknown or repeated, or the machine has no such parameter.
     """
     for name in names:
         if name not in SLOW:
@@ -95,42 +95,42 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
 
 
 def wandered(
-    slow: Sequence[Slow], found: Array, covariance: Array, length: float
+    slow: Sequence[Slow], learned: Array, covariance: Array, length: float
 ) -> tuple[Array, Array]:
-    """Return what is learnt, and its covariance, after a while without any reading."""
-    kept = np.exp([-length / one.lasts for one in slow])
-    added = np.diag([one.spread**2 for one in slow]) * (1.0 - kept**2)
-    return kept * found, kept[:, None] * covariance * kept + added
+    """Return estimate and covariance after some time without readings."""
+    kept = np.exp([-length / process.lasts for process in slow])
+    added = np.diag([process.spread**2 for process in slow]) * (1.0 - kept**2)
+    return kept * learned, kept[:, None] * covariance * kept + added
 
 
 def learnt(
-    found: Array,
+    learned: Array,
     covariance: Array,
     innovation: Array,
     rows: Array,
     variance: Array,
     farthest: float,
 ) -> tuple[Array, Array]:
-    """Return what is learnt and its covariance after some innovations, by the Kalman filter.
+    """Return estimate and covariance after some innovations, by the Kalman filter.
 
     Parameters
     ----------
-    found : ndarray, shape (n,)
+    learned : ndarray, shape (n,)
         Before.
     covariance : ndarray, shape (n, n)
         Before.
     innovation : ndarray, shape (k,)
-        Reading less what was expected of it.
+        Reading minus prediction.
     rows : ndarray, shape (k, n)
-        What is expected more for what is learnt more.
+        Derivative of the prediction by the estimate.
     variance : ndarray, shape (k,)
-        Of the reading, model error included.
+        Of the reading, including model error.
     farthest : float
-        Farther than this from zero it does not go.
+        Bound on the magnitude of the estimate.
     """
     across = rows @ covariance
     gain = np.linalg.solve(across @ rows.T + np.diag(variance), across).T
-    after = np.clip(found + gain @ innovation, -farthest, farthest)
-    # Joseph's form stays symmetric and positive whatever the rounding.
-    left = np.eye(found.size) - gain @ rows
+    after = np.clip(learned + gain @ innovation, -farthest, farthest)
+    # Joseph's form stays symmetric and positive despite rounding.
+    left = np.eye(learned.size) - gain @ rows
     return after, left @ covariance @ left.T + gain * variance @ gain.T

@@ -1,58 +1,59 @@
-"""Thresholds of the observer, each with the study that gave it."""
+"""Thresholds of the observer, each with the study that determined it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from estimator import sensor_faults
-from estimator.joint_aware.displacement_readings import Touch
+from estimator.joint_aware.displacement_readings import DisplacementProbe
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Where an observer changes what it does.
+    """Thresholds at which an observer changes its behaviour.
 
-    Where no other study is named it is ``python -m benchmarks.sensor_faults``, which checks them
+    Unless another study is named, it is ``python -m benchmarks.sensor_faults``, which checks them
     together (docs/faulty-sensors.md).
 
     Attributes
     ----------
     faults : sensor_faults.Thresholds
-        When a channel is distrusted.
-    touch : Touch
-        How a reading of the displacement is taken.
+        Thresholds of sensor fault detection.
+    probe : DisplacementProbe
+        Properties of displacement readings.
     room, further : float
-        A reading is impossible further than this beyond the calibrated ones, K; above them also by
-        this many times their range.
+        A reading is implausible beyond the calibrated range by more than this, K; above it also by
+        this multiple of the range.
     thermometer : float
-        Noise of a thermometer, K, at most; the filter's own holds what the model errs by, too.
+        Upper bound for the noise of a thermometer, K; the filter's own value includes model error.
     onset, onset_slack : float
-        The heat may jump to this many times the largest calibrated, and a part of that more or
-        below 0.
+        Admissible jumps of the heat: up to this multiple of the largest calibrated heat, with a
+        tolerance relative to it on either side.
     decided, samples : float
-        A jump is judged after this long, s, and this many samples.
+        A jump is judged after this time, s, and this many samples.
     forgotten : float
-        Excess columns that tell the readings less than this part of their noise are dropped.
+        Columns of the covariance factor that move the readings by less than this fraction of their
+        noise are dropped.
     followable : float
-        The joint is followed from when the displacement is known to this, m (warm starts after 2, 4
-        and 6 h, docs/joint-aware.md).
+        The joint is tracked once the displacement is known to this, m (warm starts after 2, 4 and 6
+        h, docs/joint-aware.md).
     doubt_of_heat : float
-        Part of what lasts in the readings that counts where the past is known: unknown is then the
-        heat of some minutes, and no field that may have been there for hours. Of 1, 0.3, 0.1 and
-        0.03 on four drawn plants (docs/faulty-sensors.md) all but the last hold every band, and
+        Share of the lasting errors that counts when the past is known: then only the heat of some
+        minutes is unknown, and not a field that may have built up over hours. Of 1, 0.3, 0.1 and
+        0.03 on four random plants (docs/faulty-sensors.md) all but the last keep every band, and
         0.1 and 0.3 have the smallest errors.
     doubt : float
-        The excess columns forget what the readings err by for hours: the displacement is so many
-        times less certain than they say (warm starts after 2, 4 and 6 h, which were off by up to
-        2.6 times the band, docs/joint-aware.md).
+        The covariance factor ignores reading errors that last for hours: the displacement is this
+        many times less certain than it says (warm starts after 2, 4 and 6 h, which were off by up
+        to 2.6 times the band, docs/joint-aware.md).
     ambient : float
-        The ambient may change by this much without a word, K.
+        Tolerated change of the ambient without a flag, K.
     most_steps : int
-        Steps between two samples at most; after a longer silence they are longer.
+        Most steps between two samples; after a longer gap they are longer.
     """
 
     faults: sensor_faults.Thresholds = field(default_factory=sensor_faults.Thresholds)
-    touch: Touch = field(default_factory=Touch)
+    probe: DisplacementProbe = field(default_factory=DisplacementProbe)
     room: float = 60.0
     further: float = 3.0
     thermometer: float = 0.05
@@ -68,5 +69,5 @@ class Thresholds:
     most_steps: int = 2000
 
 
-#: Those that are used where nobody names others.
+#: The default thresholds.
 USUAL = Thresholds()

@@ -1,17 +1,18 @@
-"""Innovation gate: readings used by the observer, and the knowledge left without the others.
+"""Innovation gate: which readings the observer uses, and what it knows without the others.
 
-Start at `trusted`, the only judge of a sample. It takes three steps:
+Start at `trusted`, which judges a sample in three steps:
 
-1. A jump that is not yet judged is followed for another sample (`_followed`, `suspicion`).
-2. The channels are judged (`sensor_faults.judge_sample`), a jump of the heat being no contradiction
-   (`_unexplained`). Where most contradict, it is the state that is wrong: then nothing is taken to
-   be known, and they are judged again.
-3. Where a channel is newly left out that saw most of a source, that source's heat is unknown: it
-   may have changed just then (`_heat_unknown`). A jump of a channel that is used becomes a
-   suspicion.
+1. A pending jump is followed for another sample (`_followed`, `fault_isolation`).
+2. The channels are judged (`sensor_faults.judge_sample`); an admissible jump of the heat is no
+   contradiction (`_unexplained`). If most channels contradict the model, the state is wrong: then
+   it is taken as unknown, and they are judged again.
+3. If a newly excluded channel was the one that saw most of a source, that source's heat is unknown:
+   it may have changed at the same moment (`_heat_unknown`). A jump of a channel that is used
+   becomes a pending jump.
 
-A usual sample, on which all of this has no effect, is taken in machine code (`compiled_sample`).
-Proved by tests/test_faulty_readings.py: every fault in every sensor of a machine.
+A usual sample, on which none of this has an effect, is processed in compiled code
+(`compiled_sample`). Verified by tests/test_faulty_readings.py: every fault in every sensor of a
+machine.
 """
 
 from __future__ import annotations
@@ -33,38 +34,38 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 @dataclass(frozen=True, eq=False)
 class Trusted:
-    """Readings used of a sample.
+    """Usable readings of a sample.
 
     Attributes
     ----------
     believed : ndarray of bool, shape (p + 1,)
         Readings to be used.
     watch : Watch
-        Of every channel, after the sample.
-    suspicion : PendingJump
-        After the sample.
+        Memory of every channel, after the sample.
+    pending : PendingJump
+        Pending jump after the sample.
     expected : Expected
-        What they are to correct.
+        Prediction to be corrected by them.
     """
 
     believed: Flags
     watch: Watch
-    suspicion: PendingJump
+    pending: PendingJump
     expected: Expected
 
 
 @dataclass(frozen=True)
 class Moment:
-    """When a sample comes.
+    """Time of a sample.
 
     Attributes
     ----------
     time : float
         s.
     length : float
-        Of a step since the sample before, s.
+        Step length since the previous sample, s.
     steps : int
-        Number of these; 0 at the first sample.
+        Number of these steps; 0 at the first sample.
     """
 
     time: float
@@ -80,22 +81,22 @@ def trusted(
     readings: Array,
     channels: Channels,
 ) -> Trusted:
-    """Say which readings of a sample are used.
+    """Return the usable readings of a sample.
 
     Parameters
     ----------
     observer : Observer
-        Whose sample it is.
+        Observer of the machine.
     before : ObserverState
-        After the sample before.
+        State after the previous sample.
     expected : Expected
-        At this one.
+        Prediction for this one.
     moment : Moment
-        When it comes.
+        Time of the sample.
     readings : ndarray, shape (p + 1,)
-        K; NaN where there is none.
+        K; NaN where missing.
     channels : Channels
-        What the readings can say (`channels_of`).
+        Prior knowledge of the channels (`channels_of`).
     """
     rules, watch = observer.thresholds.faults, before.watch
     open_, judgement = _followed(observer, before, moment, readings)
@@ -108,7 +109,7 @@ def trusted(
     if judgement is not Judgement.OPEN:
         open_ = fault_isolation.none(expected.linear.size)
     rows = observer.system.rows
-    lost = expected._replace(excess=observer.model.warm, memory=UNKNOWN)
+    lost = expected._replace(covariance_factor=observer.model.warm, memory=UNKNOWN)
     for attempt in (expected, lost):
         verdict = judge_sample(
             watch,
@@ -129,15 +130,17 @@ def trusted(
     imperfect = model_error(rows @ attempt.linear, rules)
     jumps = bool((np.abs(innovation) > rules.gate * imperfect).any())
     if jumps and not np.isfinite(open_.channel):
-        own = np.diag(observer.innovation_covariance(attempt.excess))
+        own = np.diag(observer.innovation_covariance(attempt.covariance_factor))
         limit = rules.gate * np.sqrt(own + imperfect**2)
         elapsed = moment.steps * moment.length or observer.model.step
-        open_ = fault_isolation.suspected(attempt.linear, innovation, limit, moment.time, elapsed)
+        open_ = fault_isolation.pending_jump(
+            attempt.linear, innovation, limit, moment.time, elapsed
+        )
     return Trusted(verdict.believed, verdict.watch, open_, attempt)
 
 
 def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
-    """Return what the readings of an observer can say; `limits` are the calibrated ones, K."""
+    """Return the prior knowledge of an observer's channels; `limits` are the calibrated ones, K."""
     known, (low, high) = observer.thresholds, limits
     return Channels(
         noise=np.minimum(np.sqrt(observer.model.filter.noise), known.thermometer),
@@ -150,20 +153,20 @@ def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
 def _followed(
     observer: Observer, before: ObserverState, moment: Moment, readings: Array
 ) -> tuple[PendingJump, Judgement]:
-    """A jump that is not yet judged, this sample counted, and what it was."""
-    known = before.suspicion
+    """A pending jump with this sample counted, and its cause."""
+    known = before.pending
     if not np.isfinite(known.channel):
         return known, Judgement.OPEN
     channel = int(known.channel)
     alone = observer.expected(before._replace(linear=known.linear), moment.length, moment.steps)
     known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
-        # It may be stuck: that takes longer to be seen.
+        # It may be stuck, which takes longer to detect.
         return known, Judgement.OPEN
     said = observer.system.rows[channel] @ alone.linear
     departure, rules = float(readings[channel] - said), observer.thresholds
     limit = rules.faults.gate * float(model_error(said, rules.faults))
-    # The source that the reading sees most of.
+    # The source that the reading responds to most.
     answers = observer.onset[:, channel]
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
     elapsed = moment.time - float(known.since)
@@ -173,13 +176,13 @@ def _followed(
 
 
 def _believed_before(before: ObserverState) -> Flags:
-    """Channels that the sample before had; before the first sample all count."""
+    """Channels of the previous sample; all of them before the first sample."""
     read = np.isnan(before.time) | (before.watch.read == before.time)
     return np.asarray((before.watch.distrusted == 0.0) & read)
 
 
 def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
-    """The watch with one more channel distrusted, that is off by so much (K)."""
+    """The watch with one more distrusted channel, which is wrong by `off` (K)."""
     changed = {"distrusted": 1.0, "fault": time, "off": off}
     arrays = {name: getattr(watch, name).copy() for name in changed}
     for name, value in changed.items():
@@ -190,7 +193,7 @@ def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
 def _heat_unknown(
     observer: Observer, expected: Expected, newly: Flags, believed: Flags
 ) -> Expected:
-    """The same with any heat of the sources of which a lost channel saw more than all others."""
+    """The same, with the heat unknown for the sources that an excluded channel saw best."""
     power, scale = observer.model.power, observer.model.filter.scale
     answers = np.abs(observer.onset[0])
     lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
@@ -200,8 +203,10 @@ def _heat_unknown(
     unknown[observer.system.decay.size :][: power.size] = np.diag(
         np.where(lost, observer.model.calibrated.heat * power, 0.0)
     )
-    more = np.hstack([expected.excess, unknown])
-    return expected._replace(excess=compressed(more, scale, expected.excess.shape[1]))
+    more = np.hstack([expected.covariance_factor, unknown])
+    return expected._replace(
+        covariance_factor=compressed(more, scale, expected.covariance_factor.shape[1])
+    )
 
 
 def _unexplained(
@@ -211,10 +216,10 @@ def _unexplained(
     innovation: Array,
     at: NDArray[np.int64],
 ) -> tuple[Array, Array]:
-    """What no possible change of the heat explains; as `sensor_faults.Explain`."""
-    covariance = observer.innovation_covariance(expected.excess)
+    """Part of the innovations that no possible change of heat explains: `sensor_faults.Explain`."""
+    covariance = observer.innovation_covariance(expected.covariance_factor)
     if expected.memory == UNKNOWN:
-        # The state is still a guess: what lasts in the readings may be all that it is made of.
+        # The state is still a guess: it may consist of nothing but lasting errors of the readings.
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
@@ -222,6 +227,6 @@ def _unexplained(
     most = known.onset * observer.model.calibrated.heat * power
     slack = known.onset_slack * most
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
-    # Before the first sample a source may have been on for a step.
+    # A source may have been on for one step before the first sample.
     onset = observer.onset[min(max(moment.steps, 1), len(observer.onset)) - 1]
     return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance

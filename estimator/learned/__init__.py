@@ -1,1 +1,1 @@
-"""Estimator of a learned model, with occasional readings of the displacement."""
+"""Estimator of a learned model, with occasional displacement readings."""

@@ -1,13 +1,13 @@
-"""Recursion of a learned model, corrected by occasional readings of the displacement.
+"""Recursion of a learned model, corrected by occasional displacement readings.
 
 For each displacement a small Kalman filter whose state is (zero, drift, weights):
 
     δ = zero + drift + Σ w_f φ_f.
 
-The zero stands still, the drift forgets in hours what no feature tells, and the weights are those
-learned, with their covariance. Without a reading nothing but the features moves δ, which is
-therefore bounded by what is measured, however long the run. A reading corrects all three: at once
-what is the matter now, slowly, as readings agree, the model.
+The zero is constant, the drift decays within hours and takes up what no feature explains, and the
+weights are the learned ones, with their covariance. Without readings only the features move δ,
+which is therefore bounded by the measurements, however long the run. A reading corrects the
+estimate immediately and, as readings agree, the model gradually.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
 from thermojoint.models.learned import FILE, LearnedModel, at_rest, signals
 
-#: Size of the drift in held-out errors, which come from hours beside those that were learned, and
-#: the time in which it forgets, s.
+#: Size of the drift relative to the held-out errors, which come from hours next to those used for
+#: learning, and its decay time, s.
 DRIFT_SIZE = 2.0
 DRIFT_TIME = 4.0 * 3600.0
-#: Time in which the weights become as uncertain again as the log left them, s.
+#: Time after which the weights are as uncertain again as after learning, s.
 MEMORY = 30.0 * 86400.0
-#: A reading that is further from the estimate than this many standard deviations is refused; a
-#: second one that agrees with it says that the zero is another.
+#: A reading further from the estimate than this many standard deviations is refused; a second
+#: agreeing reading means that the zero has shifted.
 REFUSED = 4.0
-#: A log that begins so soon after the end of the one that was learned from goes on from it, s.
+#: A log that starts within this time after the end of the learning log continues it, s.
 GOES_ON = 3600.0
-#: An estimate is flagged where it leaves the range of the log's displacements by more than this
-#: share of it, on either side.
+#: An estimate is flagged where it leaves the log's range of displacements by more than this
+#: fraction of it, on either side.
 REACH = 0.5
 WITHIN = 1.96
 _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "torque": "N m"}
@@ -48,7 +48,7 @@ _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "t
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Learned(Described):
-    """A learned model behind the common interface.
+    """A learned model with the common interface.
 
     Its state is (time of the last sample, start of the run, last values, relaxations; then for each
     displacement zero, drift, weights, the last refused innovation, and their covariance).
@@ -58,7 +58,7 @@ class Learned(Described):
     model : LearnedModel
         The model.
     reading_noise : float
-        Standard deviation of a displacement that is read, m.
+        Standard deviation of a displacement reading, m.
     """
 
     model: LearnedModel
@@ -68,22 +68,22 @@ class Learned(Described):
     def _facts(self) -> dict[str, str]:
         return {
             "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{one.name} in {one.unit}" for one in self.channels),
+            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
         }
 
     @property
     def kind(self) -> str:
-        """``learned``, or the baseline that the model is."""
+        """``learned``, or the kind of baseline."""
         return self.model.kind
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Names of the displacements, as in the log that was learned from."""
-        return tuple(one.name for one in self.model.channels)
+        """Names of the displacements, as in the learning log."""
+        return tuple(channel.name for channel in self.model.channels)
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Columns of the log in SI, then a reading of each displacement; NaN if missing."""
+        """Columns of the log in SI, then a reading of each displacement; NaN where missing."""
         return (
             *(Channel(name, _unit(name)) for name in self.model.columns),
             *(Channel(f"reading {name}", "m") for name in self.axes),
@@ -91,24 +91,25 @@ class Learned(Described):
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """Nothing beside the estimate."""
+        """None."""
         return ()
 
     @cached_property
     def _prior(self) -> Array:
         """Covariance of (zero, drift, weights) of each displacement before any reading, m2."""
         size = 2 + len(self.model.features)
-        found = np.zeros((len(self.axes), size, size))
-        for own, one in zip(found, self.model.channels, strict=True):
-            own[0, 0], own[1, 1] = one.drift**2, (DRIFT_SIZE * one.drift) ** 2
-            own[2:, 2:] = one.covariance
-        return found
+        prior = np.zeros((len(self.axes), size, size))
+        for own, channel in zip(prior, self.model.channels, strict=True):
+            own[0, 0], own[1, 1] = channel.drift**2, (DRIFT_SIZE * channel.drift) ** 2
+            own[2:, 2:] = channel.covariance
+        return prior
 
     def initial_state(self) -> Array:
         """Return the state before any sample."""
         inputs = len(self.model.columns) + len(self.model.features)
         means = [
-            np.concatenate(([one.zero, 0.0], one.weights, [0.0])) for one in self.model.channels
+            np.concatenate(([channel.zero, 0.0], channel.weights, [0.0]))
+            for channel in self.model.channels
         ]
         start = np.full(2 + inputs, np.nan)
         return np.concatenate([start, *means, self._prior.ravel()])
@@ -123,7 +124,7 @@ class Learned(Described):
         time : float
             s; later than that of the sample before.
         values : sequence of float
-            As in `channels`; NaN for what is missing. It may end before the readings.
+            As in `channels`; NaN where missing. It may end before the displacement readings.
         """
         if not np.isfinite(time) or time <= state[0]:
             raise InputError(
@@ -178,12 +179,12 @@ class Learned(Described):
 
     @cached_property
     def _middle(self) -> Array:
-        """What stands for a reading that has never come: the middle of the log's."""
+        """Substitute for a reading that has never arrived: the middle of the log's range."""
         return np.array([0.5 * sum(self.model.spans[name]) for name in self.model.columns])
 
     @cached_property
     def _widening(self) -> Array:
-        return np.array([one.widening for one in self.model.channels])
+        return np.array([channel.widening for channel in self.model.channels])
 
     def _filters(self, state: Array) -> tuple[Array, Array]:
         """Return means (axes, 3 + features), with the refused innovation last, and covariances."""
@@ -194,7 +195,7 @@ class Learned(Described):
         return means.copy(), state[split:].reshape(axes, size, size).copy()
 
     def _forgotten(self, means: Array, spread: Array, dt: float) -> tuple[Array, Array]:
-        """Return the filters one interval later: each part goes back to what the log left open."""
+        """Return the filters one interval later: each part relaxes towards its prior."""
         size = spread.shape[1]
         keep = np.full(size, np.exp(-dt / MEMORY))
         keep[0], keep[1] = 1.0, np.exp(-dt / DRIFT_TIME)
@@ -205,7 +206,7 @@ class Learned(Described):
     def _corrected(
         self, mean: Array, spread: Array, row: Array, reading: float, c: int
     ) -> tuple[Array, Array, bool]:
-        """Return one filter after a reading, and whether it was refused."""
+        """Return one filter after a reading, and whether the reading was refused."""
         noise = self.reading_noise**2
         cross = spread @ row
         variance = float(row @ cross)
@@ -215,14 +216,14 @@ class Learned(Described):
             before = float(mean[-1])
             if not before or abs(innovation - before) > limit:
                 return np.append(mean[:-1], innovation), spread, True
-            # Twice the same: the zero is another.
+            # A second agreeing reading: the zero has shifted.
             spread = spread.copy()
             spread[0, 0] += innovation**2
             cross = spread @ row
             variance = float(row @ cross)
         gain = cross / (variance + noise)
         left = np.eye(len(gain)) - np.outer(gain, row)
-        # Joseph's form: stays symmetric and positive.
+        # Joseph's form stays symmetric and positive.
         after = left @ spread @ left.T + noise * np.outer(gain, gain)
         return np.append(mean[:-1] + gain * innovation, 0.0), 0.5 * (after + after.T), False
 
@@ -237,8 +238,8 @@ class Learned(Described):
                 status |= (
                     Status.BEYOND_TEMPERATURE if name in self.model.sensors else Status.BEYOND_HEAT
                 )
-        for value, one in zip(estimate, self.model.channels, strict=True):
-            low, high = one.span
+        for value, channel in zip(estimate, self.model.channels, strict=True):
+            low, high = channel.span
             if not low - REACH * (high - low) <= value <= high + REACH * (high - low):
                 status |= Status.BEYOND_DISPLACEMENT
         return status

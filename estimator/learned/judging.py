@@ -15,16 +15,16 @@ from thermojoint.artefacts.units import MEGA
 
 
 def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array, Array, list[str]]:
-    """Return estimate and band, (k, axes) m, and status of every sample of one run.
+    """Return estimate and band, (k, axes) m, and status for every sample of a run.
 
     Parameters
     ----------
     estimator : Learned
-        Starts afresh.
+        Starts from its initial state.
     log : Log
-        One run; displacements are seen only where they are read.
+        One run; displacements are used only where they are read.
     every : float, optional
-        The displacement is read so often, s, and first at the start; default never.
+        Interval of the displacement readings, s, the first one at the start; default none.
     """
     samples = samples_of(estimator.model.columns, [log])
     if every is not None:
@@ -32,27 +32,26 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
         at = np.minimum(np.searchsorted(log.times, due), len(log.times) - 1)
         told = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
         samples = with_probe_readings(samples, log.times[at], told)
-    found = [one for _, one in follow(estimator, samples, estimator.initial_state())]
+    estimates = [estimate for _, estimate in follow(estimator, samples, estimator.initial_state())]
     return (
-        np.array([one.displacement for one in found]),
-        np.array([one.band for one in found]),
-        [one.status.words for one in found],
+        np.array([estimate.displacement for estimate in estimates]),
+        np.array([estimate.band for estimate in estimates]),
+        [estimate.status.words for estimate in estimates],
     )
 
 
 def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float]]:
     """Return errors of every displacement of every run, free-running.
 
-    ``rms_error_um`` is on the zero of the log that was learned from, ``rms_error_zeroed_um`` with
-    the estimate's own value at the first sample taken as the day's zero, and so for what is
-    uncompensated.
+    ``rms_error_um`` uses the zero of the learning log; for ``rms_error_zeroed_um`` the estimate at
+    the first sample is the day's zero, also for the uncompensated error.
 
     Parameters
     ----------
     case : str
         Name for the rows.
     estimator : Learned
-        Starts afresh in every run.
+        Starts from its initial state in every run.
     log : Log
         With the displacements.
 
@@ -68,7 +67,7 @@ def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float
     runs = list(log.runs())
     for number, part in enumerate(runs):
         estimate, band, words = run(estimator, part)
-        beyond = float(np.mean([one != "ok" for one in words]))
+        beyond = float(np.mean([status != "ok" for status in words]))
         name = case if len(runs) == 1 else f"{case}, run {number + 1}"
         rows += [
             _row(name, estimator, axis, estimate, band, part) | {"flagged": beyond} for axis in axes

@@ -1,4 +1,4 @@
-"""Learned models as a kind, baselines that were learned from a log among them."""
+"""Learned models, including baselines learned from a log, as a kind."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
         raise InputError(
             'reads = "above-ambient": a learned model reads what its log had; leave the key out'
         )
-    axes = [one.name for one in model.channels]
+    axes = [channel.name for channel in model.channels]
     return of_columns([*model.columns, *axes], len(model.columns))
 
 
@@ -52,11 +52,11 @@ def _response(model: LearnedModel, response: xr.Dataset) -> Iterator[tuple[float
 
 
 def _ranges(model: LearnedModel) -> tuple[Range, ...]:
-    return (duration(model.duration_s), *(_seen(*one) for one in model.spans.items()))
+    return (duration(model.duration_s), *(_seen(*span) for span in model.spans.items()))
 
 
 def _seen(name: str, span: tuple[float, float]) -> Range:
-    """The range of a column of a log, in the column's own unit."""
+    """The range of a log column, in its own unit."""
     column = column_named(name)
     if column is None:
         return Range(name, *span, "1")

@@ -1,8 +1,7 @@
 """Export of a learned model: weighted relaxations of the inputs.
 
-As `estimator.learned.estimator` where no displacement is read: zero and weights are then those that
-were learned, and the band is theirs. With x = dt/τ a relaxation gains, of the straight line from u0
-to u1,
+As `estimator.learned.estimator` without displacement readings: zero and weights are the learned
+ones, and so is the band. With x = dt/τ a relaxation of the straight line from u0 to u1 changes by
 
     y1 - y0 = g (u0 - y0) + h (u1 - u0),   g = 1 - exp(-x),   h = 1 - g/x.
 """
@@ -24,11 +23,11 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.learned import LearnedModel
 
-#: Terms of the series of h, which has its digits where x is below 1.
+#: Terms of the series of h, which is accurate for x below 1.
 TERMS = 18
-#: A value that is no number, or as large, is a reading that is missing.
+#: A value that is not finite, or as large as this, is a missing reading.
 LARGEST = 1e30
-#: Exponents that need no power.
+#: Exponents that need no power function.
 _PRODUCTS = (1.0, 2.0)
 _STATUSES = (
     Status.BEYOND_TIME,
@@ -40,12 +39,12 @@ _STATUSES = (
 
 
 class Filtered(NamedTuple):
-    """A feature in the program.
+    """A feature as filtered in the program.
 
     Attributes
     ----------
     column : int
-        Which reading.
+        Index of the reading.
     exponent, reference, scale, tau : float
         As `thermojoint.models.learned.Feature`.
     """
@@ -58,14 +57,14 @@ class Filtered(NamedTuple):
 
 
 def contents(estimator: Learned, interval: float) -> Contents:
-    """Return what a learned estimator gives to a program.
+    """Return the program contents of a learned estimator.
 
     Parameters
     ----------
     estimator : Learned
         Its model gives every coefficient.
     interval : float
-        Nominal, s; any other may follow.
+        Nominal, s; other intervals are accepted.
 
     Raises
     ------
@@ -77,11 +76,17 @@ def contents(estimator: Learned, interval: float) -> Contents:
     model = estimator.model
     columns, count, axes = len(model.columns), len(model.features), len(model.channels)
     features = [
-        Filtered(model.columns.index(one.column), one.exponent, one.reference, one.scale, one.tau_s)
-        for one in model.features
+        Filtered(
+            model.columns.index(feature.column),
+            feature.exponent,
+            feature.reference,
+            feature.scale,
+            feature.tau_s,
+        )
+        for feature in model.features
     ]
-    powers = sum(one.exponent not in (0.0, *_PRODUCTS) for one in features)
-    slow = sum(one.tau > 0.0 for one in features)
+    powers = sum(feature.exponent not in (0.0, *_PRODUCTS) for feature in features)
+    slow = sum(feature.tau > 0.0 for feature in features)
     usual = Operations(
         axes * (2 + count + count * (count + 1)) + 3 * count + 2 * slow,
         axes * (2 + count + count * (count + 1)) + count + 8 * slow + 3,
@@ -90,19 +95,19 @@ def contents(estimator: Learned, interval: float) -> Contents:
     )
     ranges = [model.spans[name] for name in model.columns]
     return Contents(
-        # The program does not know the log's clock: it begins a run.
+        # The program does not know the log's clock: it starts a new run.
         Learned(replace(model, log_end=None), estimator.reading_noise),
         _interface(estimator, interval),
         values={
             "features": features,
             "gains": gains(model.taus, interval),
-            "zeros": [one.zero for one in model.channels],
-            "weights": np.array([one.weights for one in model.channels]),
-            "spreads": np.array([one.covariance for one in model.channels]),
-            "unexplained": [(1.0 + DRIFT_SIZE**2) * one.drift**2 for one in model.channels],
-            "widths": [WITHIN * one.widening for one in model.channels],
-            "reaches": [_reach(one.span) for one in model.channels],
-            "limits": [with_slack(one) for one in ranges],
+            "zeros": [channel.zero for channel in model.channels],
+            "weights": np.array([channel.weights for channel in model.channels]),
+            "spreads": np.array([channel.covariance for channel in model.channels]),
+            "unexplained": [(1.0 + DRIFT_SIZE**2) * channel.drift**2 for channel in model.channels],
+            "widths": [WITHIN * channel.widening for channel in model.channels],
+            "reaches": [_reach(channel.span) for channel in model.channels],
+            "limits": [with_slack(limits) for limits in ranges],
             "middles": [0.5 * (low + high) for low, high in ranges],
             "temperatures": [name in model.sensors for name in model.columns],
             "longest": (1.0 + SLACK) * model.duration_s,
@@ -119,12 +124,12 @@ def contents(estimator: Learned, interval: float) -> Contents:
 
 
 def gains(taus: Array, interval: float) -> Array:
-    """Return g and h of each feature, shape (n, 2); those of a signal itself are 1 and 1.
+    """Return g and h of each feature, shape (n, 2); 1 and 1 for an unfiltered signal.
 
     Parameters
     ----------
     taus : ndarray, shape (n,)
-        Time constants, s; 0 for the signal itself.
+        Time constants, s; 0 for an unfiltered signal.
     interval : float
         s.
     """
@@ -153,7 +158,7 @@ def _interface(estimator: Learned, interval: float) -> Interface:
         fingerprint=model.digest,
         interval=interval,
         timed=True,
-        inputs=tuple(Variable(*one, "") for one in zip(inputs, units, strict=False)),
+        inputs=tuple(Variable(*variable, "") for variable in zip(inputs, units, strict=False)),
         outputs=(*listed("displacement", "m", axes), *listed("band", "m", axes)),
         axes=axes,
         statuses=_STATUSES,
@@ -161,6 +166,6 @@ def _interface(estimator: Learned, interval: float) -> Interface:
 
 
 def _base(name: str) -> str:
-    """The name without its unit: the program takes and gives SI."""
+    """The name without its unit: the program uses SI."""
     column = column_named(name)
     return column.base if column else name

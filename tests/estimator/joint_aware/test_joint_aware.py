@@ -460,7 +460,7 @@ def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine,
     model = make_observer(small, fit, known)
     band = open_band(small, plant, fit, model, drawing=Drawing(draws=2, duration=2400.0))
     assert np.all(band.square >= 0.0)
-    assert band.open.shape == (2, 2, 2 * fit.remainder.displacement.shape[1])
+    assert band.open.shape == (2, 2, 2 * fit.discrepancy.displacement.shape[1])
     assert np.all(np.abs(band.open).max(axis=(1, 2)) > 0.0)
 
 
