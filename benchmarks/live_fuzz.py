@@ -185,7 +185,7 @@ DOORS: dict[str, Door] = {"mqtt": mqtt_door, "csv": csv_door, "opcua": opcua_doo
 def floor_of(model: Served) -> Floor:
     """Return one machine that nobody keeps."""
     place = Place(model, 1, at_rest(MACHINE, model, START), None, 0.0)
-    return Floor({MACHINE: place}, EventLog(), fresh_metrics(), 60.0, WatchdogSection())
+    return Floor({MACHINE: place}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
 
 
 def estimates(

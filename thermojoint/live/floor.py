@@ -14,6 +14,8 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import (
     Machine,
+    Times,
+    received_of,
     rest_of,
     shown,
     silent,
@@ -23,10 +25,10 @@ from thermojoint.live.machine import (
 )
 from thermojoint.live.metrics import Metrics
 from thermojoint.live.publication import Publication, as_row
-from thermojoint.live.samples import arrived
+from thermojoint.live.samples import Rule, arrived
 from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
-from thermojoint.live.store import Checkpoint, Hole, Taken
+from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
 #: A gap longer than this many intervals is a hole in the history.
 _GAP = 1.5
@@ -109,6 +111,8 @@ class Floor:
         Figures.
     ahead : float
         A reading's time is at most so much later than now, s.
+    behind : float
+        So much earlier it may be and counts as new, s.
     watchdog : WatchdogSection
         When silence counts.
     """
@@ -117,6 +121,7 @@ class Floor:
     log: EventLog
     metrics: Metrics
     ahead: float
+    behind: float
     watchdog: WatchdogSection
 
 
@@ -151,14 +156,14 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
         place.machine = with_waiting(place.machine, step.waiting)
         if one.kept:
             place.unkept.append(one.kept)
-        for instant, readings in step.samples:
-            _sample(floor, place, instant, readings, (now, clock), outcome)
+        for sample in step.samples:
+            _sample(floor, place, sample, Times(now, clock), outcome)
         if step.samples:
             outcome.came.append(one.came)
             outcome.kept += place.unkept
             place.unkept = []
             last = outcome.taken[-1]
-            rest = rest_of(place.served, place.machine, place.position)
+            rest = rest_of(place.machine, place.position)
             outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
     return outcome
 
@@ -166,32 +171,37 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
 def _sample(
     floor: Floor,
     place: Place,
-    instant: float,
-    readings: tuple[float, ...],
-    times: tuple[float, float],
+    sample: tuple[float, tuple[float, ...]],
+    times: Times,
     outcome: Outcome,
 ) -> None:
     """Take one sample of one machine."""
-    now, clock = times
+    instant, now = sample[0], times.now
     before = place.machine.said
     name = place.machine.name
     if before.number and instant - before.time > _GAP * place.served.rule.interval:
         why = "the service was down" if place.fresh else "no readings"
         outcome.holes.append(Hole(name, before.time, instant, why))
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
-    place.machine, refusal = taken(place.served, place.machine, instant, readings, now)
+    age = age_of(place.served.rule, floor.behind, instant, now)
+    place.machine, refusal = taken(place.served, place.machine, sample, times, age)
     place.fresh = False
     said = place.machine.said
     if refusal:
         floor.log.say(now, "sample-refused", refusal, name)
     else:
-        place.heard = clock
+        place.heard = times.clock - age
         if said.status != before.status and before.number:
             floor.log.say(now, "status", f"{said.status}, was {before.status}", name)
     row = as_row(said)
     place.rows.append((row, said.status))
     outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
     published = shown(place.machine)
+    if times.clock - place.heard >= floor.watchdog.uncertain_s:
+        # It is read late: what it says is of then.
+        place.machine, published = silent(
+            place.served, place.machine, times.clock - place.heard, times, floor.watchdog
+        )
     place.told, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
@@ -206,18 +216,29 @@ def _refused(floor: Floor, one: Arrival, verdict: str, now: float) -> None:
     floor.log.say(now, verdict, told[verdict], one.machine)
 
 
+def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
+    """Return how old a sample is that is taken now, beyond what its source may need, s."""
+    return max(0.0, now - instant - behind - rule.interval - rule.lateness)
+
+
+def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
+    """Return what the controls of some machines receive, to be kept before they do."""
+    places = (floor.places[name] for name in machines)
+    found = (received_of(place.served, place.machine, now) for place in places)
+    return [one for one in found if one is not None]
+
+
 def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
     """Return what has become uncertain or bad by silence, or moves an offset by it."""
     changed = []
     limits = floor.watchdog
     for place in floor.places.values():
-        age = clock - place.heard
-        if age < limits.uncertain_s:
+        age, output = clock - place.heard, place.served.output
+        oldest = math.inf if output is None else output.trust.oldest
+        if age < min(limits.uncertain_s, oldest):
             continue
         before = place.machine.output
-        machine, said = silent(
-            place.served, place.machine, age, now, limits.uncertain_s, limits.bad_s
-        )
+        machine, said = silent(place.served, place.machine, age, Times(now, clock), limits)
         place.machine, after = machine, machine.output
         moved = said.offset_mode != place.mode or (
             before is not None
@@ -247,7 +268,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
         place.era,
         place.machine.said.number,
         state_bytes(place.served, place.machine),
-        rest_of(place.served, place.machine, place.position),
+        rest_of(place.machine, place.position),
         rows,
         status,
     )
@@ -262,11 +283,12 @@ def count_qualities(floor: Floor) -> None:
         floor.metrics.quality.labels(quality.word).set(count)
 
 
-def since_heard(last: Publication, now: float, clock: float) -> float:
+def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> float:
     """Return when a machine was heard last, by the service's own clock; -inf for never."""
     if last.number == 0 or math.isnan(last.published):
         return -math.inf
-    return clock - max(0.0, now - last.published)
+    age = age_of(rule, behind, last.time, last.published)
+    return times.clock - max(0.0, times.now - last.published) - age
 
 
 def unwritten(places: Iterable[Place]) -> Sequence[Place]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,25 @@ from thermojoint.compensation.offsets.usable import usable
 from thermojoint.live.publication import Layout, Publication, from_row
 from thermojoint.live.samples import Waiting
 from thermojoint.live.served import Served
-from thermojoint.live.store import Kept
+from thermojoint.live.settings import WatchdogSection
+from thermojoint.live.store import Kept, Received
 from thermojoint.live.watchdog import REFUSED, quality_at, silenced
+
+
+class Times(NamedTuple):
+    """One moment by two clocks.
+
+    Attributes
+    ----------
+    now : float
+        s since 1970; somebody may set this clock.
+    clock : float
+        The service's own, which nobody sets, s. Offsets move by it, whatever times the readings
+        carry: what the control receives counts by the time in which it receives it.
+    """
+
+    now: float
+    clock: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,7 +105,11 @@ def at_rest(name: str, served: Served, now: float) -> Machine:
 
 
 def taken(
-    served: Served, machine: Machine, instant: float, readings: tuple[float, ...], now: float
+    served: Served,
+    machine: Machine,
+    sample: tuple[float, tuple[float, ...]],
+    times: Times,
+    age: float,
 ) -> tuple[Machine, str]:
     """Return a machine after one sample, and why the estimator refused it (empty if it did not).
 
@@ -98,13 +119,15 @@ def taken(
         Its model.
     machine : Machine
         Before; `waiting` stays as it is.
-    instant : float
-        Of the sample, s since 1970.
-    readings : tuple of float
-        As `served.intake.names`, NaN for what is missing.
-    now : float
-        When it is published, s since 1970.
+    sample : (float, tuple of float)
+        Its instant, s since 1970, and its readings as `served.intake.names`, NaN for what is
+        missing.
+    times : Times
+        When it is published.
+    age : float
+        Of the sample then, s.
     """
+    (instant, readings), now = sample, times.now
     given = served.intake.usable(readings)
     values, cold = served.intake.convert(given, machine.cold)
     number = machine.said.number + 1
@@ -113,7 +136,7 @@ def taken(
         state, estimate = served.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
         # The sample is kept, so that nobody takes it again; the estimate stays what it was.
-        output = _cycled(served, machine.output, instant, None)
+        output = _cycled(served, machine.output, times.clock, None)
         nothing = Publication(
             machine=machine.name,
             number=number,
@@ -131,13 +154,12 @@ def taken(
         )
         return replace(machine, cold=cold, output=output, said=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    sound = bool(np.isfinite(reached).all())
     trust = served.output.trust if served.output else None
-    used = sound and trust is not None and usable(trust, 0.0, estimate.band, words)
+    used = _finite(reached) and trust is not None and usable(trust, age, estimate.band, words)
     target = None
     if used and served.output is not None:
         target = followed(served.output.output, served.layout.axes, reached)
-    output = _cycled(served, machine.output, instant, target)
+    output = _cycled(served, machine.output, times.clock, target)
     said = Publication(
         machine.name,
         number,
@@ -180,27 +202,25 @@ def shown(machine: Machine) -> Publication:
 
 
 def silent(
-    served: Served, machine: Machine, age: float, now: float, uncertain: float, bad: float
+    served: Served, machine: Machine, age: float, times: Times, limits: WatchdogSection
 ) -> tuple[Machine, Publication]:
     """Return a machine, and what is said of it, some time (s) after its last usable sample.
 
     The offsets freeze and decay as their settings say; an estimate that is too old moves none.
     """
     output = machine.output
-    told = machine.said.number > 0
     if (
         served.output is not None
         and output is not None
-        and told
+        and output.used
         and age > served.output.trust.oldest
     ):
-        # The age is that of the last estimate: refused samples since then have times of their own.
-        output = _cycled(served, output, machine.usable.time + age, None)
+        output = _cycled(served, output, times.clock, None)
     before = shown(machine)
-    quality = quality_at(age, uncertain, bad) if before.number else Quality.BAD
+    quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
     said = replace(
         before,
-        published=now,
+        published=times.now,
         quality=max(before.quality, quality),
         offsets=_offsets(served, output),
         offset_mode=_mode(served, output),
@@ -212,11 +232,9 @@ def silent(
 def _cycled(
     served: Served, output: OutputState | None, time: float, target: Array | None
 ) -> OutputState | None:
-    """The compensation output after a sample; a silence may have brought its clock further."""
     if served.output is None or output is None:
         return None
-    later = time if math.isnan(output.time) else max(time, output.time)
-    return cycle(served.output.output, output, later, target)
+    return cycle(served.output.output, output, time, target)
 
 
 def _offsets(served: Served, output: OutputState | None) -> Array:
@@ -236,32 +254,38 @@ def state_bytes(served: Served, machine: Machine) -> bytes:
     return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
 
 
-def rest_of(served: Served, machine: Machine, position: Any) -> str:  # noqa: ANN401
+def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
     """Return what else the next sample depends on, as the store keeps it: JSON.
 
     Parameters
     ----------
-    served : Served
-        Its model.
     machine : Machine
     position : JSON value
         How far its source was read.
     """
-    output = machine.output
-    content: dict[str, Any] = {"at": position, "waiting": machine.waiting}
-    if served.output is not None and output is not None:
-        content["output"] = content_of(served.output.output, output)
-    return json.dumps(content)
+    return json.dumps({"at": position, "waiting": machine.waiting})
+
+
+def received_of(served: Served, machine: Machine, now: float) -> Received | None:
+    """Return what the control receives, as the store keeps it; None without offsets."""
+    if served.output is None or machine.output is None:
+        return None
+    content = content_of(served.output.output, machine.output)
+    return Received(machine.name, now, json.dumps(content))
 
 
 def restored(
-    name: str, served: Served, kept: Kept, last: Publication | None, now: float
+    name: str,
+    served: Served,
+    kept: Kept,
+    last: Publication | None,
+    received: Received | None,
+    times: Times,
 ) -> tuple[Machine, Any]:
     """Return a machine as it was when its last sample was kept, and where its source stood.
 
     Samples since the last checkpoint run through the estimator again. The offsets go on from what
-    the control received last, whatever the settings were then; for as long as nothing came they
-    have frozen and decayed, as they would have in a service that ran.
+    the control received last, whatever model and settings were then.
 
     Parameters
     ----------
@@ -271,15 +295,17 @@ def restored(
         What the store has of it; the axes of the control may have been others.
     last : Publication or None
         The sample of the checkpoint.
-    now : float
-        s since 1970.
+    received : Received or None
+        What the control received last.
+    times : Times
+        Now.
 
     Raises
     ------
     InputError
         The samples do not lead to what was said of them: another model, or a damaged store.
     """
-    machine = at_rest(name, served, now)
+    machine = replace(at_rest(name, served, times.now), output=None)
     if kept.state is not None and last is not None:
         found = from_bytes(kept.state, served.digest, name)
         if found.size != machine.state.size + 1:
@@ -290,22 +316,16 @@ def restored(
             state=found[1:],
             said=_laid_out(last, served.layout),
             usable=_laid_out(last, served.layout),
-            output=_output(served, json.loads(kept.rest).get("output")),
         )
     for one in kept.later:
         row = from_row(name, one.number, kept.layout, np.frombuffer(one.row), one.status)
-        readings = tuple(row.readings.tolist())
-        machine, _ = taken(served, machine, row.time, readings, row.published)
+        sample = row.time, tuple(row.readings.tolist())
+        machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.later[-1].rest if kept.later else kept.rest)
-    # Not what the samples would lead to under settings that have changed since.
-    output = _output(served, rest.get("output"))
-    if served.output is not None and output is not None and machine.said.number:
-        settings, oldest = served.output.output, served.output.trust.oldest
-        # By the clock of the service: the source's own may stand elsewhere.
-        silence = now - machine.usable.published
-        for age in (oldest, silence) if silence > oldest else ():
-            time = max(machine.usable.time + age, output.time)
-            output = cycle(replace(settings, longest_cycle=math.inf), output, time, None)
+    if received is None and "output" in rest:
+        # Before version 0.9 it was kept with the samples.
+        received = Received(name, machine.usable.published, json.dumps(rest["output"]))
+    output = _output(served, machine, received, times)
     said = replace(
         machine.said, offsets=_offsets(served, output), offset_mode=_mode(served, output)
     )
@@ -334,9 +354,30 @@ def _waiting(content: list[Any] | None) -> Waiting:
     )
 
 
-def _output(served: Served, content: dict[str, Any] | None) -> OutputState | None:
-    """Return the compensation output that goes on from what the control received last."""
+def _output(
+    served: Served, machine: Machine, received: Received | None, times: Times
+) -> OutputState | None:
+    """Return the compensation output that goes on from what the control received last.
+
+    It follows on only if the machine's last estimate is usable by the settings of now; it freezes
+    and decays as if it had become too old while the service ran.
+    """
     if served.output is None:
         return None
-    settings = served.output.output
-    return at_zero(settings) if content is None else output_restored(settings, content)
+    settings, trust, last = served.output.output, served.output.trust, machine.said
+    if received is None:
+        return at_zero(settings)
+    silence = max(0.0, times.now - received.at)
+    output = output_restored(settings, json.loads(received.content), times.clock, silence)
+    if not output.used or not math.isnan(output.unusable_since):
+        return output
+    age = times.now - last.published
+    # One from the future was made before the clock was set back, nobody knows when.
+    if age >= 0.0 and _finite(last.displacement) and usable(trust, age, last.band, last.status):
+        return output
+    frozen = cycle(settings, output, times.clock, None)
+    return frozen._replace(unusable_since=times.clock - max(0.0, silence - trust.oldest))
+
+
+def _finite(values: Array) -> bool:
+    return bool(np.isfinite(values).all())

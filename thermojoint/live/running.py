@@ -19,8 +19,9 @@ from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import Machine, rest_of, restored, shown, state_bytes
+from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
+from thermojoint.live.publication import Publication
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (
@@ -33,6 +34,7 @@ from thermojoint.live.store import (
     era_of,
     kept_of,
     open_store,
+    received_last,
 )
 
 #: Blocks of arrivals that may wait; then readers wait, too.
@@ -105,9 +107,9 @@ async def opened(
     keeper = ThreadPoolExecutor(1, "keeper")
     store = open_store(path, service.given.store.durable)
     try:
-        metrics, log = fresh_metrics(), EventLog()
-        places = _places(service, models, store, Archive(path), log)
-        floor = Floor(places, log, metrics, service.given.ahead_s, service.given.watchdog)
+        log, metrics = EventLog(), fresh_metrics()
+        times = Times(time.time(), time.monotonic())
+        floor, newest = restored_floor(service, models, store, log, metrics, times)
         running = Running(
             service,
             floor,
@@ -119,13 +121,8 @@ async def opened(
             asyncio.Queue(_MOST_BLOCKS),
             stop,
         )
-        now = time.time()
-        log.say(now, "start", f"store {path}")
-        # First what silence has done: no control receives an offset of before it.
-        silent = {one.machine: one for one in floors.watch(floor, now, time.monotonic())}
-        running.hub.publish(
-            [silent.get(name) or shown(place.machine) for name, place in places.items()]
-        )
+        log.say(times.now, "start", f"store {path}")
+        running.hub.publish(newest)
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         await running.kept(commit, Batch(events=log.fetched()))
@@ -135,15 +132,33 @@ async def opened(
         store.close()
 
 
+def restored_floor(
+    service: Service,
+    models: dict[str, Served],
+    store: sqlite3.Connection,
+    log: EventLog,
+    metrics: Metrics,
+    times: Times,
+) -> tuple[Floor, list[Publication]]:
+    """Return the machines of a service where its store has them, and what is published first."""
+    given = service.given
+    places = _places(service, models, store, log, times)
+    floor = Floor(places, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
+    # First what silence has done: no control receives an offset of before it.
+    silent = {one.machine: one for one in floors.watch(floor, *times)}
+    commit(store, Batch(received=floors.received(floor, places, times.now)))
+    return floor, [silent.get(name) or shown(place.machine) for name, place in places.items()]
+
+
 def _places(
     service: Service,
     models: dict[str, Served],
     store: sqlite3.Connection,
-    archive: Archive,
     log: EventLog,
+    times: Times,
 ) -> dict[str, Place]:
-    now, clock = time.time(), time.monotonic()
-    of = single(models, service)
+    now, archive = times.now, Archive(service.folder / "history.sqlite")
+    of, received = single(models, service), received_last(store)
     store.execute("BEGIN IMMEDIATE")
     eras = {name: era_of(store, name, one.digest, one.layout, now) for name, one in of.items()}
     store.execute("COMMIT")
@@ -158,11 +173,11 @@ def _places(
             last = archive.checkpointed(name, earlier)
             if kept.state is None and not kept.later:
                 kept = every[earlier]
-        machine, position = restored(name, model, kept, last, now)
+        machine, position = restored(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
             moved += _moved(model, machine, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator goes on", name)
-        heard = floors.since_heard(machine.usable, now, clock)
+        heard = floors.since_heard(machine.usable, model.rule, service.given.behind_s, times)
         # Those of another layout stay where they are kept.
         rows = [(np.frombuffer(one.row), one.status) for one in every[eras[name]].later]
         found[name] = Place(model, eras[name], machine, position, heard, rows=rows)
@@ -178,7 +193,7 @@ def _moved(
 ) -> tuple[Checkpoint, Checkpoint]:
     """Return the end of an era, and the beginning of the one that goes on from it."""
     number, state = machine.said.number, state_bytes(model, machine)
-    rest = rest_of(model, machine, position)
+    rest = rest_of(machine, position)
     rows = np.array([np.frombuffer(one.row) for one in kept.later])
     words = tuple(one.status for one in kept.later)
     none = np.empty((0, model.layout.width))

@@ -12,6 +12,7 @@ from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.doors import open_doors
 from thermojoint.live.floor import Place
 from thermojoint.live.notify import tell_systemd
+from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.running import Running, opened
 from thermojoint.live.served import served_models, single
@@ -123,7 +124,8 @@ async def _process(running: Running) -> None:
         outcome = floors.absorb(floor, arrivals, now, time.monotonic())
         events = floor.log.fetched()
         if outcome.taken or events:
-            batch = Batch(outcome.taken, (), events, outcome.holes)
+            received = floors.received(floor, outcome.publications, now)
+            batch = Batch(outcome.taken, (), events, outcome.holes, received)
             with running.metrics.commit.time():
                 running.journal_end = await running.kept(commit, batch)
         running.hub.publish(list(outcome.publications.values()))
@@ -148,7 +150,7 @@ async def _watch(running: Running) -> None:
         await asyncio.sleep(_WATCH_S)
         tell_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
-        running.hub.publish(floors.watch(running.floor, now, clock))
+        await published(running, floors.watch(running.floor, now, clock))
         floors.count_qualities(running.floor)
         await _checkpoint_some(running, settings.checkpoint_s)
         if clock - shortened >= _SHORTEN_S:
@@ -161,6 +163,15 @@ async def _watch(running: Running) -> None:
             if size > _LONGEST_LOG:
                 await running.kept(cut_log)
             running.metrics.log_size.set(size)
+
+
+async def published(running: Running, changed: list[Publication]) -> None:
+    """Publish what silence has changed, after the offsets are kept that the controls receive."""
+    names = [one.machine for one in changed]
+    received = floors.received(running.floor, names, time.time())
+    if received:
+        await running.kept(commit, Batch(received=received))
+    running.hub.publish(changed)
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:

@@ -192,6 +192,7 @@ class ServiceFile(Section):
     machines: Annotated[dict[str, MachineSection], Field(min_length=1)]
     sources: Annotated[dict[str, Source], Field(min_length=1)]
     ahead_s: Positive = 60.0
+    behind_s: NotNegative = 60.0
     watchdog: WatchdogSection = WatchdogSection()
     store: StoreSection = StoreSection()
     opcua: OpcuaServer | None = None

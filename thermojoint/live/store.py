@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,6 +54,8 @@ CREATE TABLE IF NOT EXISTS events (
   id INTEGER PRIMARY KEY, time REAL NOT NULL, machine TEXT, kind TEXT NOT NULL,
   text TEXT NOT NULL);
 CREATE INDEX IF NOT EXISTS events_by_time ON events (time);
+CREATE TABLE IF NOT EXISTS received (
+  machine TEXT PRIMARY KEY, at REAL NOT NULL, content TEXT NOT NULL);
 """
 
 
@@ -125,6 +128,23 @@ class Hole:
     why: str
 
 
+class Received(NamedTuple):
+    """What a control received last: of a machine, whatever its model and its settings were.
+
+    Attributes
+    ----------
+    machine : str
+    at : float
+        When, s since 1970.
+    content : str
+        State of the compensation output: JSON.
+    """
+
+    machine: str
+    at: float
+    content: str
+
+
 @dataclass(frozen=True)
 class Batch:
     """All that one transaction keeps."""
@@ -133,6 +153,7 @@ class Batch:
     checkpoints: Sequence[Checkpoint] = ()
     events: Sequence[Event] = ()
     holes: Sequence[Hole] = ()
+    received: Sequence[Received] = ()
 
 
 @dataclass(frozen=True)
@@ -274,6 +295,12 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
     }
 
 
+def received_last(store: sqlite3.Connection) -> dict[str, Received]:
+    """Return what the control of each machine received last."""
+    found = store.execute("SELECT machine, at, content FROM received")
+    return {one[0]: Received(*one) for one in found}
+
+
 def commit(store: sqlite3.Connection, batch: Batch) -> int:
     """Keep a batch in one transaction; return the number of the journal's last entry."""
     store.execute("BEGIN IMMEDIATE")
@@ -298,6 +325,12 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
         store.executemany(
             "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)",
             [(one.machine, one.since, one.until, one.why) for one in batch.holes],
+        )
+        # Axes that the settings have no more keep what the control received of them last.
+        store.executemany(
+            "INSERT INTO received VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET at = excluded.at, "
+            "content = json_patch(content, excluded.content)",
+            batch.received,
         )
         store.execute("COMMIT")
     except BaseException:

@@ -143,10 +143,10 @@ def test_no_change_of_the_settings_moves_an_offset_faster_than_the_rate(first, c
     before = dict(zip(first.names, as_row(first, state), strict=True))
     content = content_of(first, state)
     for used, later in changes:
-        state = restored(used, json.loads(json.dumps(content)))
+        start = content["time"] or 0.0
+        state = restored(used, json.loads(json.dumps(content)), start, 0.0)
         for name, offset in zip(used.names, as_row(used, state), strict=True):
             assert abs(offset - before[name]) <= 0.5 * used.resolution * (1.0 + 1e-6)
-        start = state.time if math.isfinite(state.time) else 0.0
         for length, target in later:
             start, last = start + length, as_row(used, state)
             state = cycle(used, state, start, target)
@@ -164,7 +164,7 @@ def test_an_axis_keeps_its_offset_by_its_name_and_a_new_one_begins_at_zero():
     state = run(PLAIN, [(1.0, np.array([27.2 * MICRO]))] * 2)[-1]
     content = content_of(PLAIN, state)
     coarse = replace(PLAIN, resolution=MICRO, names=("Y", "X"), estimated=("y", "x"), signs=(1, -1))
-    found = offsets_of(coarse, restored(coarse, content))
+    found = offsets_of(coarse, restored(coarse, content, 2.0, 0.0))
     assert found == pytest.approx([0.0, 27.0 * MICRO], abs=1e-12)
 
 

@@ -1,11 +1,13 @@
 """One machine of the service: what silence does, what a kill does not, and what the store keeps."""
 
+import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks import offset_invariant
 from estimator.quality import Quality
 from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import floor as floors
@@ -13,7 +15,7 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog, line_of
-from thermojoint.live.machine import at_rest, restored, silent, taken
+from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.samples import Rule
@@ -29,6 +31,7 @@ from thermojoint.live.store import (
     kept_of,
     move_log,
     open_store,
+    received_last,
 )
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
@@ -59,10 +62,20 @@ def readings(k):
     return (20.0 + 6.0 * rise, 20.0 + 0.5 * rise, 20.0 + rise, 20.0 + 3.0 * rise, 20.0)
 
 
+def at(k):
+    """So many seconds after the start, by both clocks."""
+    return Times(START + k, START + k)
+
+
+def sampled(k, given=None):
+    """A sample of then, taken then."""
+    return (START + k, given or readings(k)), at(k), 0.0
+
+
 def after(model, count):
     machine = at_rest("mill", model, START)
     for k in range(count):
-        machine, refusal = taken(model, machine, START + k, readings(k), START + k)
+        machine, refusal = taken(model, machine, *sampled(k))
         assert not refusal
     return machine
 
@@ -75,9 +88,8 @@ def test_a_machine_of_which_nothing_is_known_says_so(model):
         None,
         {"x": None, "y": None},
     )
-    assert (
-        silent(model, at_rest("mill", model, START), 1e9, START, 1.0, 2.0)[1].quality is Quality.BAD
-    )
+    machine = at_rest("mill", model, START)
+    assert silent(model, machine, 1e9, at(0), WatchdogSection())[1].quality is Quality.BAD
 
 
 def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_and_decay(model):
@@ -86,7 +98,7 @@ def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_
     assert abs(before) > 1e-6
     found = {}
     for age in range(1, 200):
-        machine, found[age] = silent(model, machine, float(age), START + 60 + age, 10.0, 60.0)
+        machine, found[age] = silent(model, machine, float(age), at(60 + age), WatchdogSection())
     assert found[9].quality is machine.said.quality
     assert (found[10].quality, found[60].quality) == (Quality.UNCERTAIN, Quality.BAD)
     assert found[10].status.endswith("silent")
@@ -100,12 +112,12 @@ def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_
 def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model):
     machine = after(model, 30)
     broken = (math.nan, *readings(30)[1:])
-    other, refusal = taken(model, machine, START + 30, broken, START + 30)
+    other, refusal = taken(model, machine, *sampled(30, broken))
     assert "finite" in refusal
     assert other.said.number == 31
     np.testing.assert_array_equal(other.state, machine.state)
     assert other.said.quality is Quality.UNCERTAIN
-    again, refusal = taken(model, other, START + 31, readings(31), START + 31)
+    again, refusal = taken(model, other, *sampled(31))
     assert not refusal
     assert again.said.quality is machine.said.quality
 
@@ -118,14 +130,15 @@ def test_what_is_no_temperature_is_a_missing_reading(model, value):
 def floor_of(model, store, now=START):
     era = era_of(store, "mill", model.digest, model.layout, now)
     place = Place(model, era, at_rest("mill", model, now), None, now)
-    return Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, WatchdogSection())
+    return Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
 
 
 def feed(floor, store, first, last, step=1):
     for k in range(first, last, step):
         arrival = Arrival("mill", START + k, readings(k), START + k, position=k)
         outcome = floors.absorb(floor, [arrival], START + k, START + k)
-        commit(store, Batch(outcome.taken, (), floor.log.fetched(), outcome.holes))
+        told = floors.received(floor, outcome.publications, START + k)
+        commit(store, Batch(outcome.taken, (), floor.log.fetched(), outcome.holes, told))
 
 
 @pytest.mark.parametrize("checkpoint", [None, 0, 17, 40])
@@ -142,11 +155,13 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
             commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
     kept = kept_of(store, [place.era])[place.era]
     last = Archive(path).checkpointed("mill", place.era)
-    machine, position = restored("mill", model, kept, last, START)
+    received = received_last(store)["mill"]
+    machine, position = restored("mill", model, kept, last, received, at(39))
     assert position == 39
     np.testing.assert_array_equal(machine.state, place.machine.state)
     assert machine.waiting == place.machine.waiting
-    np.testing.assert_equal(machine.output._asdict(), place.machine.output._asdict())
+    before = place.machine.output._replace(credit=0.0)
+    np.testing.assert_equal(machine.output._asdict(), before._asdict())
     np.testing.assert_array_equal(as_row(machine.said), as_row(place.machine.said))
     history = Archive(path).history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
@@ -246,19 +261,16 @@ def with_offsets(model, text, folder):
 
 
 def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
-    """The clock of the output follows the time since the last estimate, not twice of it."""
-    machine = after(model, 60)
+    """The output's clock is the service's own: refused samples and silence freeze alike."""
+    machine, alone = after(model, 60), after(model, 60)
     for k in range(60, 110):
-        broken = (math.nan, *readings(k)[1:])
-        machine, refusal = taken(model, machine, START + k, broken, START + k)
+        machine, refusal = taken(model, machine, *sampled(k, (math.nan, *readings(k)[1:])))
         assert refusal
-    alone = after(model, 60)
     for age in (20.0, 50.0, 51.0, 60.0, 100.0):
-        refused, said = silent(model, machine, age, START + 59 + age, 10.0, 60.0)
-        quiet, expected = silent(model, alone, age, START + 59 + age, 10.0, 60.0)
+        _, expected = silent(model, alone, age, at(59 + age), WatchdogSection())
         if age > 50.0:
-            assert refused.output.time == START + 59 + age
-            assert quiet.output.time == refused.output.time
+            machine, said = silent(model, machine, age, at(59 + age), WatchdogSection())
+            assert machine.output.time == START + 59 + age
             # The refused ones froze it at their first, the silence only when it was noticed.
             assert abs(said.offsets[0]) <= abs(expected.offsets[0])
 
@@ -273,7 +285,7 @@ def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, res
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
     kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
-    machine, _ = restored("mill", other, kept, None, START + 40)
+    machine, _ = restored("mill", other, kept, None, received_last(store)["mill"], at(40))
     assert machine.said.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
 
@@ -291,7 +303,8 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path
     assert era_before(store, era) == place.era
     kept = kept_of(store, [place.era])[place.era]
     last = Archive(path).checkpointed("mill", place.era)
-    machine, _ = restored("mill", other, kept, last, START + 50)
+    received = received_last(store)["mill"]
+    machine, _ = restored("mill", other, kept, last, received, at(50))
     np.testing.assert_array_equal(machine.state, place.machine.state)
     assert machine.said.number == 50
     assert machine.said.offsets.tolist() == [place.machine.said.offsets[0], 0.0]
@@ -299,15 +312,53 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path
     assert era_before(store, another) is None
 
 
-def test_while_the_service_is_down_an_offset_decays_as_if_it_ran(model, tmp_path):
+def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(model, tmp_path):
+    """After any time, with any model; what silence would have done since comes at the rate."""
+    store = open_store(tmp_path / "history.sqlite")
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 40)
+    place = floor.places["mill"]
+    before = place.machine.said.offsets
+    kept, received = kept_of(store, [place.era])[place.era], received_last(store)["mill"]
+    machine, _ = restored("mill", model, kept, None, received, at(39 + 120))
+    assert (machine.said.offsets.tolist(), machine.said.offset_mode) == (before.tolist(), "decay")
+    running = place.machine
+    for age in range(1, 122):
+        running, expected = silent(model, running, age, at(39 + age), WatchdogSection())
+    _, said = silent(model, machine, 121.0, at(39 + 121), WatchdogSection())
+    assert said.offsets == pytest.approx(expected.offsets, abs=3e-7)
+    other = replace(model, digest="another model")
+    nothing = kept_of(store, [era_of(store, "mill", other.digest, other.layout, START)])
+    machine, _ = restored("mill", other, *nothing.values(), None, received, at(41))
+    assert (machine.said.number, machine.said.offset_mode) == (0, "freeze")
+    assert machine.said.offsets.tolist() == before.tolist()
+
+
+def test_the_store_of_an_earlier_version_keeps_its_offsets(model, tmp_path):
+    """They stood beside the samples."""
     store = open_store(tmp_path / "history.sqlite")
     floor = floor_of(model, store)
     feed(floor, store, 0, 40)
     place = floor.places["mill"]
     kept = kept_of(store, [place.era])[place.era]
-    running = place.machine
-    for age in range(1, 121):
-        running, said = silent(model, running, float(age), START + 39 + age, 10.0, 60.0)
-    machine, _ = restored("mill", model, kept, None, START + 39 + 120)
-    assert machine.said.offsets == pytest.approx(said.offsets, abs=3e-7)
-    assert machine.said.offset_mode == "decay"
+    rest = {"output": json.loads(received_last(store)["mill"].content)}
+    later = (*kept.later[:-1], replace(kept.later[-1], rest=json.dumps(rest)))
+    machine, _ = restored("mill", model, replace(kept, later=later), None, None, at(40))
+    assert machine.said.offsets.tolist() == place.machine.said.offsets.tolist()
+
+
+def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path):
+    """Fifteen hours of them at once: estimates of then, for the history."""
+    store = open_store(tmp_path / "history.sqlite")
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 40)
+    before = floor.places["mill"].machine.said.offsets
+    now = START + 54_000.0
+    arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
+    said = floors.absorb(floor, arrivals, now, START + 45.0).publications["mill"]
+    assert (said.quality, said.number, said.offset_mode) == (Quality.BAD, 400, "freeze")
+    assert said.offsets.tolist() == before.tolist()
+
+
+def test_no_sequence_makes_an_offset_jump_or_lie():
+    offset_invariant.violations(200)

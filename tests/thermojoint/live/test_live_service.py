@@ -65,6 +65,7 @@ def file_of(model, source, **more):
         "models": {"m": {"file": str(model), "interval_s": INTERVAL}},
         "machines": {"mill": {"model": "m", "source": "line"}},
         "sources": {"line": source},
+        "behind_s": 1e9,
         **more,
     }
 

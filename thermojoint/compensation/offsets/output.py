@@ -208,37 +208,45 @@ def mode_of(settings: OutputSettings, state: OutputState) -> Mode:
 
 
 def content_of(settings: OutputSettings, state: OutputState) -> dict[str, Any]:
-    """Return a state as JSON values that do not depend on the settings: `restored`."""
+    """Return a state as JSON values that do not depend on the settings: `restored`.
+
+    None stands for what is not known. Axes of another such content may stand beside these.
+    """
     return {
-        "time": state.time,
-        "credit": state.credit,
-        "unusable_since": state.unusable_since,
-        "usable_since": state.usable_since,
+        "time": _known(state.time),
+        "unusable_since": _known(state.unusable_since),
         "axes": {
             name: {
                 "follows": settings.estimated[k],
                 "sign": settings.signs[k],
                 "offset": settings.resolution * int(state.steps[k]),
                 "frozen": settings.resolution * int(state.frozen[k]),
-                "filtered": float(state.filtered[k]),
-                "wanted": float(state.wanted[k]),
+                "filtered": _known(state.filtered[k]),
+                "wanted": _known(state.wanted[k]),
             }
             for k, name in enumerate(settings.names)
         },
     }
 
 
-def restored(settings: OutputSettings, content: Mapping[str, Any]) -> OutputState:
+def restored(
+    settings: OutputSettings, content: Mapping[str, Any], time: float, silence: float
+) -> OutputState:
     """Return the state that goes on, under these settings, from one that others have left.
 
     An axis of the same name begins at the offset that it had, to half a step of the resolution; an
     axis that is new, at zero. What was filtered counts only where the same estimate is followed.
+    Nothing moves by the time that has passed: a control that was told nothing holds its value.
 
     Parameters
     ----------
     settings : OutputSettings
     content : mapping
         `content_of` the state, by whatever settings.
+    time : float
+        When it goes on, by the clock of the cycles from now on, s.
+    silence : float
+        Since its last cycle, s; freezing and decay count it.
     """
     state, axes = at_zero(settings), content["axes"]
     steps, frozen = state.steps.copy(), state.frozen.copy()
@@ -250,17 +258,18 @@ def restored(settings: OutputSettings, content: Mapping[str, Any]) -> OutputStat
             round(found[key] / settings.resolution) for key in ("offset", "frozen")
         )
         if (found["follows"], found["sign"]) == (settings.estimated[k], settings.signs[k]):
-            filtered[k], wanted[k] = found["filtered"], found["wanted"]
-    return OutputState(
-        content["time"],
-        steps,
-        filtered,
-        wanted,
-        content["credit"],
-        content["unusable_since"],
-        frozen,
-        content["usable_since"],
-    )
+            filtered[k], wanted[k] = (_number(found.get(key)) for key in ("filtered", "wanted"))
+    before, unusable = (_number(content.get(key)) for key in ("time", "unusable_since"))
+    unusable += time - silence - before
+    return OutputState(time, steps, filtered, wanted, 0.0, unusable, frozen, math.nan)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _recovered(settings: OutputSettings, state: OutputState, usable: float) -> bool:

@@ -1,0 +1,377 @@
+"""What a control receives never jumps and never lies, whatever happens to readings and service.
+
+python -m benchmarks.offset_invariant --sequences 10000
+
+Random sequences (hypothesis) of samples, silences, missing and refused readings, backlogs, clock
+steps, kills at every moment of a commit, restarts, other settings, axes and models drive the parts
+of a service as they are, with a time that is made up. After each publication:
+
+- every offset has moved from what the control received last by no more than the rate times the time
+  since then, and a step (and half a step where a restart changed the resolution);
+- it is not beyond the largest offset, unless a limit that was lowered is still on its way;
+- its status is Good only if the last sample gave a usable estimate, which is not too old.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import sqlite3
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+
+from estimator.intake import of_columns
+from estimator.interface import Channel, Estimate, Status
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.compensation.offsets.settings import Settings, settings_from_data
+from thermojoint.live import floor as floors
+from thermojoint.live.arrivals import Arrival
+from thermojoint.live.floor import Floor
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.machine import Times
+from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.opcua_values import offset_status_of
+from thermojoint.live.publication import Layout, Publication
+from thermojoint.live.running import restored_floor
+from thermojoint.live.samples import Rule
+from thermojoint.live.served import Served
+from thermojoint.live.settings import service_from_data
+from thermojoint.live.store import Batch, commit, open_store
+
+START = 1_772_431_200.0
+MACHINE = "mill"
+INTERVAL = 1.0
+#: Readings of a sample: a temperature, and what the estimator makes of it.
+SOUND, REFUSED, UNSETTLED, WIDE, LOST = range(5)
+_METRICS = fresh_metrics()
+
+
+class Gauge:
+    """An estimator whose displacement is its first reading: it does what a sequence asks for."""
+
+    kind = "gauge"
+    axes = ("x", "y")
+    channels = (Channel("T1", "K"), Channel("T2", "K"))
+    details = ()
+
+    def __init__(self, gain: float) -> None:
+        self.gain = gain
+
+    def initial_state(self) -> Array:
+        """Nothing but a time."""
+        return np.array([math.nan])
+
+    def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
+        """Return what the second reading asks for."""
+        value, what = values
+        if what == REFUSED or math.isnan(value):
+            raise InputError("no estimate")
+        reached = 1e-6 * self.gain * value * np.array([1.0, -0.5])
+        status = Status.UNSETTLED if what == UNSETTLED else Status.OK
+        band = np.full(2, 1e-3 if what == WIDE else 1e-7)
+        if what == LOST:
+            reached = np.array([math.nan, 0.0])
+        return np.array([time]), Estimate(time, reached, band, status, np.empty(0))
+
+
+def settings_of(given: dict[str, Any], two: bool) -> Settings:
+    """Return settings with one axis of the control, or two."""
+    axes: dict[str, Any] = {"X": {"follows": "x", "sign": -1}}
+    if two:
+        axes["Z"] = {"follows": "y", "sign": 1}
+    return settings_from_data(given | {"axes": axes, "widest_band_um": 10.0}, "offsets.toml")
+
+
+def served_with(output: Settings | None, gain: float) -> Served:
+    """Return a model with settings of its output."""
+    found = Gauge(gain)
+    controls = () if output is None else output.output.names
+    return Served(
+        found,
+        f"gauge {gain}",
+        "gauge.json",
+        of_columns(("T1_K", "T2_K"), 2),
+        (),
+        None,
+        Rule(INTERVAL, 0.0, 0.0, 2),
+        Layout(found.axes, controls, found.details, ("T1_K", "T2_K")),
+        output,
+    )
+
+
+choices = st.fixed_dictionaries(
+    {
+        "resolution_um": st.sampled_from([0.1, 1.0, 5.0]),
+        "rate_um_s": st.sampled_from([0.05, 1.0, 20.0]),
+        "dead_band_um": st.sampled_from([0.0, 2.0]),
+        "filter_s": st.sampled_from([0.0, 10.0]),
+        "largest_um": st.sampled_from([10.0, 100.0]),
+        "oldest_s": st.sampled_from([3.0, 30.0, 200.0]),
+        "freeze_s": st.sampled_from([0.0, 10.0]),
+        "decay_s": st.sampled_from([5.0, 100.0]),
+        "recover_s": st.sampled_from([0.0, 5.0]),
+    }
+)
+outputs = st.builds(settings_of, choices, st.booleans()) | st.none()
+sizes = st.floats(-300.0, 300.0)
+kinds = st.sampled_from([SOUND, SOUND, SOUND, REFUSED, UNSETTLED, WIDE, LOST])
+
+
+class Offsets(RuleBasedStateMachine):
+    """A service with one machine, and a control that notes what it receives."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp(prefix="offsets-"))
+        self.service = service_from_data(
+            {
+                "folder": str(self.folder),
+                "models": {"gauge": {"file": "gauge.json", "interval_s": INTERVAL}},
+                "machines": {MACHINE: {"model": "gauge", "source": "line"}},
+                "sources": {"line": {"kind": "csv", "path": "line.csv"}},
+                "ahead_s": 60.0,
+                "behind_s": 5.0,
+            },
+            "service.toml",
+            self.folder,
+        )
+        self.true = 0.0  # the time that passes, s
+        self.wall = START  # what the computer's clock says beyond it
+        self.source = START  # what the source's clock says beyond it
+        self.booted = 0.0
+        self.model = served_with(None, 1.0)
+        self.store: sqlite3.Connection | None = None
+        self.floor: Floor
+        # By axis: what the control received last, and when; and the rate that may have moved it.
+        self.control: dict[str, tuple[float, float]] = {}
+        self.rate = 0.0
+        self.coarse = False
+        # When the last sample was taken, by both clocks; whether an offset may follow it, and how
+        # late it was, s.
+        self.estimated = (-math.inf, -math.inf)
+        self.usable, self.late = False, 0.0
+
+    def teardown(self) -> None:
+        """Leave nothing."""
+        if self.store is not None:
+            self.store.close()
+        shutil.rmtree(self.folder)
+
+    @property
+    def times(self) -> Times:
+        """Now, by the clocks of the service."""
+        return Times(self.wall + self.true, self.true - self.booted)
+
+    # --- what a service does -----------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin where the store is."""
+        self.booted = self.true - 100.0
+        self.store = open_store(self.folder / "history.sqlite")
+        # Of processes that die, not of computers.
+        self.store.execute("PRAGMA synchronous = OFF")
+        models = {"gauge": self.model}
+        self.floor, newest = restored_floor(
+            self.service, models, self.store, EventLog(), _METRICS, self.times
+        )
+        for one in newest:
+            self.receive(one)
+
+    def watch(self) -> None:
+        """Look at silences, as a service does every second."""
+        changed = floors.watch(self.floor, *self.times)
+        self.keep(Batch(received=self.received(changed)))
+        for one in changed:
+            self.receive(one)
+
+    def absorb(self, readings: Sequence[tuple[float, float, float]], until: str = "") -> None:
+        """Take readings (time by the source, value, kind); a kill may come before the end."""
+        arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
+        before = self.floor.places[MACHINE].machine.said.number
+        outcome = floors.absorb(self.floor, arrivals, *self.times)
+        if until == "before the commit":
+            return
+        changed = list(outcome.publications.values())
+        self.keep(Batch(outcome.taken, (), (), outcome.holes, self.received(changed)))
+        said = self.floor.places[MACHINE].machine.said
+        if said.number != before:
+            self.estimated = self.times.now, self.true
+            self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)
+            self.usable = bool(said.readings[1] == SOUND and np.isfinite(said.readings[0]))
+        if until == "before the publication":
+            return
+        for one in changed:
+            self.receive(one)
+
+    @property
+    def oldest(self) -> float | None:
+        """How old an estimate may be."""
+        return None if self.model.output is None else self.model.output.trust.oldest
+
+    def received(self, changed: Sequence[Publication]) -> Any:
+        """What is kept before it is published."""
+        return floors.received(self.floor, [one.machine for one in changed], self.times.now)
+
+    def keep(self, batch: Batch) -> None:
+        """Commit."""
+        assert self.store is not None
+        commit(self.store, batch)
+
+    # --- the control -------------------------------------------------------------------------
+
+    def receive(self, said: Publication) -> None:
+        """Hold what is received against what was received last."""
+        if self.model.output is None:
+            return
+        stage = self.model.output.output
+        self.rate = max(self.rate, stage.rate)
+        for name, offset in zip(said.layout.controls, said.offsets.tolist(), strict=True):
+            last, at = self.control.get(name, (0.0, -math.inf))
+            steps = 1.5 if self.coarse else 1.0
+            allowed = self.rate * (self.true - at) + steps * stage.resolution
+            assert abs(offset - last) <= allowed * (1.0 + 1e-6) + 1e-12, (
+                f"{name}: {1e6 * last:.2f} to {1e6 * offset:.2f} um in {self.true - at:.2f} s"
+            )
+            most = max(stage.largest, abs(last) + (0.5 * stage.resolution if self.coarse else 0.0))
+            assert abs(offset) <= most * (1.0 + 1e-6), f"{name}: {1e6 * offset:.2f} um"
+            self.control[name] = offset, self.true
+        self.rate, self.coarse = stage.rate, False
+        if offset_status_of(said) == int(ua.StatusCodes.Good):
+            oldest = self.oldest
+            assert oldest is not None
+            wall, true = self.estimated
+            age = max(self.late, min(self.true - true, abs(self.times.now - wall)))
+            assert self.usable, "good, and the last sample gave no usable estimate"
+            assert age <= oldest + 1e-6, f"good, and the last estimate is {age:.1f} s old"
+
+    # --- what may happen ---------------------------------------------------------------------
+
+    @initialize(output=outputs)
+    def begin(self, output: Settings | None) -> None:
+        """A new folder."""
+        self.model = served_with(output, 1.0)
+        self.start()
+
+    @rule(count=st.integers(1, 30), value=sizes, slope=st.floats(-5.0, 5.0), kind=kinds)
+    def samples(self, count: int, value: float, slope: float, kind: int) -> None:
+        """Some seconds, each with a sample."""
+        for k in range(count):
+            self.true += INTERVAL
+            self.absorb([(self.source + self.true, value + k * slope, kind)])
+            self.watch()
+
+    @rule(seconds=st.sampled_from([1.0, 5.0, 40.0, 600.0, 40_000.0]))
+    def silence(self, seconds: float) -> None:
+        """Nothing comes; long silences are looked at now and then, as by a busy computer."""
+        step = max(1.0, seconds / 40.0)
+        for _ in range(int(seconds / step)):
+            self.true += step
+            self.watch()
+
+    @rule(value=sizes)
+    def missing(self, value: float) -> None:
+        """A reading is missing."""
+        self.true += INTERVAL
+        self.absorb([(self.source + self.true, math.nan, SOUND)])
+
+    @rule(count=st.integers(2, 60), behind=st.floats(0.0, 400.0), value=sizes, kind=kinds)
+    def backlog(self, count: int, behind: float, value: float, kind: int) -> None:
+        """Readings of the past, all at once."""
+        self.true += 0.1
+        first = self.source + self.true - behind
+        self.absorb([(first + k * INTERVAL, value, kind) for k in range(count)])
+
+    @rule(step=st.sampled_from([-4000.0, -50.0, -2.0, 2.0, 50.0, 4000.0]), of=st.integers(0, 2))
+    def clock_step(self, step: float, of: int) -> None:
+        """Somebody sets the clock of the computer, of the source, or of both."""
+        self.wall += step if of != 1 else 0.0
+        self.source += step if of != 0 else 0.0
+
+    @rule()
+    def clocks_agree(self) -> None:
+        """Somebody sets the clock of the source right."""
+        self.source = self.wall
+
+    @rule()
+    def checkpoint(self) -> None:
+        """The state is kept."""
+        place = self.floor.places[MACHINE]
+        if place.rows:
+            self.keep(Batch(checkpoints=[floors.checkpoint_of(place)]))
+
+    @rule(
+        until=st.sampled_from(["", "before the commit", "before the publication"]),
+        value=sizes,
+        down=st.sampled_from([0.1, 20.0, 500.0, 40_000.0]),
+        output=st.none() | outputs.map(lambda found: (found,)),
+        gain=st.none() | st.sampled_from([1.0, -2.0]),
+    )
+    def kill(
+        self,
+        until: str,
+        value: float,
+        down: float,
+        output: tuple[Settings | None] | None,
+        gain: float | None,
+    ) -> None:
+        """A kill at some moment of a sample, and a start with these settings and this model."""
+        self.true += INTERVAL
+        self.absorb([(self.source + self.true, value, SOUND)], until)
+        assert self.store is not None
+        self.store.close()
+        self.true += down
+        before = self.model
+        gain = before.estimator.gain if gain is None else gain  # type: ignore[attr-defined]
+        self.model = served_with(before.output if output is None else output[0], gain)
+        if gain != before.estimator.gain:  # type: ignore[attr-defined]
+            self.usable = False
+        self.coarse = True
+        self.start()
+
+
+def violations(sequences: int, steps: int = 30) -> None:
+    """Run sequences; raises with the shortest one that violates what must hold.
+
+    Parameters
+    ----------
+    sequences : int
+    steps : int
+        Of each at most.
+    """
+    run_state_machine_as_test(
+        Offsets,
+        settings=settings(
+            max_examples=sequences,
+            stateful_step_count=steps,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
+
+
+def main() -> None:
+    """Run them and print what was run as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sequences", type=int, default=10_000)
+    given = parser.parse_args()
+    begun = time.monotonic()
+    violations(given.sequences)
+    print(json.dumps({"sequences": given.sequences, "wall_s": round(time.monotonic() - begun, 1)}))
+
+
+if __name__ == "__main__":
+    main()
