@@ -1,8 +1,8 @@
 """Calibration of the baselines from the responses of the generalised models.
 
-Multiple linear regression is plain least squares. Ridge and ARX take every temperature as uncertain
-by `DEVIATION_UNCERTAINTY`, as the fit of Eq. 18 does: errors of that size are what their penalty
-stands for. It is not chosen by how well the result validates.
+Multiple linear regression is plain least squares. For ridge and ARX every temperature is uncertain
+by `DEVIATION_UNCERTAINTY`, as in the fit of Eq. 18: their penalty stands for errors of that size
+and is not tuned to the validation.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Low-passes of the ridge regression, per length of the run.
 TIME_CONSTANTS = (0.03, 0.1, 0.3, 1.0)
-#: Past displacements of an autoregression; of the temperatures it takes the last two.
+#: Past displacements of an autoregression; it uses the last two temperatures.
 PAST = 2
 
 
@@ -59,13 +59,13 @@ def fit_baselines(responses: Sequence[xr.Dataset]) -> Baselines:
     plain = np.concatenate(inputs)
     filtered = np.concatenate(
         [
-            _relaxed(steps.times(run), one, constants, interval)
-            for run, one in zip(runs, inputs, strict=True)
+            _relaxed(steps.times(run), temperatures, constants, interval)
+            for run, temperatures in zip(runs, inputs, strict=True)
         ]
     )
     target = np.concatenate(outputs)
     seen = np.concatenate((plain, np.zeros((1, len(ROLES)))))
-    levels = [0.0, *(float(one) for run in runs for one in run["heat_input"].to_numpy())]
+    levels = [0.0, *(float(level) for run in runs for level in run["heat_input"].to_numpy())]
     return Baselines(
         mlr=Regression((), _by_axis(axes, linear_weights(plain, target))),
         ridge=Regression(constants, _by_axis(axes, _ridge(filtered, target))),
@@ -99,9 +99,9 @@ def fit_autoregression(
 ) -> Autoregression:
     """Return ARX fitted to runs from rest, bounded when it runs on its own estimates.
 
-    The poles come from one-step predictions and are then kept at or within the circle of the
-    slowest rate. With them given, the free-running output is linear in the weights of the
-    temperatures, and those are fitted to it.
+    The poles come from one-step predictions and are then limited to the circle of the slowest rate.
+    With the poles given, the free-running output is linear in the weights of the temperatures, and
+    those are fitted to it.
 
     Parameters
     ----------
@@ -119,16 +119,16 @@ def fit_autoregression(
         np.column_stack([_delayed(MEGA * output, lag)[:, None] for lag in range(1, PAST + 1)])
         for output in outputs
     ]
-    stacked = [np.hstack((one, _delayed(one, 1))) for one in inputs]
+    stacked = [np.hstack((run, _delayed(run, 1))) for run in inputs]
     table = np.hstack((np.concatenate(lagged), np.concatenate(stacked)))
     predicted = linear_weights(table, target)
     past = bounded_past(predicted[:PAST], float(np.exp(-slowest * interval)))
     denominator = np.concatenate(([1.0], -past))
-    # What the current temperature does, and what its change does: two features for b_0 and b_1.
+    # Two features, the current temperature and its change, for b_0 and b_1.
     level = _filtered(denominator, inputs)
-    change = _filtered(denominator, [one - _delayed(one, 1) for one in inputs])
-    # An error of the temperature that stands still reaches the level with the gain at rest; of the
-    # change, whose gain at rest is zero, every sample's error counts by itself.
+    change = _filtered(denominator, [run - _delayed(run, 1) for run in inputs])
+    # A constant temperature error affects the level through the static gain; for the change, whose
+    # static gain is zero, every sample's error counts individually.
     impulse = lfilter([1.0, -1.0], denominator, np.eye(1, max(map(len, outputs)))[0])
     scale = np.repeat([1.0 / denominator.sum(), np.linalg.norm(impulse)], level.shape[1])
     features = np.hstack((level, change)) / scale
@@ -163,7 +163,7 @@ def _relaxed(times: Array, inputs: Array, constants: Sequence[float], interval: 
 
 
 def _ridge(features: Array, target: Array) -> Array:
-    """Return weights for features that err by `DEVIATION_UNCERTAINTY` rms."""
+    """Return weights for features with errors of `DEVIATION_UNCERTAINTY` rms."""
     return ridge_weights(features, target, len(features) * DEVIATION_UNCERTAINTY**2)
 
 

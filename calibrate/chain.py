@@ -58,15 +58,15 @@ if TYPE_CHECKING:
 
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0
-#: Joint pairs that the placement tries before it gives up.
+#: Joint pairs tried by the placement before it gives up.
 MOST_PAIRS = 40
-#: Seed of the temperature errors that must give no displacement.
+#: Seed of the temperature errors that must cause no displacement.
 SEED = 0
 
 
 @dataclass(frozen=True, repr=False)
 class Calibrated(Described):
-    """A model and how it came about.
+    """A calibrated model and the intermediate results.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Calibrated(Described):
     fictitious : FictitiousCalibration
         Tables 2 and 3.
     averaging : Averaging
-        The loop of Figure 4 on the same data as Table 2, to compare; the model does without it.
+        The loop of Figure 4 on the same data as Table 2, for comparison only.
     placement : Placement or None
         None if the responses named their sensors.
     """
@@ -99,7 +99,7 @@ def calibrate_responses(
 ) -> Calibrated:
     """Return the calibrated model of a structure from its responses to steps.
 
-    Every axis along which something moves is calibrated (`calibrate.responses.moving_axes`).
+    All axes with motion are calibrated (`calibrate.responses.moving_axes`).
 
     Parameters
     ----------
@@ -114,10 +114,10 @@ def calibrate_responses(
     Raises
     ------
     InputError
-        The responses do not fit each other, sensors are missing and there are no candidates to
-        choose from, or no choice of them gives a stable estimator.
+        The responses are inconsistent, sensors are missing and there are no candidates to choose
+        from, or no choice of them gives a stable estimator.
     ConvergenceError
-        The sensors that the responses name give no stable estimator.
+        The sensors named in the responses give no stable estimator.
     """
     check_responses(reference, others)
     named = set(probes_of(reference)) >= set(ROLES)
@@ -155,7 +155,7 @@ def _place_and_calibrate(
         try:
             return _calibrate(own, named, placement.distances.tolist(), by_source, placement)
         except ThermojointError as error:
-            # The responses are sound and a and b are chosen: what fails here fails by this pair.
+            # The responses are valid and a and b are chosen: any failure here is due to this pair.
             refused = str(error)
     if not refused:
         raise InputError(
@@ -175,7 +175,7 @@ def _calibrate(
     by_source: LinearCalibration,
     placement: Placement | None,
 ) -> Calibrated:
-    """Calibrate with named sensors; `by_source` is Table 1 but for T1 and T2."""
+    """Calibrate with given sensors; `by_source` is Table 1 without T1 and T2."""
     linear = with_direct_models(by_source, base)
     fictitious = calibrate_fictitious(base, rest, distances)
     position = base["probe_position"].sel(probe=list(ROLES)).to_numpy()
@@ -199,11 +199,13 @@ def _calibrate(
 
 
 def span_of(linear: LinearModel, base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> Span:
-    """Return what the calibration responses have shown, rest included."""
+    """Return the range of the calibration responses, rest included."""
     runs = [base, *rest.values()]
     levels = [float(run["heat_input"][-1]) for run in runs]
     seen = [readings(run, tuple(linear.direct)) for run in runs]
-    values = np.concatenate([np.column_stack((one.delta_T, one.temperatures)) for one in seen])
+    values = np.concatenate(
+        [np.column_stack((readings.delta_T, readings.temperatures)) for readings in seen]
+    )
     names = ("delta_T", *linear.direct)
     return Span(
         duration_s=float(base["time"][-1]),
@@ -216,10 +218,10 @@ def span_of(linear: LinearModel, base: xr.Dataset, rest: Mapping[float, xr.Datas
 
 
 def stabilised(model: Model, times: np.ndarray) -> Model:
-    """Raise A of every source (Eq. 7) together until the matrix of the sources has an inverse.
+    """Increase A of all sources (Eq. 7) together until the matrix of the sources is invertible.
 
-    The rule for A looks at each source alone. Beside each other, a source may be felt more at the
-    other's sensor than at its own; a larger A, and with it B, makes the own sensor count first.
+    The rule for A considers each source alone. In combination, a source may have more effect on the
+    other's sensor than on its own; a larger A, and with it B, gives the own sensor more weight.
 
     Raises
     ------
@@ -227,8 +229,8 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
         The inverse is unstable even with `MOST_RAISED` times the A of the rule.
     """
     rings = [
-        [RingModel(one.K, one.a, one.alpha, r, one.r0) for r in row]
-        for one, row in zip(model.sources, model.distances, strict=True)
+        [RingModel(source.K, source.a, source.alpha, r, source.r0) for r in row]
+        for source, row in zip(model.sources, model.distances, strict=True)
     ]
     interval, length = float(np.diff(times).min()), float(times[-1] - times[0])
     factor = 1.0
@@ -237,7 +239,7 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
         if unstable_zeros(rings, raised, interval, length, "inverse of the sources") == 0:
             sources = zip(model.sources, raised, strict=True)
             return replace(
-                model, sources=tuple(replace(one, regularisation=f) for one, f in sources)
+                model, sources=tuple(replace(source, regularisation=f) for source, f in sources)
             )
         factor *= 2.0
     raise ConvergenceError(
@@ -256,9 +258,9 @@ def _driven_models(
     rest: Mapping[float, xr.Dataset],
     fictitious: FictitiousCalibration,
 ) -> tuple[FictitiousSource, ...]:
-    """Calibrate Eq. 18 to the strengths that the estimator sees in the calibration responses.
+    """Calibrate Eq. 18 to the strengths that the estimator finds in the calibration responses.
 
-    Runs of mere temperature error stand beside them, which must give no displacement.
+    Additional runs consist of temperature errors only and must cause no displacement.
     """
     times = base["time"].to_numpy()
     assembly = assemble(model, float(np.diff(times).min()), float(times[-1] - times[0]))

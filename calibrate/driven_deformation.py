@@ -1,13 +1,13 @@
 """Fit of Eq. 18 to sources with known, time-dependent strengths instead of steps.
 
 The paper takes the fictitious sources as steps because the contact pressures of its structure reach
-most of their final value within a minute. Where they do not, the strengths that the inverse filters
-see in the calibration responses are slow functions q_i(t), and a D_i fitted to steps answers to
-inputs that never come. Here the same D_i is fitted to what does come:
+most of their final value within a minute. Otherwise, the strengths found by the inverse filters in
+the calibration responses are slow functions q_i(t), and a D_i fitted to steps responds to inputs
+that never occur. Here the same D_i is fitted to the actual inputs:
 
     δ_NL(t) = Σ_i ∫ D_i(t - τ) dq_i(τ)
 
-The strengths come in as data; what estimated them is not known here.
+The strengths are given; their estimation is independent of this module.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.parameters import DeformationModel
 
-#: As `source_deformation.RIDGE`. Larger: strengths go on beyond what was calibrated, and must not
-#: undo terms that nearly cancel.
+#: As `source_deformation.RIDGE`. Larger, since strengths vary beyond the calibration and must not
+#: disturb terms that nearly cancel.
 RIDGE = 1e-2
 #: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
 UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
@@ -34,10 +34,10 @@ UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
 def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -> list[np.ndarray]:
     """Return random errors of temperature deviations, one run per correlation time.
 
-    Each is a stationary first-order Gauss-Markov process, independent in every channel. As further
-    calibration runs that must give no displacement, they keep the fit from trusting a deviation
-    more closely than `rms`: sensors err, and the map from temperature to displacement is linear
-    only in the model.
+    Each is a stationary first-order Gauss-Markov process, independent in every channel. Used as
+    additional calibration runs that must cause no displacement, they limit how closely the fit
+    follows a deviation to `rms`: sensors have errors, and the map from temperature to displacement
+    is linear only in the model.
 
     Parameters
     ----------
@@ -71,11 +71,10 @@ def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -
 
 
 def driver(strengths: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what turns step responses into the responses to strengths that vary.
+    """Return a function from step responses to the responses to varying strengths.
 
     A strength is constant over each interval: ``strengths[:, k]`` holds over the interval that ends
-    at sample k. The strengths are transformed once for all step responses, and a step response once
-    for all of them.
+    at sample k. Strengths and step responses are transformed once each.
 
     Parameters
     ----------
@@ -116,7 +115,7 @@ def fit_driven_deformation(
     t : ndarray, shape (n,)
         Times after the start, s: one, two ... n intervals.
     deviations : ndarray, shape (inputs, n)
-        δ_NL at each calibration input, m; zero for an input that must do nothing.
+        δ_NL at each calibration input, m; zero for an input that must have no effect.
     strengths : ndarray, shape (sources, inputs, n)
         Strengths during the interval that ends at each sample.
     starts, seed : int

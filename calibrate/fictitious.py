@@ -1,10 +1,10 @@
 """Calibration of the fictitious contact heat sources from further steps (Tables 2 and 3).
 
-What a structure does at heat input Q̄ beyond Q̄ times what it does at the reference input is put down
-to fictitious sources on the joint, switched on as steps together with the main one (Attia & Fraser,
+The part of a response at heat input Q̄ that is not proportional to the reference is attributed to
+fictitious sources on the joint, switched on as steps together with the main one (Attia & Fraser,
 section 5.3.2). `source_thermal` fits their rates and products to the temperature deviations. Only
-products are seen, so every strength is set to 1 at one heat input; gains and the other strengths
-follow. `source_deformation` fits what the sources do to the displacement.
+products are observable, so every strength is set to 1 at one heat input; gains and the other
+strengths follow. `source_deformation` fits the displacement caused by the sources.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Deviations of further step responses from proportionality to the reference.
+    """Deviations of step responses from proportionality to the reference.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Deviations:
 
 @dataclass(frozen=True)
 class FictitiousCalibration:
-    """Tables 2 and 3 and how good they are.
+    """Tables 2 and 3 and the quality of their fits.
 
     Attributes
     ----------
@@ -65,9 +65,9 @@ class FictitiousCalibration:
     joint : SourceFit
         Rates and products shared by all inputs.
     strength_condition : float
-        Condition number of the matrix of strengths (rows scaled to unit length): large if the
+        Condition number of the matrix of strengths (rows scaled to unit length): large if all
         inputs drive the sources in nearly the same proportion, so that the displacement cannot be
-        split between them.
+        attributed to either.
     deformation_fits : dict
         Axis name to the fit of Eq. 18.
     deformation_errors : dict
@@ -85,7 +85,7 @@ class FictitiousCalibration:
 def check_steps(
     reference: xr.Dataset, others: Mapping[float, xr.Dataset], where: str = "calibration responses"
 ) -> float:
-    """Return the level of the reference step; refuse steps that do not belong to it.
+    """Return the level of the reference step; refuse steps that are inconsistent with it.
 
     Parameters
     ----------

@@ -12,21 +12,20 @@ INDISTINCT = 0.99
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit and what is to be known of it.
+    """Result of a fit and its statistics.
 
-    Standard errors take the residuals as independent and equally uncertain. Against simulated data
-    the residual is the model's own shortcoming, smooth in time, and they are only an indication.
+    Standard errors assume independent, equally uncertain residuals. For simulated data the residual
+    is the model error, smooth in time, and they are only an indication.
 
     Attributes
     ----------
     values : dict
         Name to value, nonlinear parameters first, SI.
     standard_errors : dict
-        Name to standard error, same units; infinite where the data do not determine it. Parameters
-        that were given have none.
+        Name to standard error, same units; infinite where the data do not determine it. Given
+        parameters have none.
     correlation : ndarray
-        Between the estimates, in the order of `standard_errors`: parameters that were given are in
-        neither.
+        Between the estimates, in the order of `standard_errors`, without given parameters.
     condition_number : float
         Of the Jacobian with its columns scaled to unit length.
     max_abs_error, rms_error : float
@@ -36,13 +35,13 @@ class Fit:
     at_bound : tuple of str
         Nonlinear parameters that ended at a bound.
     indistinct : tuple of (str, str, float)
-        Pairs that the data cannot tell apart and their correlation.
+        Pairs that the data cannot distinguish, and their correlation.
     starts, starts_at_best : int
-        How many starts there were and how many reached the best optimum.
+        Number of starts, and number of them that reached the best optimum.
     evaluations : int
-        Of the basis, all starts together.
+        Evaluations of the basis, in all starts.
     message : str
-        Why the search ended.
+        Reason why the search ended.
     """
 
     values: dict[str, float]
@@ -73,7 +72,7 @@ def covariance(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, 
     Returns
     -------
     errors : ndarray, shape (parameters,)
-        Infinite along what the data do not see.
+        Infinite in directions that the data do not determine.
     correlation : ndarray, shape (parameters, parameters)
     condition : float
         Of the Jacobian with its columns scaled to unit length.
@@ -89,7 +88,7 @@ def covariance(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, 
     variance = float((residual**2).sum()) / freedom
     diagonal = np.diag(spread)
     correlation = spread / np.sqrt(np.multiply.outer(diagonal, diagonal))
-    # A direction the data do not see has no standard error.
+    # Directions that the data do not determine have no standard error.
     blind = (right[singular <= floor] ** 2).sum(axis=0) > 1e-6
     errors = np.where(blind, np.inf, np.sqrt(variance * diagonal) / safe)
     condition = largest / smallest if smallest > floor else float("inf")
@@ -97,7 +96,7 @@ def covariance(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, 
 
 
 def report(title: str, result: Fit) -> str:
-    """Return the fit as text: values, standard errors, what is at a bound or indistinct."""
+    """Return the fit as text: values, standard errors, parameters at a bound or indistinct."""
     lines = [
         title,
         f"  error: max {result.max_abs_error:.3g} {result.unit}, "
@@ -112,7 +111,7 @@ def report(title: str, result: Fit) -> str:
         bound = "  (at its bound)" if name in result.at_bound else ""
         lines.append(f"  {name:12s} {value: .6g}  {note}{bound}")
     lines.extend(
-        f"  {one} and {other} cannot be told apart (correlation {value:+.4f})"
-        for one, other, value in result.indistinct
+        f"  {first} and {other} cannot be told apart (correlation {value:+.4f})"
+        for first, other, value in result.indistinct
     )
     return "\n".join(lines)

@@ -9,9 +9,9 @@ starts: a scrambled Sobol sequence with a fixed seed, plus the caller's own gues
 
 Two nearly equal rates make two columns of Φ nearly parallel, and c could then be huge and
 cancelling. A ridge prevents that: each term's own rms over the data, times `ridge`, counts as an
-error. With the default 1e-6 a term as large as the data costs what an rms error of 1e-6 of the data
-costs, and one a hundred times larger 1e-4: far below what the models leave, yet enough to choose
-the smaller of two solutions that fit alike.
+error. With the default 1e-6 a term as large as the data costs as much as an rms error of 1e-6 of
+the data, and one a hundred times larger 1e-4: far below the model errors, yet enough to select the
+smaller of two equally good solutions.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Separable:
         Positive nonlinear parameters, shape (k,), to the columns, shape (n, p), and their
         derivatives by the parameters' logarithms, shape (n, p, k).
     data : ndarray, shape (n, m)
-        Right-hand sides; each has coefficients of its own, all share theta.
+        Right-hand sides; each has its own coefficients, all share theta.
     names : tuple of str
         Of the nonlinear parameters.
     linear_names : tuple of str
@@ -133,7 +133,7 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
     evaluations = 0
 
     def at(log_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Projection]:
-        # Residual and Jacobian are asked for at the same point, one after the other.
+        # Residual and Jacobian are evaluated at the same point, one after the other.
         nonlocal evaluations
         key = log_theta.tobytes()
         if key not in latest:
@@ -213,7 +213,7 @@ def fit(
     ridge : float
         See the module docstring.
     polished : int
-        How many of the best ends are polished.
+        Number of the best ends to be polished.
 
     Raises
     ------

@@ -3,8 +3,8 @@
 - Heat input to ΔT = T_a - T_b: Eq. 2 (K linear; a, alpha and r searched; r0 given).
 - Heat input to displacement: Eq. 8 for each axis (C, D, E linear; c, d, e searched).
 - Heat input to T1 and T2, far from the source: a relaxation spectrum with fixed rates and linear
-  amplitudes. The four parameters of Eq. 2 miss those by more than the joint's effect that they are
-  subtracted from, so the Eq. 2 fit is only reported beside it.
+  amplitudes. The errors of Eq. 2, with its four parameters, are larger than the joint's effect that
+  is determined by subtraction, so the Eq. 2 fit is only reported for comparison.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from thermojoint.models.sensors import JOINT_SENSORS
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Radius of the ring that stands for the main source, m (Attia & Fraser, section 5.3.1).
+#: Radius of the ring that represents the main source, m (Attia & Fraser, section 5.3.1).
 RING_RADIUS = 0.12
-#: The slowest rate of a fitted term, per length of the calibration run: it makes two fifths of its
-#: change within the run.
+#: Slowest rate of a fitted term, per length of the calibration run: two fifths of its change lie
+#: within the run.
 SLOWEST = 0.5
 #: The slowest rate of a term t exp(-rate t): it peaks in the first half of the run.
 FADING = 2.0
@@ -45,7 +45,7 @@ DeformationFit = Callable[[np.ndarray, np.ndarray], tuple[DeformationModel, Fit]
 
 @dataclass(frozen=True)
 class LinearCalibration:
-    """Table 1 and how good it is.
+    """Table 1 and the quality of its fits.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class LinearCalibration:
 
 
 def rate_bounds(t: np.ndarray) -> tuple[float, float]:
-    """Return the slowest and fastest rate, 1/s, that samples at `t` (s) can bear.
+    """Return the slowest and fastest rate, 1/s, identifiable from samples at `t` (s).
 
     `SLOWEST` over the run's length, and one per two of its median intervals. A slower term is a
-    straight line over the run: its amplitude is decided by the last digits of the data, cancels
-    that of another, and shows when the run is longer.
+    straight line over the run: its amplitude depends on the last digits of the data, cancels that
+    of another, and becomes visible in longer runs.
     """
     return SLOWEST / float(t[-1]), 0.5 / float(np.median(np.diff(t)))
 
@@ -75,8 +75,8 @@ def rate_bounds(t: np.ndarray) -> tuple[float, float]:
 def deformation_bounds(t: np.ndarray, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the bounds of the `count` rates c, d, e [, f] of Eq. 8 or 18, 1/s.
 
-    As `rate_bounds`, but a term t exp(-e t) must also be seen to fade: e is at least `FADING` over
-    the run's length. Otherwise it stands for what has not settled by the end of the run, and takes
+    As `rate_bounds`, but a term t exp(-e t) must also be seen to decay: e is at least `FADING` over
+    the run's length. Otherwise it represents what has not settled by the end of the run, and takes
     the displacement back to zero afterwards.
     """
     slowest, fastest = rate_bounds(t)
@@ -303,7 +303,7 @@ def calibrate_heat(
     interval = float(np.median(np.diff(t)))
     shapes = {axis: shape for axis, (shape, _) in displacements.items()}
     fits = {"thermal": thermal_fit}
-    fits |= {f"deformation.{axis}": found for axis, (_, found) in displacements.items()}
+    fits |= {f"deformation.{axis}": fit for axis, (_, fit) in displacements.items()}
     model = LinearModel(thermal, choose_regularisation(thermal, interval), shapes, {})
     return LinearCalibration(model, fits, {})
 

@@ -12,14 +12,14 @@ from thermojoint.models.model_file import Provenance
 
 
 def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
-    """Return errors (K, µm), fit reports, bounds reached and versions of a calibration.
+    """Return errors (K, µm), fit reports, active bounds and versions of a calibration.
 
     Parameters
     ----------
     calibrated : Calibrated
         Tables 1-3.
     case : str
-        The case (text) or the name of what was measured.
+        The case (text) or the name of the measured object.
     """
     linear, fictitious = calibrated.linear, calibrated.fictitious
     axes = [name for name in linear.fits if name.startswith("deformation.")]
@@ -46,7 +46,7 @@ def provenance_of(calibrated: Calibrated, case: str) -> Provenance:
 
 
 def averaging_report(calibrated: Calibrated) -> str:
-    """Return as text how the loop of Figure 4 ended and how well the inputs part the sources."""
+    """Return as text how the loop of Figure 4 ended and how well inputs separate the sources."""
     averaging, joint = calibrated.averaging, calibrated.fictitious.joint
     both = compare(joint, averaging.result)
     ratio = f"differ, by up to {both.largest_ratio:.3g} times"

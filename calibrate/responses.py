@@ -1,6 +1,6 @@
-"""Validation of the responses for a calibration, before any long computation.
+"""Validation of calibration responses before any long computation.
 
-Every check ends in one line that says what is wrong, where, and what to do.
+Every check raises one line that says what is wrong, where, and what to do.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 if TYPE_CHECKING:
     import xarray as xr
 
-#: An axis along which nothing moves by more than this part of the largest displacement is left out.
+#: An axis with motion below this fraction of the largest displacement is left out.
 STILL = 1e-3
-#: What errors call the responses.
+#: Names of the responses in errors.
 WHERE = "calibration responses"
 
 
@@ -50,7 +50,7 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
 
 
 def check_boxes(count: int) -> None:
-    """Refuse any other number of candidate boxes than the placement rule's two."""
+    """Refuse cases without exactly the two candidate boxes of the placement rule."""
     if count != 2:
         raise InputError(
             f"candidates: the placement rule needs two boxes, the first around the source, the "
@@ -71,8 +71,8 @@ def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -
     Raises
     ------
     InputError
-        They are no steps, are not sampled alike and evenly, are too few, or the reference says
-        neither where its probes are nor how large its heat is.
+        They are no steps, are not sampled alike and evenly, are too few, or the reference lacks the
+        positions of its probes or its heat.
     """
     check_steps(reference, others, WHERE)
     steps.even_interval(steps.times(reference), f"{WHERE}, reference")
@@ -90,7 +90,7 @@ def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -
 
 
 def check_probes(others: Mapping[float, xr.Dataset], needed: Sequence[str]) -> None:
-    """Refuse responses that lack a probe of the reference that is needed."""
+    """Refuse responses that lack a required probe of the reference."""
     for level, response in others.items():
         known = probes_of(response)
         for probe in needed:
@@ -99,12 +99,12 @@ def check_probes(others: Mapping[float, xr.Dataset], needed: Sequence[str]) -> N
 
 
 def reference_power(response: xr.Dataset) -> float:
-    """Return the heat at heat input 1 that a response states, W.
+    """Return the heat at heat input 1 according to a response, W.
 
     Raises
     ------
     InputError
-        It states none.
+        It is not recorded.
     """
     try:
         power = float(response.attrs["reference_power_W"])
@@ -135,7 +135,7 @@ def checked_distances(distances: Sequence[Sequence[float]]) -> list[list[float]]
 
 
 def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> list[str]:
-    """Return the axes along which something moves, in the order of the reference.
+    """Return the axes with motion, in the order of the reference.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> li
     Raises
     ------
     InputError
-        Nothing moves.
+        There is none.
     """
     axes = axes_of(reference)
     peaks = np.max(

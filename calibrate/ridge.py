@@ -7,7 +7,7 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 
 #: Combinations of features smaller than this, relative to the largest, get no weight without a
-#: penalty: temperatures of neighbouring samples are alike, and what they differ by is rounding.
+#: penalty: neighbouring temperature samples are similar, and their differences are rounding.
 LEAST = 1e-6
 
 

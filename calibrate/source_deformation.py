@@ -19,10 +19,10 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.models import deformation
 from thermojoint.models.parameters import DeformationModel
 
-#: What a term of Eq. 18 as large as δ_NL costs, as an error relative to it (`least_squares`).
+#: Cost of a term of Eq. 18 as large as δ_NL, as an error relative to it (`least_squares`).
 RIDGE = 1e-4
 
-#: (source, what happens after its unit step (n, p)) to what happens at every input (inputs, n, p).
+#: (source, its unit step response (n, p)) to the response at every input (inputs, n, p).
 Respond = Callable[[int, np.ndarray], np.ndarray]
 
 
@@ -38,7 +38,7 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
     sources : int
         Number of sources.
     respond : callable
-        How a source's step responses are driven at the inputs.
+        Response of a source to the inputs, given its step response.
     """
     inputs = len(data)
     lower, upper = deformation_bounds(t, 4)
@@ -66,9 +66,9 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
     )
 
 
-def eq18_models(found: Fit, sources: int) -> tuple[DeformationModel, ...]:
+def eq18_models(fit: Fit, sources: int) -> tuple[DeformationModel, ...]:
     """Return the model of every source from a fit of `eq18_problem`."""
-    value = found.values
+    value = fit.values
     return tuple(
         deformation.model_from(
             [value[f"{name}{i}"] for name in "CDEF"], [value[f"{name}{i}"] for name in "cdef"]
@@ -94,10 +94,10 @@ def fit_source_deformation(
 ) -> tuple[tuple[DeformationModel, ...], Fit]:
     """Return Eq. 18 of every source along one axis, fitted to all inputs at once.
 
-    The strengths' pseudo-inverse splits the deviations into one curve per source; each is fitted
-    by itself from many starts, and the joint fit goes on from those rates. It has no starts of its
-    own: with the rates of all sources free it has many optima that fit alike within a few per cent
-    and predict differently, and rounding would decide between them.
+    The pseudo-inverse of the strengths splits the deviations into one curve per source; each is
+    fitted separately from many starts, and the joint fit continues from those rates. It has no
+    starts of its own: with the rates of all sources free it has many optima that fit equally well
+    within a few per cent and predict differently, and rounding would decide between them.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def fit_source_deformation(
 
 
 def _in_order(rates: Sequence[float]) -> list[float]:
-    """Return c, d, e, f with c >= d and e <= f: the other orders say the same."""
+    """Return c, d, e, f with c >= d and e <= f: the other orders are equivalent."""
     c, d, e, f = rates
     return [max(c, d), min(c, d), min(e, f), max(e, f)]
 

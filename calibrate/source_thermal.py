@@ -22,7 +22,7 @@ from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models import ring_source
 
-#: Radius of the ring that stands for a fictitious source, m.
+#: Radius of the ring that represents a fictitious source, m.
 SOURCE_RADIUS = 0.02
 #: Bounds of a (1/m2) and alpha (m2/s).
 _LOWER = (1e-2, 1e-7)
@@ -94,7 +94,7 @@ class AveragingRound:
     Attributes
     ----------
     rates : ndarray, shape (inputs, 2·sources)
-        a_1, alpha_1, a_2 ... as each input wants them.
+        a_1, alpha_1, a_2 ... preferred by each input.
     averages : ndarray, shape (2·sources,)
         Their geometric means over the inputs.
     spread : float
@@ -108,7 +108,7 @@ class AveragingRound:
 
 @dataclass(frozen=True)
 class Averaging:
-    """Outcome of Figure 4's loop: the sources, each round, and whether the inputs came to agree."""
+    """Outcome of Figure 4's loop: the sources, each round, and whether the inputs agreed."""
 
     result: SourceFit
     rounds: tuple[AveragingRound, ...]
@@ -118,7 +118,7 @@ class Averaging:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Joint fit beside the averaging loop.
+    """Comparison of the joint fit with the averaging loop.
 
     Attributes
     ----------
@@ -192,12 +192,10 @@ def _problem(
     )
 
 
-def _source_fit(found: Fit, sources: int, inputs: int) -> SourceFit:
-    values = np.array(list(found.values.values()))
+def _source_fit(fit: Fit, sources: int, inputs: int) -> SourceFit:
+    values = np.array(list(fit.values.values()))
     rates = values[: 2 * sources]
-    return SourceFit(
-        rates[0::2], rates[1::2], values[2 * sources :].reshape(sources, inputs), found
-    )
+    return SourceFit(rates[0::2], rates[1::2], values[2 * sources :].reshape(sources, inputs), fit)
 
 
 def _check_deviations(
@@ -268,11 +266,11 @@ def fit_by_averaging(
 ) -> Averaging:
     """Return the sources found by the loop of Figure 4.
 
-    Each input is fitted on its own; if the inputs' a_i and alpha_i differ, their geometric means
+    Each input is fitted separately; if the inputs' a_i and alpha_i differ, their geometric means
     (they are positive) are the next round's initial guess. The first round searches from `starts`
     points. The loop ends when every rate is within `tolerance` (in ln) of its mean, when the means
-    no longer move (the inputs want different rates, and a good optimiser finds its way back to
-    them from any guess), or after `rounds`. The products are then fitted with the means.
+    no longer move (the inputs want different rates, and a good optimiser returns to them from any
+    guess), or after `rounds`. The products are then fitted with the means.
 
     Parameters
     ----------
@@ -281,7 +279,7 @@ def fit_by_averaging(
     rounds : int
         Most rounds.
     tolerance : float
-        Agreement asked of the inputs.
+        Required agreement of the inputs.
     starts, seed : int
         Of the first round's search.
     """
@@ -320,7 +318,7 @@ def fit_by_averaging(
 
 
 def compare(joint: SourceFit, averaged: SourceFit) -> Comparison:
-    """Return how the joint fit and the averaging loop differ."""
+    """Return the differences between the joint fit and the averaging loop."""
     ratios = np.concatenate([joint.a / averaged.a, joint.alpha / averaged.alpha])
     largest = float(np.exp(np.abs(np.log(ratios)).max()))
     return Comparison(

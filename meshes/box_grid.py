@@ -13,7 +13,7 @@ from skfem import MeshHex
 
 from thermojoint.artefacts.errors import InputError
 
-#: A grid of more cells than this is a slip of a unit, not a wish: it would need some 100 GB.
+#: A grid with more cells than this indicates a wrong unit: it would need some 100 GB.
 LARGEST_GRID = 20_000_000
 
 
@@ -25,7 +25,7 @@ class Box:
     high: tuple[float, float, float]
 
     def holds(self, points: NDArray[np.float64], slack: float = 0.0) -> NDArray[np.bool_]:
-        """Say which of `points`, shape (3, n), lie in the box widened by `slack` (m)."""
+        """Return which of `points`, shape (3, n), lie in the box widened by `slack` (m)."""
         low = np.asarray(self.low)[:, None] - slack
         high = np.asarray(self.high)[:, None] + slack
         return np.asarray(((points >= low) & (points <= high)).all(axis=0))
@@ -42,7 +42,7 @@ class Refinement:
 def grid_lines(
     breaks: Iterable[float], size: float, finer: Iterable[tuple[float, float, float]] = ()
 ) -> NDArray[np.float64]:
-    """Divide the intervals between `breaks` (m) evenly into pieces of `size` (m) at most.
+    """Divide the intervals between `breaks` (m) evenly into pieces of at most `size` (m).
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def put_side_by_side(meshes: Sequence[MeshHex]) -> tuple[MeshHex, list[NDArray[n
     mesh : skfem.MeshHex
         All cells.
     cells : list of ndarray of int
-        The cells of each input in the result.
+        The cells of each input mesh in the result.
     """
     points = np.hstack([mesh.p for mesh in meshes])
     shifts = np.cumsum([0, *(mesh.p.shape[1] for mesh in meshes)])

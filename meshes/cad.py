@@ -24,7 +24,7 @@ from thermojoint.artefacts.settings.read import read_settings
 from thermojoint.artefacts.settings.section import Point, Section
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
-#: Cells of a part beyond which neither Gmsh nor the simulator ends in a day.
+#: Limit on the cells of a part: beyond it Gmsh or the simulator would take more than a day.
 MOST_CELLS = 2e7
 #: A face may be this far from a point that names it, relative to the size of the part.
 NEAR = 1e-4
@@ -67,7 +67,7 @@ def mesh_cad(
     Parameters
     ----------
     part : Path
-        One of `SUFFIXES`; its own unit of length is kept in mind.
+        One of `SUFFIXES`; its own unit of length is respected.
     out : Path
         ``.msh``, written whole or not at all.
     size : float
@@ -120,7 +120,7 @@ def mesh_cad(
 def _check_size(gmsh: Any, part: Path, size: float) -> None:  # noqa: ANN401
     """Refuse an element size that gives more cells than can be simulated.
 
-    Regular tetrahedra of that edge fill the volume, regular triangles cover the surface.
+    Estimated by regular tetrahedra in the volume and regular triangles on the surface.
     """
     volume, area = (
         sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dimension))
@@ -142,7 +142,7 @@ def _in_one_line(part: Path, task: str, remedy: str) -> Iterator[None]:
         yield
     except (InputError, OSError, MemoryError):
         raise
-    # Gmsh raises nothing more special.
+    # Gmsh raises nothing more specific.
     except Exception as error:
         said = " ".join(str(error).split())
         raise InputError(f"{part}: Gmsh cannot {task} ({said}); {remedy}") from error
@@ -172,14 +172,14 @@ def _gmsh_session() -> Iterator[Any]:
 def _broken_pipes_as_errors() -> Iterator[None]:
     """Undo what Gmsh changes for the whole process when it starts.
 
-    It sets SIGPIPE to its default action: from then on the process would end without a word when it
+    It sets SIGPIPE to its default action: from then on the process would be killed silently when it
     writes to a connection that its reader has closed, where Python raises `BrokenPipeError`.
     """
     before = signal.getsignal(signal.SIGPIPE) if hasattr(signal, "SIGPIPE") else None
     try:
         yield
     finally:
-        # Handlers can be set in the main thread only; None is one that Python did not set.
+        # Handlers can be set in the main thread only; None is a handler not set from Python.
         if before is not None and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGPIPE, before)
 
@@ -189,12 +189,12 @@ def _group(gmsh: Any, dimension: int, tags: Sequence[int], name: str) -> None:  
 
 
 def _plain(label: str) -> str:
-    """Return the last part of a CAD label with nothing in it that a mesh file cannot hold."""
+    """Return the last part of a CAD label without characters that mesh files cannot represent."""
     return re.sub(r"[^A-Za-z0-9_.+-]+", "_", label.rsplit("/", 1)[-1]).strip("_.")
 
 
 def _bodies(gmsh: Any) -> dict[str, int]:  # noqa: ANN401
-    """Names of the solids; numbered where there is none or it is not the only one."""
+    """Names of the solids; numbered if there is none or it is not unique."""
     labels = {tag: _plain(gmsh.model.getEntityName(3, tag)) for _, tag in gmsh.model.getEntities(3)}
     all_names = list(labels.values())
     return {
@@ -208,20 +208,20 @@ def _faces(gmsh: Any, volume: int) -> list[int]:  # noqa: ANN401
 
 
 def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]:  # noqa: ANN401
-    """Divide the solids' faces by what they share; return the faces of each joint side.
+    """Divide the solids' faces where they touch; return the faces of each joint side.
 
-    The two sides get copies of their own: a common one would glue their meshes together.
+    The two sides get separate copies: a common one would glue their meshes together.
     """
     occ = gmsh.model.occ
     faces = {body: _faces(gmsh, volume) for body, volume in bodies.items()}
     patches: dict[str, dict[str, list[DimTag]]] = {body: {} for body in bodies}
-    for one, other in combinations(bodies, 2):
+    for first, other in combinations(bodies, 2):
         shared = [
-            patch for pair in product(faces[one], faces[other]) for patch in _shared(gmsh, *pair)
+            patch for pair in product(faces[first], faces[other]) for patch in _shared(gmsh, *pair)
         ]
         if shared:
-            patches[one][f"{one}_{other}.a"] = shared
-            patches[other][f"{one}_{other}.b"] = occ.copy(shared)
+            patches[first][f"{first}_{other}.a"] = shared
+            patches[other][f"{first}_{other}.b"] = occ.copy(shared)
     sides_by_name = {}
     for body, sides in patches.items():
         tools = [patch for side in sides.values() for patch in side]
@@ -270,9 +270,9 @@ def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
     return int(nearest)
 
 
-def _shared(gmsh: Any, one: int, other: int) -> list[DimTag]:  # noqa: ANN401
-    """Return new faces: where face `one` lies on face `other`."""
-    boxes = [gmsh.model.getBoundingBox(2, tag) for tag in (one, other)]
+def _shared(gmsh: Any, face: int, other: int) -> list[DimTag]:  # noqa: ANN401
+    """Return new faces: the part of face `face` that lies on face `other`."""
+    boxes = [gmsh.model.getBoundingBox(2, tag) for tag in (face, other)]
     slack = NEAR * max(b[3 + k] - b[k] for b in boxes for k in range(3))
     if any(
         boxes[0][k] > boxes[1][3 + k] + slack or boxes[1][k] > boxes[0][3 + k] + slack
@@ -280,12 +280,12 @@ def _shared(gmsh: Any, one: int, other: int) -> list[DimTag]:  # noqa: ANN401
     ):
         return []
     occ = gmsh.model.occ
-    # Copies: faces of the solids themselves would be bound to the result.
-    copies = occ.copy([(2, one), (2, other)])
+    # Use copies: faces of the solids themselves would be bound to the result.
+    copies = occ.copy([(2, face), (2, other)])
     common, _ = occ.intersect(copies[:1], copies[1:])
     shared = [patch for patch in common if patch[0] == 2]
     area = sum(occ.getMass(*patch) for patch in shared)
-    if area > LEAST_OVERLAP * min(occ.getMass(2, tag) for tag in (one, other)):
+    if area > LEAST_OVERLAP * min(occ.getMass(2, tag) for tag in (face, other)):
         return shared
     occ.remove(common, recursive=True)
     return []

@@ -19,7 +19,7 @@ class Cover:
     Attributes
     ----------
     share : ndarray, shape (n,)
-        Covered part of the area of each facet; 1 if nothing but rounding is left.
+        Covered fraction of the area of each facet; 1 if only rounding is left.
     area : ndarray, shape (n,)
         Of each whole facet as a plane one, m2.
     facet : ndarray of int, shape (nq,)
@@ -41,7 +41,7 @@ class Cover:
 
 
 def cover_of(structure: Structure, surface: str, joints: Sequence[PairedJoint]) -> Cover:
-    """Return what `joints` cover of a surface, on either of their sides."""
+    """Return the part of a surface covered by `joints`, on either of their sides."""
     mesh, facets = structure.mesh, structure.surface(surface, "convection_W_m2K")
     place = np.full(mesh.facets.shape[1], -1)
     place[facets] = np.arange(len(facets))
@@ -75,7 +75,7 @@ def cover_of(structure: Structure, surface: str, joints: Sequence[PairedJoint]) 
 def covered_areas(
     structure: Structure, surfaces: Sequence[str], joints: Sequence[PairedJoint]
 ) -> dict[str, float]:
-    """Return how much of each surface is covered, m2, for those of which anything is."""
+    """Return the covered area of each surface, m2, if it is not zero."""
     covers = {name: cover_of(structure, name, joints) for name in surfaces}
     return {
         name: float(cover.share @ cover.area) for name, cover in covers.items() if cover.share.any()

@@ -55,7 +55,7 @@ _MSH_END = (
 _ENDS = {".vtu": b"</VTKFile>$", ".msh": _MSH_END}
 _DIMENSIONS = {"body": 3, "surface": 2, "probe": 0}
 _FACET_CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
-#: What meshio's readers raise on a damaged file.
+#: Exceptions of meshio's readers for damaged files.
 _DAMAGE = (
     meshio.ReadError,
     CorruptionError,
@@ -181,14 +181,14 @@ def _read(path: Path) -> meshio.Mesh:
             end = file.read().rstrip()
     except OSError as error:
         raise UnreadableError(f"{path}: cannot be read; check its permissions") from error
-    # meshio takes some truncated files for whole ones.
+    # meshio accepts some truncated files.
     if not end or not re.search(_ENDS.get(path.suffix, b""), end):
         raise InputError(f"{path}: empty or truncated mesh file; write it again")
     if path.suffix == ".inp":
         _check_cards(path)
     try:
-        # Not meshio.read: it prints, and ends the process, when a reader fails. What the readers
-        # warn of is checked below, or in `volume_mesh`.
+        # Not meshio.read: it prints, and ends the process, when a reader fails. Warnings of the
+        # readers are covered by the checks below and in `volume_mesh`.
         with redirect_stderr(StringIO()), warnings.catch_warnings(action="ignore"):
             return _READERS[path.suffix](str(path))
     except _DAMAGE as error:
@@ -370,7 +370,7 @@ def _surfaces_with_joint_sides(structure: Structure) -> dict[str, NDArray[np.int
 
 def _check_names(names: list[str]) -> None:
     for name in names:
-        # meshio escapes nothing in XML and MSH, and '@' and ':' have a meaning of their own.
+        # meshio escapes nothing in XML and MSH, and '@' and ':' are separators.
         if not re.fullmatch(r"[A-Za-z0-9_.+-]+", name):
             raise InputError(
                 f"name {name!r} cannot be kept in a mesh file; use letters, digits and _ . + -"

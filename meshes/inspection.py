@@ -23,9 +23,9 @@ from thermojoint.artefacts.errors import InputError
 POOR = 0.1
 #: Facing facets lie this near to each other, relative to the structure's size.
 TOUCHING = 1e-4
-#: Corners are the same if they lie this near to each other, relative to the structure's size.
+#: Corners coincide if they are this near to each other, relative to the structure's size.
 SAME = 1e-8
-#: Contact elements of the pairing that measures a joint.
+#: Contact elements of the pairing used to measure a joint.
 ALONG, ACROSS = 9, 3
 
 
@@ -56,16 +56,16 @@ class JointFacts:
     Attributes
     ----------
     area_a, area_b, overlap : float
-        Of the sides and of what they share, m2.
+        Of the sides and of their common part, m2.
     gap : tuple of float
-        Smallest and largest distance from side a to side b along the normal, m; negative where
-        they overlap.
+        Smallest and largest distance from side a to side b along the normal, m; negative where they
+        overlap.
     misalignment : float
         Largest angle between facing facets, degrees.
     parts : int
         Different normals among the contact elements.
     matching : bool
-        The facets of the two sides are the same.
+        Whether the facets of the two sides coincide.
     """
 
     area_a: float
@@ -79,7 +79,7 @@ class JointFacts:
 
 @dataclass(frozen=True)
 class Inspection:
-    """Everything `inspect` finds.
+    """Results of `inspect`.
 
     Attributes
     ----------
@@ -92,13 +92,13 @@ class Inspection:
     bodies, surfaces, joints : dict
         By name.
     probes : dict of str to (tuple of float, str or None)
-        Position, m, and the body that a probe names.
+        Position, m, and the body named for a probe.
     quality : dict of str to float
         Quality of the cells: ``worst``, ``1 %`` and ``median``.
     worst_cell : tuple of float
         Where the worst cell is, m.
     unnamed_area : float
-        Boundary without any name, m2: nothing convects there.
+        Boundary without any name, m2, and therefore without convection.
     warnings : tuple of str
         Suspicious features, one line each.
     """
@@ -118,7 +118,7 @@ class Inspection:
 
 
 def inspect(structure: Structure) -> Inspection:
-    """Look a structure over."""
+    """Inspect a structure."""
     mesh = structure.mesh
     quality = cell_quality(mesh)
     worst = int(np.argmin(quality))
@@ -196,7 +196,7 @@ def _bodies(structure: Structure) -> dict[str, BodyFacts]:
 
 
 def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number, from 0 on, of the piece that each cell is part of.
+    """Return the number, starting from 0, of the connected piece of each cell.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     cells = corners.shape[1]
     edges = (np.tile(np.arange(cells), len(corners)), cells + at.ravel())
     graph = coo_array((np.ones(corners.size), edges), shape=(cells + nodes.size,) * 2)
-    # Every node is of a cell, so each piece has cells.
+    # Every node belongs to a cell, so each piece has cells.
     return connected_components(graph.tocsr(), directed=False)[1][:cells]
 
 
@@ -225,7 +225,7 @@ def _joint(structure: Structure, name: str) -> JointFacts:
     side_a, side_b = (structure.surfaces[side] for side in structure.joints[name])
     joint = pair_joint(structure, name, ALONG, ACROSS)
     gap = joint.separation
-    # The facets behind the quadrature points are found by their nearness, one normal for each.
+    # Facets are identified by the nearest quadrature points, one normal for each.
     normals = {}
     for side, facets, points in (("a", side_a, joint.points_a), ("b", side_b, joint.points_b)):
         vectors = outward_areas(mesh, facets)
@@ -286,9 +286,9 @@ def _piece_warnings(bodies: dict[str, BodyFacts]) -> list[str]:
 def _glue_warnings(structure: Structure) -> list[str]:
     nodes = {name: np.unique(structure.mesh.t[:, c]) for name, c in structure.bodies.items()}
     return [
-        f"bodies {one!r} and {other!r} share {shared} nodes: they are one piece there, no joint"
-        for one, other in combinations(nodes, 2)
-        if (shared := np.intersect1d(nodes[one], nodes[other]).size)
+        f"bodies {body!r} and {other!r} share {shared} nodes: they are one piece there, no joint"
+        for body, other in combinations(nodes, 2)
+        if (shared := np.intersect1d(nodes[body], nodes[other]).size)
     ]
 
 
@@ -314,7 +314,7 @@ def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:
 
 
 def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[str]:
-    """Joint sides that go on beyond their joint, and are in no surface that could convect there."""
+    """Joint sides that extend beyond their joint, and belong to no surface with convection."""
     sides = {side for pair in structure.joints.values() for side in pair}
     others = [facets for name, facets in structure.surfaces.items() if name not in sides]
     convecting = np.concatenate([np.empty(0, int), *others])
@@ -363,15 +363,15 @@ def _facing_warnings(structure: Structure) -> list[str]:
     pairs = cKDTree(centres).query_pairs(float(np.sqrt(area.max())), output_type="ndarray")
     if not pairs.size:
         return []
-    one, other = pairs.T
-    between = centres[other] - centres[one]
-    apart = np.abs(np.einsum("pi,pi->p", between, normals[one]))
+    facet, other = pairs.T
+    between = centres[other] - centres[facet]
+    apart = np.abs(np.einsum("pi,pi->p", between, normals[facet]))
     beside = np.sqrt(np.maximum(np.einsum("pi,pi->p", between, between) - apart**2, 0.0))
     touching = (
-        (body[one] != body[other])
-        & (np.einsum("pi,pi->p", normals[one], normals[other]) < -0.98)
+        (body[facet] != body[other])
+        & (np.einsum("pi,pi->p", normals[facet], normals[other]) < -0.98)
         & (apart < TOUCHING * float(np.ptp(mesh.p, axis=1).max()))
-        & (beside < 0.5 * np.sqrt(np.maximum(area[one], area[other])))
+        & (beside < 0.5 * np.sqrt(np.maximum(area[facet], area[other])))
     )
     names = list(structure.bodies)
     facing: dict[tuple[int, int], set[int]] = {}

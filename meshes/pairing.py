@@ -1,10 +1,10 @@
 """Pairing of the two sides of a joint, with non-matching meshes, into contact elements.
 
-Side a is divided where it has edges. A plane part is covered by a rectangular grid of contact
-elements, as far as side b lies before it; a curved part (a cylindrical seat) is bisected into
-contact elements that follow it. Each contact element has a plane of its own, in which facets of
-side a, facets of side b and, on a grid, the cell are clipped against each other, so that integrals
-over it are exact on both sides.
+Side a is divided at its edges. A plane part is covered by a rectangular grid of contact elements,
+as far as it faces side b; a curved part (a cylindrical seat) is bisected into contact elements that
+follow it. Each contact element has its own plane, in which facets of side a, facets of side b and,
+on a grid, the cell are clipped against each other, so that integrals over it are exact on both
+sides.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ FLATNESS = 1e-3
 EDGE = np.deg2rad(20.0)
 #: Facets belong to a contact element if their normals differ from its own by less than this, rad.
 FACING = np.deg2rad(60.0)
-#: A curved part whose normals are farther than this from their mean is divided by its normals, rad.
+#: A curved part with normals farther than this from their mean is divided by its normals, rad.
 ROUND = np.deg2rad(45.0)
-#: The grid leaves off what side b does not reach, if that is more than this part of side a. Less is
-#: the height of an arc between two meshes of the same round edge.
+#: The grid excludes what side b does not reach, if that is more than this fraction of side a. Less
+#: is the height of an arc between two meshes of the same round edge.
 UNREACHED = 0.02
 #: Overlaps smaller than this fraction of a facet are rounding, not contact.
 SLIVER = 1e-9
-#: A facet may be covered by this fraction more than its area: rounding.
+#: A facet may be covered by this fraction more than its area, due to rounding.
 EXCESS = 1e-6
 
 
@@ -67,8 +67,8 @@ class PairedJoint:
     area, centre : ndarray, shapes (m,) and (m, 3)
         Area (m2) and centroid (m) of each contact element.
     pieces : tuple of ndarray, each of shape (corners, 3)
-        Plane convex pieces of side a that the joint consists of, m: where a facet of each side and
-        a contact element overlap.
+        Plane convex pieces of side a that make up the joint, m: overlaps of a facet of each side
+        and a contact element.
     piece_element : ndarray of int, shape (pieces,)
         Contact element of each piece.
     """
@@ -148,7 +148,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
         The joint.
     along, across : int
         Contact elements along the longer and the shorter side of each plane part of side a, over
-        what side b reaches of it; a curved part gets as many in all.
+        the part that side b reaches; the total for a curved part.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
             flat, weight = quadrature(overlap)
             points_a.append(side_a.lift(cell.plane, flat, i))
             points_b.append(side_b.lift(cell.plane, flat, j))
-            # Areas are those of side a, not of its shadow on the plane.
+            # Areas are those of side a, not of its projection.
             weights.append(weight / abs(side_a.normal[i] @ cell.plane.frame[2]))
             weights_b.append(weight / abs(side_b.normal[j] @ cell.plane.frame[2]))
             owners.append(np.tile([i, j], (len(weight), 1)))
@@ -183,7 +183,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
             f"joint {name!r}: several layers of side b lie before the same place of side a; make "
             "each pair of faces a joint of its own"
         )
-    # Grid cells outside an irregular part hold nothing; number the others without gaps.
+    # Grid cells outside an irregular part are empty; number the others without gaps.
     held, piece_element = np.unique(piece_cells, return_inverse=True)
     element = np.repeat(piece_element, [len(w) for w in weights])
     area = np.bincount(element, weight).astype(float)
@@ -243,7 +243,7 @@ def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, 
 def _facing(
     plane: _Plane, corners: NDArray[np.float64], side: _Side, angle: float
 ) -> NDArray[np.int64]:
-    """Facets of `side` that face a plane, no farther from it than its `corners` from each other."""
+    """Facets of `side` that face a plane, no farther from it than its `corners` are apart."""
     normal, reach = plane.frame[2], np.ptp(corners.reshape(-1, 3), axis=0).max()
     near = np.abs((side.centre - plane.origin) @ normal) <= reach
     return np.flatnonzero(near & (side.normal @ normal < -np.cos(angle)))
@@ -363,7 +363,7 @@ def _is_curved(flat: NDArray[np.float64]) -> bool:
 
 
 def _reached(plane: _Plane, corners: NDArray[np.float64], other: _Side) -> NDArray[np.float64]:
-    """Lowest and highest plane coordinates (2, 2) of what side b reaches of a plane part."""
+    """Lowest and highest plane coordinates (2, 2) of the overlap of side b with a plane part."""
     flat = plane.flat(corners)[..., :2]
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     facing = _facing(plane, corners, other, FACING)
@@ -381,14 +381,14 @@ def _reached(plane: _Plane, corners: NDArray[np.float64], other: _Side) -> NDArr
 def _bisected(side: _Side, part: NDArray[np.int64], count: int) -> Iterator[NDArray[np.int64]]:
     """Divide facets into `count` groups of about equal area, each as compact as can be.
 
-    What is round is divided across its turn first: an element that turns far has no normal.
+    Round parts are divided across their turn first: an element that turns far has no normal.
     """
     if count == 1 or len(part) == 1:
         yield part
         return
     place = _along_longest(side.centre[part])
     if _turn(side, part) > ROUND:
-        # Facets of one normal in the order of their places.
+        # Order facets with the same normal by position.
         order = part[np.lexsort([place, np.round(_along_longest(side.normal[part]), 6)])]
     else:
         order = part[np.argsort(place, kind="stable")]

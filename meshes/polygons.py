@@ -9,7 +9,7 @@ from skfem.quadrature import get_quadrature
 
 Polygon = NDArray[np.float64]
 
-#: Exact for the traces of the quadratic elements in use (serendipity quads hold cubic terms).
+#: Exact for the traces of the quadratic elements in use (serendipity quads have cubic terms).
 _RULE_POINTS, _RULE_WEIGHTS = get_quadrature(MeshTri.elem.refdom, 4)
 
 

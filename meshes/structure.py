@@ -48,14 +48,6 @@ class Structure(Described):
     probes : dict of str to Probe
         Named points.
     symmetry_factor : int
-
-    def _facts(self) -> dict[str, str]:
-        return {
-            "bodies": ", ".join(self.bodies),
-            "joints": ", ".join(self.joints) or "none",
-            "nodes": str(self.mesh.nvertices),
-            "cells": str(self.mesh.nelements),
-        }
         How many copies of the mesh make the whole structure (2 for a half model).
     """
 
@@ -65,6 +57,14 @@ class Structure(Described):
     joints: dict[str, tuple[str, str]] = field(default_factory=dict)
     probes: dict[str, Probe] = field(default_factory=dict)
     symmetry_factor: int = 1
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "bodies": ", ".join(self.bodies),
+            "joints": ", ".join(self.joints) or "none",
+            "nodes": str(self.mesh.nvertices),
+            "cells": str(self.mesh.nelements),
+        }
 
     def __post_init__(self) -> None:
         """Check that the names and the mesh fit each other."""

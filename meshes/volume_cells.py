@@ -39,10 +39,10 @@ _VOLUMES: dict[str, tuple[str, int, tuple[tuple[int, ...], ...]]] = {
 
 
 def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
-    """Return the mesh, and the number in it of each of the file's nodes that is a corner.
+    """Return the mesh, and the number in it of each of the file's corner nodes.
 
-    Cells of second order keep their curved geometry; if all of them are straight, the mesh is of
-    first order: it has the same shape and costs less.
+    Cells of second order keep their curved geometry; if all of them are straight, the mesh becomes
+    one of first order: it has the same shape and costs less.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
             "[structure], or --unit mm where there is no case"
         )
     mesh = from_meshio(meshio.Mesh(points[used], [(straight, renumber[cells[:, :corners]])]))
-    # Only now: the tables of edges and faces of a damaged mesh would mean nothing.
+    # Only now: edges and faces of a damaged mesh are meaningless.
     _check_cells(mesh, path)
     if between and _is_curved(points, cells, corners, between):
         mesh = _curved(mesh, points, cells, renumber[cells[:, :corners]], between)

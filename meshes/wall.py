@@ -1,7 +1,7 @@
 """A rigid wall against a surface: one layer of cells on copies of the surface's facets.
 
-The layer shares no node with the body before it. Its cells only carry the wall's name and its
-temperature: who makes it rigid holds all of its nodes.
+The layer shares no node with the body it faces. Its cells only carry the wall's name and
+temperature: the caller makes it rigid by fixing all of its nodes.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ DEPTH = 0.5
 
 
 def face_of(wall: str) -> str:
-    """Return the name of the surface with which a wall faces its body."""
+    """Return the name of the wall's surface that faces its body."""
     return f"{wall}.face"
 
 
 def with_wall(structure: Structure, name: str, faces: str) -> Structure:
-    """Add a wall that lies against a surface, as a body of its own.
+    """Add a wall against a surface, as a separate body.
 
     Parameters
     ----------
     structure : Structure
         Of hexahedra or tetrahedra of first order.
     name : str
-        Of the wall: of its body, and of the surface of all its nodes. `face_of` it is the surface
+        Of the wall: of its body, and of the surface with all its nodes. `face_of` it is the surface
         that faces the body.
     faces : str
-        The surface before it.
+        Surface that it faces.
 
     Raises
     ------

@@ -20,11 +20,11 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 
-#: A model errs alike in a hundred samples: in the noise of one these errors count so many times.
+#: Model errors persist over a hundred samples: as white noise they count this many times.
 LASTS = 10.0
-#: Columns of the covariance that a run may carry beside the steady one.
+#: Columns of the covariance factor during a run.
 COLUMNS = 12
-#: Heating and cooling times of the past that a warm start reckons with, s.
+#: Past heating and cooling times considered by a warm start, s.
 PASTS = np.geomspace(60.0, 6e4, 8)
 #: ... and change of the ambient, K.
 AMBIENT_CHANGE = 3.0
@@ -35,18 +35,18 @@ def make_observer(
 ) -> ObserverModel:
     """Return the observer of a fitted machine.
 
-    Its band lacks what the calibration leaves open: `open_band`.
+    Its band does not include the uncertainty of the calibration: `open_band`.
 
     Parameters
     ----------
     machine : ReducedMachine
         As its case says.
     fit : Fit
-        Its parameters, remainder and sensors.
+        Its parameters, discrepancy and sensors.
     calibrated : Calibrated
-        Where the calibration has been.
+        Range of the calibration.
     noise : Noise, optional
-        What the filter reckons with.
+        Assumed noise.
 
     Raises
     ------
@@ -54,9 +54,9 @@ def make_observer(
         The sensors do not determine the heat.
     """
     noise = noise or Noise()
-    # A calibration without noise says nothing of readings to come.
+    # A calibration without noise says nothing about later readings.
     own = np.maximum(noise.sensor, fit.noise)
-    # ... and what the model errs by for minutes tells as little as noise that is so much larger.
+    # ... and model errors that last for minutes count as noise that is larger by this factor.
     errs = np.sqrt(np.maximum(fit.residual_temperature**2 - fit.noise**2, 0.0))
     whole = np.hypot(own, LASTS * errs)
     noise = replace(noise, sensor=whole, lasting=noise.lasting * whole / own)
@@ -65,7 +65,7 @@ def make_observer(
     modes = diagonal_modes(fitted, held)
     system = linear_system(modes, fit.discrepancy, machine.power, machine.step)
     design, after = design_filter(system, modes, machine.power, machine.step, noise)
-    # Amplitudes all in one unit: the norm of a field is that of the heat it holds.
+    # Amplitudes are in one unit: the norm of a field is that of its heat content.
     hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
     relaxations = system.decay.size - modes.rates.size
     scale = np.concatenate(
@@ -104,17 +104,19 @@ def make_observer(
         sources=machine.source_names,
         calibrated=calibrated,
         factors={
-            one.name: (float(np.exp(value)), float(deviation))
-            for one, value, deviation in zip(fit.parameters, fit.logarithms, spread, strict=True)
+            parameter.name: (float(np.exp(value)), float(deviation))
+            for parameter, value, deviation in zip(
+                fit.parameters, fit.logarithms, spread, strict=True
+            )
         },
     )
 
 
 def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, scale: Array) -> Array:
-    """Return L of a machine of which nothing is known, shape (n, COLUMNS).
+    """Return the covariance factor L of an unknown start, shape (n, COLUMNS).
 
-    Any past is a sum of heatings that lasted for some time and ended some time ago: the columns
-    span those of `PASTS`, of every source at `power` (W) and of a change of the ambient.
+    Any past is a sum of heating periods: the columns span those of `PASTS`, for every source at
+    `power` (W) and for a change of the ambient.
     """
     rates = fit.discrepancy.rates
     count, sources = modes.rates.size, power.size
@@ -137,7 +139,7 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
 
 
 def answer(rates: Array, lasted: float, ago: float) -> Array:
-    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: a heating that ended `ago`."""
+    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: heating that ended `ago`."""
     slow = rates * lasted < 1e-9
     safe = np.where(slow, 1.0, rates)
     grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)

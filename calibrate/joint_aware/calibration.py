@@ -24,44 +24,44 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
-#: A singular value above this is decided by the data: the prior has less than a tenth of the say.
+#: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
-#: An axis along which less than this part of the largest displacement is seen does not move.
+#: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried.
+    """Effort of a calibration.
 
     Attributes
     ----------
     starts : int
-        Searches from draws of the prior, beside that from the case's own values.
+        Searches from random draws of the prior, beside the one from the case's values.
     drawing : Drawing
-        What the bands are learnt from.
+        Plants and histories from which the bands are learned.
     """
 
     starts: int = STARTS
     drawing: Drawing = field(default_factory=Drawing)
 
 
-#: What is tried where nobody says otherwise.
+#: The default effort.
 USUAL = Effort()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointAwareCalibration(Described):
-    """A model and how it came about.
+    """A calibrated model and the intermediate results.
 
     Attributes
     ----------
     model : ObserverModel
     fit : Fit
     machine : ReducedMachine
-        As its case says, with the axes that move.
+        As described by the case, with the axes that move.
     runs : tuple of Run
-        That it was calibrated with.
+        Calibration runs.
     """
 
     model: ObserverModel
@@ -74,7 +74,7 @@ class JointAwareCalibration(Described):
 
 
 def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:
-    """Return the probes that the case names and that every response has, in the case's order.
+    """Return the probes that are in the case and in every response, in the case's order.
 
     Raises
     ------
@@ -109,18 +109,18 @@ def calibrate_joint_aware(
     responses : mapping of str to xarray.Dataset
         Name (for error messages) to a run from rest with known heat input.
     sensors : sequence of str, optional
-        Probes that will be read; default those that the case names.
+        Probes used as sensors; default those of the case.
     noise : Noise, optional
-        What the filter reckons with.
+        Assumed noise.
     fitted : sequence of str, optional
         Parameters to fit; default all that the machine has.
     effort : Effort
-        How much is tried.
+        Effort of the calibration.
 
     Raises
     ------
     InputError
-        Case and responses do not fit each other.
+        Case and responses are inconsistent.
     ConvergenceError
         The machine cannot be marched, or its sensors do not determine the heat.
     """
@@ -138,7 +138,7 @@ def calibrate_machine(
     fitted: Sequence[str] | None = None,
     effort: Effort = USUAL,
 ) -> JointAwareCalibration:
-    """Return the observer of a machine that is reduced already; as `calibrate_joint_aware`."""
+    """Return the observer of an already reduced machine; see `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
     fit = fit_physics(machine, runs, fitted, effort.starts)
@@ -149,7 +149,7 @@ def calibrate_machine(
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
-    """Axes along which something moves."""
+    """Axes with motion."""
     peaks = np.max(
         [
             np.abs(columns_of(response, "displacement", machine.axes)).max(axis=0)
@@ -166,7 +166,7 @@ def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> lis
 
 
 def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
-    """Return where calibration responses have been."""
+    """Return the range of calibration responses."""
     every = np.vstack(
         [
             columns_of(response, "temperature", machine.sensor_names)
@@ -174,8 +174,11 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
         ]
     )
     return Calibrated(
-        duration_s=max(float(one["time"].to_numpy()[-1]) for one in responses.values()),
-        heat=max(float(np.abs(one["heat_input"].to_numpy()).max()) for one in responses.values()),
+        duration_s=max(float(response["time"].to_numpy()[-1]) for response in responses.values()),
+        heat=max(
+            float(np.abs(response["heat_input"].to_numpy()).max())
+            for response in responses.values()
+        ),
         temperatures={
             name: (min(0.0, float(column.min())), float(column.max()))
             for name, column in zip(machine.sensor_names, every.T, strict=True)
@@ -184,26 +187,28 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
 
 
 def report(fit: Fit) -> dict[str, object]:
-    """Return what the data say of the parameters, ready for a JSON file.
+    """Return the results for the parameters, as content of a JSON file.
 
     Returns
     -------
     dict
         parameters: factor on the case's value, standard deviation of its logarithm before and
-        after; directions: singular value and the parameters that it is of (|weight| > 0.3), which
-        of them the data decide (`DECIDED`); residuals.
+        after; directions: singular value and main parameters (|weight| > 0.3), with those
+        determined by the data (`DECIDED`); residuals.
     """
     after = np.sqrt(np.diag(fit.covariance))
     singular, directions = fit.directions
     return {
         "parameters": [
             {
-                "parameter": one.name,
+                "parameter": parameter.name,
                 "factor": float(np.exp(value)),
-                "prior_std": one.spread,
+                "prior_std": parameter.spread,
                 "std": float(deviation),
             }
-            for one, value, deviation in zip(fit.parameters, fit.logarithms, after, strict=True)
+            for parameter, value, deviation in zip(
+                fit.parameters, fit.logarithms, after, strict=True
+            )
         ],
         "directions": [
             {
@@ -221,7 +226,7 @@ def report(fit: Fit) -> dict[str, object]:
 
 def _named(fit: Fit, direction: Array) -> dict[str, float]:
     return {
-        one.name: round(float(weight), 3)
-        for one, weight in zip(fit.parameters, direction, strict=True)
+        parameter.name: round(float(weight), 3)
+        for parameter, weight in zip(fit.parameters, direction, strict=True)
         if abs(weight) > 0.3
     }

@@ -1,10 +1,10 @@
 """Identifiability of a machine's parameters from calibration runs, present and further ones.
 
-Profiles: half the sum of squares with one parameter held beside its fitted value and the others
-fitted anew. Further runs: the covariance of the parameters with the information that a run would
-add, its Jacobian being that of the fitted machine, so that no new data is needed; carried to the
-displacement of a day of random heat. There the remainder takes back what a parameter changes in
-proportion to the heat in the calibration runs. Everything on coarse marches.
+Profiles: half the sum of squares with one parameter fixed beside its fitted value and the others
+fitted again. Further runs: the covariance of the parameters with the information that a run would
+add (its Jacobian is that of the fitted machine, so that no new data are needed), propagated to the
+displacement of a day of random heat. There the discrepancy compensates what a parameter changes in
+proportion to the heat in the calibration runs. Everything uses coarse marches.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import simulate_known
 
-#: Points of a profile, in standard deviations from the fit, and how often the others are improved.
+#: Points of a profile, in standard deviations from the fit, and iterations for the others.
 POINTS, IMPROVED = (-2.0, -1.0, 0.0, 1.0, 2.0), 2
-#: A parameter whose uncertainty is still this part of what it was before is the prior's.
+#: A parameter whose uncertainty is still this fraction of the prior one is undetermined.
 PREDICTION_ONLY = 0.7
-#: Candidate runs: heated for some time and then left alone for some time, s.
+#: Candidate runs: heating time and cooling time, s.
 CANDIDATES = {
     "cool-down of 4 h": (2100.0, 12300.0),
     "step of 4 h": (14400.0, 0.0),
@@ -49,13 +49,13 @@ DAY, DAY_STEPS, SEED = 8 * 3600.0, 480, 2
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """One parameter held, the others fitted.
+    """Profile of one parameter, the others being fitted.
 
     Attributes
     ----------
     parameter : str
     factor : ndarray, shape (points,)
-        On the case's value.
+        Factors on the case's value.
     cost : ndarray, shape (points,)
         Half the sum of squares above that of the fit.
     """
@@ -69,25 +69,25 @@ def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Pro
     """Return the profile of every fitted parameter."""
     problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
     at_fit = fit.logarithms / fit.spread
-    # Where the coarse march has its residuals, the fit has those of the machine's own.
+    # Correct the coarse march by its difference from the machine's own march.
     defect = fit.residuals - residuals(problem, fit.parameters, fit.logarithms)
     deviation = np.sqrt(np.diag(fit.covariance)) / fit.spread
 
     def at(scaled: Array) -> Array:
-        found = defect + residuals(problem, fit.parameters, fit.spread * scaled)
-        return np.concatenate([found, scaled])
+        whitened = defect + residuals(problem, fit.parameters, fit.spread * scaled)
+        return np.concatenate([whitened, scaled])
 
     whole = np.vstack([fit.jacobian, np.eye(at_fit.size)])
     least = at(at_fit)
-    found = []
-    for k, one in enumerate(fit.parameters):
+    curves = []
+    for k, parameter in enumerate(fit.parameters):
         others = np.arange(at_fit.size) != k
         improve = np.linalg.pinv(whole[:, others])
         values, costs = [], []
         for point in POINTS:
             scaled = at_fit.copy()
             scaled[k] += point * deviation[k]
-            # The valley's floor by the tangent, then by Newton's method with a tangent that stays.
+            # Follow the valley by the tangent, then by Newton's method with a frozen tangent.
             scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
             now = at(scaled)
             for _ in range(IMPROVED):
@@ -99,8 +99,8 @@ def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Pro
                 scaled, now = trial, after
             values.append(float(np.exp(fit.spread[k] * scaled[k])))
             costs.append(0.5 * float(now @ now - least @ least))
-        found.append(Profile(one.name, np.array(values), np.array(costs)))
-    return found
+        curves.append(Profile(parameter.name, np.array(values), np.array(costs)))
+    return curves
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class FurtherRun:
     Attributes
     ----------
     name : str
-        Of the run; "none" for what is known without.
+        Name of the run; "none" for the present knowledge.
     deviation : ndarray, shape (k,)
         Standard deviation of the logarithms of the factors.
     day : ndarray, shape (axes,)
@@ -123,7 +123,7 @@ class FurtherRun:
 
 
 def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
-    """Return what is known of the parameters and of a day, without and with each further run."""
+    """Return the uncertainty of the parameters and of a day, without and with each further run."""
     heat = max(float(np.abs(run.inputs[:, :-1] / machine.power).max()) for run in runs)
     levels = random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size)
     day = _planned(machine, fit, levels, DAY)
@@ -152,14 +152,14 @@ def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list
 
 
 def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> Run:
-    """A run that has not been made, as the fitted machine answers it."""
+    """A run that has not been made, simulated by the fitted machine."""
     step = length / len(heat)
     inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
     physics = physics_with(machine, factors_of(fit.parameters, fit.logarithms))
     times = np.linspace(step, length, MOST_SAMPLES)
     nothing = np.zeros((times.size, 0))
     run = Run(inputs, times, nothing, nothing, step)
-    sensed, moved = (sampled(one, run) for one in simulate_known(physics, inputs, step))
+    sensed, moved = (sampled(values, run) for values in simulate_known(physics, inputs, step))
     return replace(run, temperature=sensed, displacement=moved)
 
 
@@ -171,7 +171,7 @@ def _heated(machine: ReducedMachine, fit: Fit, heat: float, on: float, off: floa
 
 
 def _steps(fit: Fit) -> Array:
-    """Logarithms beside the fit, one parameter moved in each row, (k, k)."""
+    """Logarithms next to the fit, one parameter changed in each row, (k, k)."""
     return np.asarray(fit.logarithms + DIFFERENCE * np.diag(fit.spread))
 
 

@@ -1,8 +1,8 @@
 """A machine with its joint linearised at the preload, for a linear Kalman filter.
 
-Every contact element keeps the conductance and the stiffness that it has at its preload, and
-sticks. What is left of the machine is linear, and the joint-aware estimator on it is the Kalman
-filter of the reduced model with a linear joint: a baseline, calibrated and run as the other is.
+Every contact element keeps its conductance and stiffness at preload, and sticks. The rest of the
+machine is linear, and the joint-aware estimator on it is the Kalman filter of the reduced model
+with a linear joint: a baseline, calibrated and run in the same way.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from thermojoint.reduced.machine import ReducedMachine
 
 
 def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
-    """Return a machine without contact elements that answers as this one near its preload.
+    """Return a machine without contact elements that behaves like this one near its preload.
 
-    The joint's conductance belongs to the conduction then, and its stiffness to the displacement
-    per temperature.
+    The joint's conductance becomes part of the conduction, and its stiffness part of the
+    displacement per temperature.
     """
     elastic, held = machine.elastic, machine.at_preload
     nothing = np.zeros(0)
@@ -57,5 +57,5 @@ def calibrate_linear_joint(
     effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the Kalman filter of a machine; as `calibrate.joint_aware.calibration`."""
-    found = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, effort)
-    return replace(found, model=replace(found.model, kind="kalman-linear"))
+    calibrated = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, effort)
+    return replace(calibrated, model=replace(calibrated.model, kind="kalman-linear"))

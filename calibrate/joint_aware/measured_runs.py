@@ -15,23 +15,23 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import make_response
 
-#: Part of the samples that may lack a reading.
+#: Fraction of the samples in which a reading may be missing.
 MOST_MISSING = 0.2
-#: At rest every sensor is within this of the others, K: what is more is no offset.
+#: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
 COLD = 3.0
 
 
 def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.Dataset]:
     """Return every run of a log as a response.
 
-    A run starts at rest: its first readings are the cold machine's, its first displacement is zero.
-    Samples that lack a reading are left out.
+    A run starts at rest: its first readings are those of the cold machine, its first displacement
+    is zero. Samples with a missing reading are left out.
 
     Parameters
     ----------
     log : Log
-        With a temperature for each probe of the case that is a sensor, one power, W, that goes
-        into all sources together, and the displacements; ``ambient_degC`` if it was measured.
+        With a temperature for each probe of the case that is a sensor, one power, W, for all
+        sources together, and the displacements; ``ambient_degC`` if it was measured.
     case : Case
         The machine.
     displacement : sequence of str
@@ -40,7 +40,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     Raises
     ------
     InputError
-        A column is missing, a run begins warm, or too much of it is missing.
+        A column is missing, a run starts warm, or too many readings are missing.
     """
     moved = {_axis(log, name): log.at(name) for name in displacement}
     sensed = {
@@ -57,7 +57,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
     ends = (*log.starts[1:], len(log.times))
     heat = power / sum(source_power(source) for source in case.sources.values())
-    found = {}
+    runs = {}
     for number, (first, end) in enumerate(zip(log.starts, ends, strict=True), 1):
         where, kept = f"run {number}", np.flatnonzero(whole[first:end]) + first
         count = end - first
@@ -65,7 +65,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             raise InputError(
                 f"{where}: {count - len(kept)} of {count} samples lack a reading; mend the log"
             )
-        found[where] = _response(
+        runs[where] = _response(
             where,
             log.times[kept],
             {axis: read[kept] for axis, read in moved.items()},
@@ -73,7 +73,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             heat[kept],
             None if room is None else room[kept],
         )
-    return found
+    return runs
 
 
 def _response(
@@ -110,7 +110,7 @@ def _response(
 
 
 def _axis(log: Log, name: str) -> str:
-    """The axis that a column of displacements is along."""
+    """The axis of a displacement column."""
     column = log.columns[log.index(name)]
     if column.quantity != "length" or column.base not in DIRECTIONS:
         raise InputError(

@@ -1,8 +1,9 @@
 """Whitened residuals of calibration runs: temperatures and displacements minus the machine's.
 
-A sensor's error in a run is that of the physics, f(theta), less what the remainder and a constant
-offset of the sensor explain: both enter linearly, with normal priors, and are eliminated by ridge
-regression (`remainder.Ridge`). A displacement has no offset: it is zero at rest by definition.
+A sensor's error in a run is that of the physics, f(theta), minus what the discrepancy and a
+constant offset of the sensor explain: both are linear, with normal priors, and are eliminated by
+ridge regression (`discrepancy.Ridge`). A displacement has no offset: it is zero at rest by
+definition.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
 from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
 from thermojoint.reduced.physics import Physics, make_physics, simulate_known
 
-#: Samples of a run that count, at most.
+#: Most samples of a run that are used.
 MOST_SAMPLES = 120
-#: What the model is not trusted to, for every sample: temperature, K, and displacement, m. A model
-#: errs alike from sample to sample, so that a whole run tells little more than one of them would:
-#: these are errors of 0.03 K and 0.05 um that last for a run.
+#: Assumed model error for every sample: temperature, K, and displacement, m. Model errors persist
+#: from sample to sample, so that a whole run has little more information than one sample: these are
+#: errors of 0.03 K and 0.05 um that last for a run.
 TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 0.5e-6
-#: ... and of the remainder, which is there to follow what is left sample by sample.
+#: ... and for the discrepancy, which follows the rest sample by sample.
 DISCREPANCY_TEMPERATURE, DISCREPANCY_DISPLACEMENT = 0.03, 1e-7
-#: Sensors of which the model leaves this, K, or as much as of the median one are trusted alike.
+#: Sensors with errors below this, K, or below the median error have equal weight.
 ALIKE = 0.005
 #: Prior standard deviation of a sensor's offset, K.
 OFFSET = 0.3
@@ -49,9 +50,9 @@ class Run:
     Attributes
     ----------
     inputs : ndarray, shape (n, s + 1)
-        Heat of each source by the case, W, and the ambient, K, at the end of each step.
+        Heat of each source according to the case, W, and the ambient, K, at the end of each step.
     times : ndarray, shape (k,)
-        Samples that count, s.
+        Samples that are used, s.
     temperature : ndarray, shape (k, p)
         K.
     displacement : ndarray, shape (k, axes)
@@ -68,7 +69,7 @@ class Run:
 
 
 def coarser(run: Run, steps: int) -> Run:
-    """Return a run in so many steps at most, each with the mean of its inputs."""
+    """Return a run in at most this many steps, each with the mean of its inputs."""
     factor = math.ceil(len(run.inputs) / steps)
     count = math.ceil(len(run.inputs) / factor)
     padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
@@ -78,16 +79,16 @@ def coarser(run: Run, steps: int) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Calibration runs of a machine, ready to be compared with it.
+    """Calibration runs of a machine, prepared for comparison with it.
 
     Attributes
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by the case.
     runs : sequence of Run
         From rest.
     rates : ndarray, shape (q,)
-        Of the remainder, 1/s.
+        Of the discrepancy, 1/s.
     states : ndarray, shape (n, s q)
         Relaxations of the heat at the samples of all runs.
     shape : ndarray, shape (s q,)
@@ -112,12 +113,12 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A measured channel of all runs, one after another.
+    """A measured channel of all runs, concatenated.
 
     Attributes
     ----------
     ridge : Ridge
-        Of what explains it linearly.
+        Its linear part.
     tau : float
         Prior standard deviation of a gain, K or m; zero for a channel that does not move.
     """
@@ -126,11 +127,11 @@ class Channel:
     tau: float
 
     def whitened(self, errors: Array, sigma: float) -> Array:
-        """Return what is not explained of errors (n,), in units of sigma."""
+        """Return the unexplained part of errors (n,), in units of sigma."""
         return self.ridge.whitened(errors, sigma, self.tau) if self.tau else np.zeros(0)
 
     def gains(self, errors: Array, sigma: float) -> tuple[Array, Array]:
-        """Return the gains that explain errors (n,), and what is left of these."""
+        """Return the gains that explain errors (n,), and the residual."""
         if not self.tau:
             return np.zeros(self.ridge.shape.size), errors
         return self.ridge.gains(errors, sigma, self.tau)
@@ -171,7 +172,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
 
 
 def sampled(values: Array, run: Run) -> Array:
-    """Return values (n, c) after each step from rest at the times that count, (k, c)."""
+    """Return values (n, c) after each step from rest at the sampling times, (k, c)."""
     grid = run.length * np.arange(len(values) + 1)
     whole = np.vstack([np.zeros(values.shape[1]), values])
     return np.column_stack([np.interp(run.times, grid, column) for column in whole.T])
@@ -180,14 +181,14 @@ def sampled(values: Array, run: Run) -> Array:
 def errors(
     problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array
 ) -> tuple[Array, Array]:
-    """Return what the runs have more than the machine: temperature (k, p), displacement (k, axes).
+    """Return runs minus machine: temperature (k, p), displacement (k, axes).
 
     Parameters
     ----------
     problem : Problem
         The runs.
     parameters : tuple of Parameter
-        That differ from the case.
+        Parameters that differ from the case.
     logarithms : ndarray, shape (parameters,)
         Of their factors.
 
@@ -206,10 +207,10 @@ def errors(
 
 
 def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
-    """Return the physics of a machine with other parameters, for one run or a few.
+    """Return the physics of a machine with changed parameters, for one run or a few.
 
-    The modes hold the joint as the case has it, whatever its parameters: a march does not depend on
-    what they hold, and so they are turned anew for another film or conduction alone.
+    The modes assume the joint of the case, whatever its parameters: a march does not depend on this
+    assumption, and so they are recomputed for a changed convection or conduction only.
     """
     by = {"film": 1.0, "conduction": 1.0, "capacity": 1.0} | factors
     rates, basis = _basis(machine, by["film"], by["conduction"])
@@ -225,7 +226,7 @@ def _basis(machine: ReducedMachine, film: float, conduction: float) -> tuple[Arr
 
 
 def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array) -> Array:
-    """Return all that neither the parameters nor what is linear explains, in units of sigma."""
+    """Return everything that neither parameters nor linear part explain, in units of sigma."""
     temperature, displacement = errors(problem, parameters, logarithms)
     return np.concatenate(
         [
@@ -253,9 +254,9 @@ class Linear:
     offset : ndarray, shape (p,)
         Of every sensor, K.
     temperature : ndarray, shape (k, p)
-        Left, K.
+        Residual, K.
     displacement : ndarray, shape (k, axes)
-        Left, m.
+        Residual, m.
     """
 
     discrepancy: Discrepancy
@@ -265,7 +266,7 @@ class Linear:
 
 
 def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Linear:
-    """Return the remainder and the offsets that explain `errors`, and what they leave."""
+    """Return the discrepancy and the offsets that explain the errors, and the residual."""
     sensed = [
         channel.gains(column, DISCREPANCY_TEMPERATURE)
         for channel, column in zip(problem.temperature, temperature.T, strict=True)
@@ -274,9 +275,9 @@ def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Lin
         channel.gains(column, DISCREPANCY_DISPLACEMENT)
         for channel, column in zip(problem.displacement, displacement.T, strict=True)
     ]
-    gains = np.array([one for one, _ in sensed])
+    gains = np.array([gain for gain, _ in sensed])
     return Linear(
-        Discrepancy(problem.rates, gains[:, :-1], np.array([one for one, _ in moved])),
+        Discrepancy(problem.rates, gains[:, :-1], np.array([gain for gain, _ in moved])),
         gains[:, -1],
         np.column_stack([left for _, left in sensed]),
         np.column_stack([left for _, left in moved]),
@@ -284,11 +285,11 @@ def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Lin
 
 
 def trust_in(problem: Problem, left: Array) -> Array:
-    """Return the factor on sigma of every sensor for what a fit has left of them, shape (p,).
+    """Return the factor on sigma of every sensor from its residuals in a fit, shape (p,).
 
     A sensor that the model cannot follow, in the contact plane or at an edge, where temperatures
-    depend on the mesh, would bend the parameters to its own errors. What it errs by in the runs,
-    without its noise, says how much it tells.
+    depend on the mesh, would bias the parameters. Its residual in the runs, without its noise,
+    determines its weight.
     """
     own = np.mean(left**2, axis=0) - reading_noise(problem, left) ** 2
     errs = np.sqrt(np.maximum(own, 0.0))
@@ -296,7 +297,7 @@ def trust_in(problem: Problem, left: Array) -> Array:
 
 
 def reading_noise(problem: Problem, left: Array) -> Array:
-    """Return the standard deviation (p,), K, of what changes from sample to sample in `left`."""
+    """Return the standard deviation (p,), K, of the sample-to-sample changes in `left`."""
     at = np.cumsum([len(run.times) for run in problem.runs])[:-1]
     changes = np.concatenate([np.diff(part, axis=0) for part in np.split(left, at)])
     return np.asarray(np.sqrt(0.5 * np.mean(changes**2, axis=0)))

@@ -1,12 +1,12 @@
 """Confidence band from parameter uncertainty, learned on machines with the same responses.
 
-Parameters are drawn from what the calibration says of them, and the remainder is fitted to the
-calibration runs beside each draw, so that every drawn machine answers them alike. It then runs
-through histories of heat, and the observer follows it by its temperatures. Its error is written as
-a sum of the relaxed heat, which every sample knows, and of its squares, as far as that goes: a
-machine with another film errs in proportion to the heat and the longer the more, one with another
-joint errs with its square. The mean square of these sums over the draws, and what they leave, is
-the band.
+Parameters are drawn from the posterior of the calibration, and for each draw the discrepancy is
+fitted to the calibration runs, so that all drawn machines have the same responses. Each then runs
+through histories of heat while the observer estimates its displacement from its temperatures. The
+error is approximated by a sum of the relaxed heat, known at every sample, and of its squares: the
+error of a machine with another convection coefficient is proportional to the heat and grows with
+time, that of one with another joint to the square of the heat. The mean square of these sums over
+the draws, plus their residual, is the band.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from thermojoint.reduced.physics import conduct, settle_joint, simulate_known
 
 @dataclass(frozen=True)
 class Drawing:
-    """The machines and histories that a band is learnt from (docs/joint-aware.md, on the bands).
+    """Machines and histories from which a band is learned (docs/joint-aware.md, on the bands).
 
     Attributes
     ----------
@@ -58,16 +58,16 @@ class Drawing:
     beyond : float
         Highest level, relative to the largest heat calibrated.
     least_share : float
-        Gains that the data do not show are as large as those that they do, but at least this part
-        of what the model is not trusted to.
+        Gains that the data do not determine are as large as those that they do, but at least this
+        fraction of the assumed model error.
     floor : float
-        Part of the largest mean square below which errors are all alike to the band.
+        Fraction of the largest mean square below which all errors count the same in the band.
     share_left : float
-        A fit trusts its model less than it need (`misfit`), lest a model that errs alike for a
-        whole run bends the parameters: machines drawn from what it then says err by so much of
-        their own band's share.
+        A fit assumes larger model errors than it needs to (`misfit`), so that persistent errors do
+        not bias the parameters: the errors of machines drawn from its posterior are this fraction
+        of the band's share.
     rough : float
-        What an error's explanation may leave, relative to its largest value.
+        Tolerated residual of an error's approximation, relative to its largest value.
     """
 
     draws: int = 12
@@ -81,7 +81,7 @@ class Drawing:
     rough: float = 0.02
 
 
-#: What is drawn where nobody says otherwise.
+#: The default.
 USUAL = Drawing()
 
 
@@ -93,29 +93,29 @@ def open_band(
     noise: Noise | None = None,
     drawing: Drawing = USUAL,
 ) -> Band:
-    """Return the band of an observer with what its calibration leaves open.
+    """Return the band of an observer, including the uncertainty of its calibration.
 
     Parameters
     ----------
     machine : ReducedMachine
         As its case says.
     runs : sequence of Run
-        That it was calibrated with.
+        Calibration runs.
     fit : Fit
-        Parameters, remainder, and what is known of them.
+        Parameters, discrepancy, and their uncertainty.
     model : ObserverModel
         The observer of this fit.
     noise : Noise, optional
         As for `make_observer`.
     drawing : Drawing
-        How many machines, and through what.
+        Number of machines, and their histories.
     """
     slow = replace(machine, step=max(drawing.step, machine.step))
     observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
     rng = np.random.default_rng(drawing.seed)
     highest, sources = drawing.beyond * model.calibrated.heat, machine.power.size
     day = random_levels(rng, drawing.duration, slow.step, highest, sources)
-    # The day hardly ever sees a machine that has just begun to be warm.
+    # The day contains hardly any machine that has just started to warm up.
     begun = np.full(
         (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
     )
@@ -123,35 +123,39 @@ def open_band(
         _history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
     ]
     problem = make_problem(slow, [coarser(run, SEARCH_STEPS) for run in runs])
-    found: list[Array] = []
-    while len(found) < drawing.draws:
+    errors_of_draws: list[Array] = []
+    while len(errors_of_draws) < drawing.draws:
         try:
             drawn = _draw(rng, problem, fit, drawing.least_share)
-            found.append(np.vstack([_errors(slow, drawn, observer, one) for one in histories]))
+            errors_of_draws.append(
+                np.vstack([_errors(slow, drawn, observer, history) for history in histories])
+            )
         except ConvergenceError:
             continue
-    every = np.array(found).transpose(2, 0, 1)
-    features = np.vstack([one.features for one in histories])
-    ends = np.cumsum([len(one.heat) for one in histories])[:-1]
+    every = np.array(errors_of_draws).transpose(2, 0, 1)
+    features = np.vstack([history.features for history in histories])
+    ends = np.cumsum([len(history.heat) for history in histories])[:-1]
     weights = np.array(
         [[_explained(features, error, ends, drawing) for error in axis] for axis in every]
     )
-    # Few draws leave their variance uncertain: Student's quantile in place of the normal one.
+    # With few draws the variance is uncertain: use Student's quantile in place of the normal one.
     weights *= float(student.ppf(0.975, drawing.draws)) / WIDTH
     said = np.mean((weights @ features.T) ** 2, axis=1)
-    squares = np.vstack([one.squares for one in histories])
+    squares = np.vstack([history.squares for history in histories])
     return replace(
         model.band,
         history=_history(observer, slow, day),
         open=drawing.share_left * weights,
         square=drawing.share_left**2
-        * np.array([_left(squares, *one, drawing.floor) for one in zip(said, every, strict=True)]),
+        * np.array(
+            [_left(squares, *axis, drawing.floor) for axis in zip(said, every, strict=True)]
+        ),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _History:
-    """Heat (n, s), its relaxations (n, s q), what explains errors, and mean squares (n, q)."""
+    """Heat (n, s), its relaxations (n, s q), features of errors, and mean squares (n, q)."""
 
     heat: Array
     states: Array
@@ -167,7 +171,7 @@ def _history_of(heat: Array, rates: Array, step: float) -> _History:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """A machine that the calibration runs do not tell from the fitted one."""
+    """A machine with the same calibration runs as the fitted one."""
 
     factors: dict[str, float]
     discrepancy: Discrepancy
@@ -175,7 +179,7 @@ class _Drawn:
 
 
 def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
-    """Mean square of what slips of the past change in the displacement, m2, shape (axes,)."""
+    """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
     physics = observer.observer.physics
     amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
     differences = []
@@ -193,12 +197,12 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: flo
     singular, directions = fit.directions
     along = rng.normal(size=singular.size) / np.sqrt(1.0 + singular**2)
     logarithms = fit.logarithms + fit.spread * (along @ directions)
-    # What the parameters change in the runs, remainder and offsets take back.
+    # Discrepancy and offsets compensate the effect of the parameters in the runs.
     moved = [
         fit_linear(problem, *errors(problem, fit.parameters, at))
         for at in (logarithms, fit.logarithms)
     ]
-    sensed = [np.column_stack([one.discrepancy.temperature, one.offset]) for one in moved]
+    sensed = [np.column_stack([fitted.discrepancy.temperature, fitted.offset]) for fitted in moved]
     constant = np.column_stack([problem.states, np.ones(len(problem.states))])
     own = np.column_stack([fit.discrepancy.temperature, fit.offset])
     temperature = own + sensed[0] - sensed[1]
@@ -245,15 +249,17 @@ def _errors(
     readings = np.vstack([drawn.offset, temperature])
     times = machine.step * np.arange(count + 1)
     samples = ((time, *row, 0.0) for time, row in zip(times, readings, strict=True))
-    estimates = [one.displacement for _, one in follow(observer, samples, observer.initial_state())]
+    estimates = [
+        estimate.displacement for _, estimate in follow(observer, samples, observer.initial_state())
+    ]
     return np.array(estimates[1:]) - displacement
 
 
 def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> Array:
     """Return the weights (f,) of features (n, f) that explain an error (n,), regularised.
 
-    Every history, they end at `ends`, counts relative to its own largest error: else what is left
-    of a day's would be taken for an error of the first minutes.
+    Every history (they end at `ends`) is scaled by its own largest error; otherwise the residual of
+    the day would count as an error of the first minutes.
     """
     least = np.finfo(float).tiny
     scale = np.maximum(np.abs(features).max(axis=0), least)
@@ -266,15 +272,15 @@ def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> 
             for part in np.split(error, ends)
         ]
     )
-    found = make_ridge(features / scale / own[:, None] * size, np.ones(scale.size))
-    weights, _ = found.gains(error / own, drawing.rough, 1.0)
+    ridge = make_ridge(features / scale / own[:, None] * size, np.ones(scale.size))
+    weights, _ = ridge.gains(error / own, drawing.rough, 1.0)
     return np.asarray(weights * size / scale)
 
 
 def _left(squares: Array, said: Array, errors: Array, floor: float) -> Array:
-    """Coefficients (q,) of squares (n, q) for what errors (draws, n) have beyond `said`, (n,).
+    """Coefficients (q,) of squares (n, q) for the errors (draws, n) beyond `said`, (n,).
 
-    Each counts relative to what is said of it.
+    Each is relative to `said`.
     """
     mean = np.mean(errors**2, axis=0)
     size = float(mean.max())

@@ -1,13 +1,13 @@
 """Regularised nonlinear least-squares fit of a machine's parameters to its responses.
 
-min over theta (logarithms of the factors), the remainder's gains G and the sensors' offsets o of
+min over theta (logarithms of the factors), the discrepancy's gains G and the sensors' offsets o of
 
     sum |y - f(theta) - Z G - o|^2 / sigma^2 + |G|^2 / tau^2 + |o|^2 / 0.3 K^2 + |theta / spread|^2
 
-over the samples of all runs. G and o enter linearly and are eliminated (`misfit`), so that the
-search has as many unknowns as there are parameters. It goes by a coarse march whose difference from
-the machine's own march is kept from the last round (a defect correction): what it comes to solves
-the equations of the machine's own.
+over the samples of all runs. G and o are linear and are eliminated (`misfit`), so that the search
+has as many unknowns as there are parameters. It uses a coarse march; the difference from the full
+march is kept from the last round (a defect correction), so that the converged result solves the
+equations of the full march.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from thermojoint.reduced.parameters import Parameter, active
 
 #: Steps of a run in a search.
 SEARCH_STEPS = 150
-#: Relative step of the difference quotients, and of the parameters at the end.
+#: Relative step of the difference quotients, and tolerance of the parameters.
 DIFFERENCE, CLOSE = 1e-3, 1e-4
 MOST_EVALUATIONS = 20
-#: Rounds of the defect correction at most, and the change, in standard deviations, of the last.
+#: Most rounds of the defect correction, and tolerance of the last change in standard deviations.
 MOST_ROUNDS, SETTLED = 6, 0.05
-#: Searches beside that from the case's own values start from draws of the prior; their seed, and
-#: how far they go.
+#: Searches beside the one from the case's values start from draws of the prior; their seed, and
+#: their tolerance.
 STARTS, SEED, ROUGHLY = 3, 1, 1e-3
 
 
@@ -53,20 +53,20 @@ class Start:
 
     Attributes
     ----------
-    begun, found : ndarray, shape (k,)
+    begun, reached : ndarray, shape (k,)
         Logarithms of the factors.
     cost : float
         Half the sum of squares there.
     """
 
     begun: Array
-    found: Array
+    reached: Array
     cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Fitted parameters, the remainder beside them, and what the data say of either.
+    """Fitted parameters and discrepancy, with their uncertainty.
 
     Attributes
     ----------
@@ -83,13 +83,13 @@ class Fit:
     offset, noise : ndarray, shape (p,)
         Of every sensor, and the standard deviation of its reading, K.
     residual_temperature : ndarray, shape (p,)
-        RMS of what is left, K.
+        RMS residual, K.
     residual_displacement : ndarray, shape (axes,)
         m.
     starts : tuple of Start
-        Where searches came to, each by the coarse march; the case's own values first.
+        Results of the searches with the coarse march; the one from the case's values first.
     evaluations : int
-        Of all runs.
+        Parameter evaluations of all runs.
     """
 
     parameters: tuple[Parameter, ...]
@@ -111,9 +111,9 @@ class Fit:
 
     @property
     def directions(self) -> tuple[Array, Array]:
-        """Singular values of the Jacobian, (k,), and the directions that they belong to, in rows.
+        """Singular values of the Jacobian, (k,), and their directions, in rows.
 
-        Above 1 the data decide, below 1 the prior does.
+        Directions above 1 are determined by the data, below 1 by the prior.
         """
         _, singular, directions = np.linalg.svd(self.jacobian, full_matrices=False)
         return singular, directions
@@ -132,7 +132,7 @@ def fit_physics(
     fitted: Sequence[str] | None = None,
     starts: int = STARTS,
 ) -> Fit:
-    """Fit a machine's parameters, its remainder and its sensors' offsets.
+    """Fit a machine's parameters, its discrepancy and its sensors' offsets.
 
     Parameters
     ----------
@@ -141,17 +141,19 @@ def fit_physics(
     runs : sequence of Run
         From rest.
     fitted : sequence of str, optional
-        Names of the parameters to fit; default all that the machine has. None at all leaves the
-        case as it is and fits the remainder and the offsets alone.
+        Names of the parameters to fit; default all that the machine has. If empty, only the
+        discrepancy and the offsets are fitted.
     starts : int
-        Searches from draws of the prior, beside that from the case's own values.
+        Searches from draws of the prior, beside the one from the case's values.
 
     Raises
     ------
     ConvergenceError
         The machine of the case itself cannot be marched through the runs.
     """
-    parameters = tuple(one for one in active(machine) if fitted is None or one.name in fitted)
+    parameters = tuple(
+        parameter for parameter in active(machine) if fitted is None or parameter.name in fitted
+    )
     whole = make_problem(machine, runs)
     if not parameters:
         return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
@@ -168,7 +170,7 @@ def fit_physics(
             continue
         tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
         evaluations += _counted(result)
-    now = min(tried, key=lambda one: one.cost).found / spread
+    now = min(tried, key=lambda start: start.cost).reached / spread
     for _ in range(MOST_ROUNDS):
         left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
         trust = trust_in(whole, left)
@@ -177,7 +179,7 @@ def fit_physics(
         result = _search(problem, parameters, now, defect, CLOSE)
         evaluations += 3 + _counted(result)
         before, now = now, result.x
-        # In standard deviations of the parameters that the data leave.
+        # In posterior standard deviations.
         step = np.append(result.jac[: defect.size] @ (now - before), now - before)
         if np.linalg.norm(step) <= SETTLED:
             break
@@ -210,15 +212,15 @@ def _search(
 
     def of(scaled: Array) -> Array:
         try:
-            found = defect + residuals(problem, parameters, spread * scaled)
+            penalty = defect + residuals(problem, parameters, spread * scaled)
         except ConvergenceError:
-            # A trial step too far: worse than where the search began, so that it is shortened.
+            # Trial step too large: return a cost above the initial one, so that it is shortened.
             if not first:
                 raise
-            found = 10.0 * first[0]
+            penalty = 10.0 * first[0]
         if not first:
-            first.append(found)
-        return np.concatenate([found, scaled])
+            first.append(penalty)
+        return np.concatenate([penalty, scaled])
 
     return least_squares(
         of,

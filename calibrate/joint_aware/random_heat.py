@@ -6,7 +6,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: How long a level lasts, s.
+#: Duration of a level, s.
 LASTS = (300.0, 2400.0)
 
 
@@ -22,9 +22,9 @@ def random_levels(
     length, step : float
         s.
     highest : float
-        Of the levels, relative to the reference; they are even from zero on.
+        Of the levels, relative to the reference; uniform from zero.
     sources : int
-        Each has levels of its own.
+        Each has its own levels.
     """
     rng = np.random.default_rng(seed)
     levels = np.zeros((round(length / step), sources))

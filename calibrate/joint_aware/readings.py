@@ -21,7 +21,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     response : xarray.Dataset
         From rest at time 0, with known heat input.
     machine : ReducedMachine
-        Says sensors, axes, powers and the step.
+        Defines sensors, axes, powers and the step.
     where : str
         For error messages.
 
@@ -39,11 +39,11 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
             f"{where}: shorter than two steps of {machine.step:g} s; record for longer"
         )
     grid = machine.step * np.arange(1, count + 1)
-    # A value of the heat holds over the interval that ends at its sample.
+    # A value of the heat applies to the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
     driven = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
-    # The first, at rest, tells the offsets.
+    # The first sample, at rest, determines the offsets.
     kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
     return Run(
         inputs=np.column_stack([driven, ambient]),

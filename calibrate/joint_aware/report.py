@@ -1,6 +1,6 @@
 """Report of a calibration: estimates, uncertainties, value of further runs.
 
-Everything is plain numbers and text, ready for a JSON file.
+All content is plain numbers and text, as for a JSON file.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from calibrate.joint_aware.identifiability import (
 from calibrate.joint_aware.physics_fit import Fit
 from thermojoint.reduced.parameters import NEW_CONDENSATION
 
-#: Searches that come this near to the best cost, in halves of a squared standard deviation, agree.
+#: Searches agree if their costs are within this of the best, in halves of a squared standard
+#: deviation.
 AGREE = 0.5
 
 
 def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
-    """Return `report` and beside it what takes further marches.
+    """Return `report` with the results that need further marches.
 
     Returns
     -------
     dict
-        What `report` says; offsets_K and noise_K of the sensors; prediction_only: parameters that
-        the prior decides; starts: cost above the best and the distance from the fit, in standard
+        Content of `report`; offsets_K and noise_K of the sensors; prediction_only: parameters
+        determined by the prior; starts: cost above the best and distance from the fit, in standard
         deviations, of every search; profiles: factor and cost above the fit of each point;
         further_runs: standard deviation of every parameter and of the displacement in a day, um,
         root mean square, without and with each; condensation: which parameters reuse one.
@@ -77,7 +78,7 @@ def _starts(fit: Fit) -> list[dict[str, Any]]:
     return [
         {
             "cost_above_best": start.cost - best,
-            "distance": float(np.linalg.norm(known @ (start.found - fit.logarithms))),
+            "distance": float(np.linalg.norm(known @ (start.reached - fit.logarithms))),
             "agrees": bool(start.cost - best <= AGREE),
         }
         for start in fit.starts

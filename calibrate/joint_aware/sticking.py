@@ -1,4 +1,4 @@
-"""Displacement with joints that stick at their preload, a linear function of temperature."""
+"""Displacement with all joints sticking at their preload, a linear function of temperature."""
 
 from __future__ import annotations
 

@@ -33,14 +33,14 @@ def ridge(blocks: Blocks, index: list[int]) -> Fitted:
 
 
 def autoregressive_tau(rows: Array, features: int, now: list[int], interval: float) -> float:
-    """Return the time constant of ARX: of its pole in one-step predictions, s, and bounded.
+    """Return the time constant of ARX: that of its pole in one-step predictions, s, and bounded.
 
     Parameters
     ----------
     rows : ndarray, shape (k, n)
         Features, then displacements.
     features : int
-        How many are features.
+        Number of features.
     now : list of int
         Which of them are temperatures as they are.
     interval : float
@@ -57,18 +57,18 @@ def autoregressive_tau(rows: Array, features: int, now: list[int], interval: flo
 
 
 def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
-    """Return the fit whose penalty has the least held-out error, for each displacement."""
+    """Return the fit whose penalty has the smallest held-out error, for each displacement."""
     n = blocks.features
     at = np.array(index, dtype=np.int64)
     spread = np.sqrt(np.maximum(np.diag(blocks.whole.centred) / blocks.whole.count, 1e-18))
     spread[n:] = 1.0
     standard = _scaled(blocks, 1.0 / spread)
     rows = blocks.whole.count / blocks.penalty
-    found = weights_of(standard, at, [rows * penalty for penalty in penalties])
-    errors = np.array([held_out(standard, own[:-1]).mean(axis=0) for own in found])
+    fits = weights_of(standard, at, [rows * penalty for penalty in penalties])
+    errors = np.array([held_out(standard, fitted[:-1]).mean(axis=0) for fitted in fits])
     best = errors.argmin(axis=0)
     axes = errors.shape[1]
-    weights = np.stack([found[best[c], -1][:, c] for c in range(axes)], axis=1)
+    weights = np.stack([fits[best[c], -1][:, c] for c in range(axes)], axis=1)
     weights /= spread[:n, None]
     covariance = np.zeros((axes, n, n))
     inner = standard.whole.centred[np.ix_(at, at)] / blocks.penalty
@@ -96,5 +96,5 @@ def _scaled(blocks: Blocks, factor: Array) -> Blocks:
         blocks,
         whole=turned(blocks.whole),
         fits=tuple(turned(fit) for fit in blocks.fits),
-        held=tuple(turned(one) for one in blocks.held),
+        held=tuple(turned(held) for held in blocks.held),
     )

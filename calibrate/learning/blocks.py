@@ -1,9 +1,8 @@
 """Least squares with a prior and block-wise cross-validation, from sums of products.
 
-All that a fit needs of a log are the products of features and displacements, summed over blocks.
-So a year costs no more than a day once it has been read, and thousands of structures are tried by
-solving small systems. Errors of neighbouring samples are not independent: one sample an hour
-counts.
+A fit needs only the products of features and displacements, summed over blocks. So a year costs no
+more than a day once it has been read, and thousands of structures are compared by solving small
+systems. Errors of neighbouring samples are correlated: one sample an hour counts.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class Sums:
 
     @property
     def centred(self) -> Array:
-        """Products of what is above the mean."""
+        """Products of the deviations from the mean."""
         return self.products - self.count * np.outer(self.mean, self.mean)
 
     def less(self, other: Sums) -> Sums:
@@ -62,11 +61,11 @@ class Blocks:
     fits, held : tuple of Sums
         For each block: the rows that are fitted when it is held out, and its own.
     features : int
-        How many columns are features.
+        Number of columns that are features.
     interval : float
         Between rows, s.
     rules : Fitting
-        How they are fitted.
+        Rules of the fit.
     """
 
     whole: Sums
@@ -78,7 +77,7 @@ class Blocks:
 
     @property
     def penalty(self) -> float:
-        """What a unit of the prior's weight is in rows."""
+        """A unit of the prior's weight, in rows."""
         return max(self.rules.independent / self.interval, 1.0)
 
 
@@ -95,11 +94,11 @@ def blocks_of(rows: Array, features: int, interval: float, rules: Fitting) -> Bl
     rows : ndarray, shape (k, n)
         Features in units of their prior, then displacements; in the order of time.
     features : int
-        How many of the columns are features.
+        Number of columns that are features.
     interval : float
         Between rows, s.
     rules : Fitting
-        How long a block is, and how they are fitted.
+        Length of a block, and rules of the fit.
     """
     whole = sums_of(rows)
     hours = len(rows) * interval / 3600.0
@@ -119,13 +118,13 @@ def weights_of(
 ) -> Array:
     """Return weights for each prior and fit, the whole last: (priors, fits + 1, features, axes).
 
-    Features outside `index` have none. A prior of weight 1 says that a weight is one unit, give or
-    take, where the error is one unit.
+    Features outside `index` have zero weight. A prior of weight 1 states that a weight is about one
+    unit if the error is one unit.
     """
     at = np.asarray(index, dtype=int)
-    centred = [one.centred for one in (*blocks.fits, blocks.whole)]
-    inner = np.stack([one[np.ix_(at, at)] for one in centred])
-    outer = np.stack([one[at, blocks.features :] for one in centred])
+    centred = [sums.centred for sums in (*blocks.fits, blocks.whole)]
+    inner = np.stack([products[np.ix_(at, at)] for products in centred])
+    outer = np.stack([products[at, blocks.features :] for products in centred])
     eye = blocks.penalty * np.eye(len(at))
     axes = outer.shape[-1]
     weights = np.zeros((len(priors), len(centred), blocks.features, axes))
@@ -135,7 +134,7 @@ def weights_of(
 
 
 def held_out(blocks: Blocks, weights: Array) -> Array:
-    """Return the mean square error of every block when it is held out, (blocks, axes).
+    """Return the mean square error of every held-out block, (blocks, axes).
 
     Parameters
     ----------

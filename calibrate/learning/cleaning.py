@@ -1,4 +1,4 @@
-"""Data checks of a log: faulty sensors to leave out, and unusable logs."""
+"""Data checks of a log: exclusion of faulty sensors, and refusal of unusable logs."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Cleaned:
     Attributes
     ----------
     table : Table
-        Its rows, gaps of the sensors filled with the reading before.
+        Its rows; missing readings are replaced by the previous ones.
     sensors, drives, displacements : tuple of str
-        Columns to learn with and to learn.
+        Columns used as features, and columns to learn.
     faults : tuple of str
-        One for each sensor that is left out or was mended.
+        One for each sensor that is excluded or repaired.
     warnings : tuple of str
-        What the log cannot tell.
+        Limitations of the log.
     """
 
     table: Table
@@ -43,7 +43,7 @@ class Cleaned:
 
 
 def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Cleaned:
-    """Return what can be learned from.
+    """Return the usable data of a log.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     displacements : tuple of str
         Names of the columns to learn.
     rules : Cleaning
-        What is left out, and what is refused.
+        Thresholds of exclusion and refusal.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         The log is too short, nothing warms the machine, no sensor is usable, or a displacement
         stands still, is mostly missing or jumps.
     """
-    names = [one.name for one in table.columns]
+    names = [column.name for column in table.columns]
     length = _length(table)
     if length < rules.shortest:
         raise InputError(
@@ -109,10 +109,9 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
 
 
 def read_time(table: Table) -> Array:
-    """Return how long the logger had read until each row, s, shape (k,).
+    """Return the reading time of the logger until each row, s, shape (k,).
 
-    A pause, the night between two days, and the time between two runs are none of it: what nobody
-    read has not stood still.
+    Pauses, nights and the time between two runs do not count: unread values are not constant.
     """
     steps = np.diff(table.times, prepend=table.times[0])
     steps[list(table.starts)] = 0.0
@@ -135,7 +134,7 @@ def _length(table: Table) -> float:
 
 
 def _drives(table: Table) -> tuple[list[str], list[str]]:
-    """Return the columns that carry heat and vary, and what is missing in them."""
+    """Return the columns that carry heat and vary, and their missing readings."""
     drives, warnings = [], []
     for k, column in enumerate(table.columns):
         if column.quantity not in ("speed", "power", "current", "torque", "load"):
@@ -156,7 +155,7 @@ def _drives(table: Table) -> tuple[list[str], list[str]]:
 
 
 def _levels(speeds: Array) -> int:
-    """Return how many speeds other than zero were held, of speeds relative to the largest."""
+    """Return the number of non-zero levels of a relative speed."""
     held = np.round(speeds[speeds > 0.05], 1)
     values, counts = np.unique(held, return_counts=True)
     return int((counts > 0.02 * len(speeds)).sum()) if len(values) else 0
@@ -170,14 +169,14 @@ def _changes_of(table: Table, drives: list[str]) -> Array:
         values = table.values[:, names.index(name)]
         step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
         changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
-    # Over a gap anything may have changed as well.
+    # During a gap anything may have changed.
     changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * _interval(table)
     changing[list(table.starts)] = True
     return changing
 
 
 def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
-    """Return what makes a sensor unusable."""
+    """Return the reason why a sensor is unusable."""
     values = table.values[:, k]
     there = np.isfinite(values)
     share = float(table.missing[k]) / table.samples
@@ -205,7 +204,7 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
 
 
 def _longest_still(values: Array, times: Array) -> float:
-    """Return the longest time of reading for which a value is the same to the last digit, s."""
+    """Return the longest reading time with an unchanged value, s."""
     new = np.flatnonzero(np.abs(np.diff(values)) > 1e-9)
     ends = np.concatenate(([0], new + 1, [len(values) - 1]))
     return float(np.diff(times[ends]).max(initial=0.0))
@@ -256,7 +255,7 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
 
 
 def _bridged(table: Table, kept: list[int]) -> Array:
-    """Return the values, with every gap of some columns filled by the reading before."""
+    """Return the values with the gaps of some columns filled by the previous value."""
     import pandas as pd
 
     values = table.values.copy()

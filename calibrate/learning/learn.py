@@ -32,13 +32,13 @@ from thermojoint.models.learned import (
 
 Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
-#: Half a band of 95 % in standard deviations.
+#: Half-width of the 95 % interval, in standard deviations.
 _QUANTILE = 1.96
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of a log as a kind of model sees them, µm."""
+    """Rows of a log as used by a kind of model, µm."""
 
     features: tuple[Feature, ...]
     inputs: Array
@@ -61,24 +61,24 @@ def learn(
     Parameters
     ----------
     pieces : iterable of Log
-        The log, in the order of time; whole logs are pieces as well.
+        The log, in time order; a list of whole logs also works.
     displacements : sequence of str
         Names of the columns to learn, with or without their units.
     max_sensors : int
-        How many temperatures the model may use; a baseline uses all.
+        Most temperatures that the model may use; a baseline uses all.
     kind : str
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
-        Columns to leave aside.
+        Columns to ignore.
     files : sequence of str
-        Names of the log's files, to be kept in the model.
+        Names of the log's files, stored in the model.
     renamed : mapping, optional
-        What the log calls a column, to what it was renamed, to be kept in the model.
+        Original column names to new ones, stored in the model.
 
     Raises
     ------
     InputError
-        A column is missing, or the log cannot be learned from; the message says why.
+        A column is missing, or the log is unsuitable; the message says why.
     """
     if max_sensors < 1:
         raise InputError(f"--max-sensors {max_sensors}: give one or more")
@@ -86,16 +86,16 @@ def learn(
     table = thinned(pieces, (), rules.thinning)
     cleaned = _cleaned(table, displacements, ignored, rules)
     judged = {
-        one: _rows(cleaned, one, max_sensors, rules) for one in KINDS if _possible(cleaned, one)
+        name: _rows(cleaned, name, max_sensors, rules) for name in KINDS if _possible(cleaned, name)
     }
     if kind not in judged:
         raise InputError(f"kind {kind}: needs temperatures, and the log has none that is usable")
-    errors = {one: _judge(own, rules.judging) for one, own in judged.items()}
+    errors = {name: _judge(own, rules.judging) for name, own in judged.items()}
     rows = judged[kind]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    found = _model(kind, cleaned, rows, fitted, errors, rules.judging)
-    origin = replace(found.learned_from, files=tuple(files))
-    return replace(found, learned_from=origin, renamed=dict(renamed or {}))
+    model = _model(kind, cleaned, rows, fitted, errors, rules.judging)
+    origin = replace(model.learned_from, files=tuple(files))
+    return replace(model, learned_from=origin, renamed=dict(renamed or {}))
 
 
 def _cleaned(
@@ -130,19 +130,23 @@ def _possible(cleaned: Cleaned, kind: Kind) -> bool:
 
 
 def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
-    """Return the rows that a kind of model is fitted to, and how."""
+    """Return the rows for a kind of model, and how it is fitted."""
     features = candidates(cleaned)
     if kind in ("linear", "arx"):
-        features = tuple(one for one in features if not one.exponent and not one.tau_s)
+        features = tuple(
+            feature for feature in features if not feature.exponent and not feature.tau_s
+        )
     elif kind == "ridge":
-        features = tuple(one for one in features if not one.exponent)
+        features = tuple(feature for feature in features if not feature.exponent)
     inputs, outputs = design(cleaned, features)
     interval = cleaned.table.interval
     if kind == "arx":
         tau = baselines.autoregressive_tau(
             np.hstack((inputs, outputs)), len(features), list(range(len(features))), interval
         )
-        features += tuple(Feature(one.column, tau, reference=one.reference) for one in features)
+        features += tuple(
+            Feature(feature.column, tau, reference=feature.reference) for feature in features
+        )
         inputs, outputs = design(cleaned, features)
     every = list(range(len(features)))
     kinds = structures(bool(cleaned.drives), float(np.ptp(cleaned.table.times)))
@@ -161,19 +165,19 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
 
 
 def _judge(rows: _Rows, rules: Judging) -> tuple[Array, Array]:
-    """Return rms errors, µm, and the factor on the band, of all that is done without a block."""
+    """Return rms errors, µm, and the factor on the band: all is repeated without each block."""
     edges = np.linspace(0, len(rows.inputs), rules.blocks + 1).astype(int)
     errors, ratios = [], []
     for first, end in pairwise(edges):
         away = np.ones(len(rows.inputs), dtype=bool)
         away[max(0, first - rows.margin) : end + rows.margin] = False
-        found = rows.fit(rows.inputs[away], rows.outputs[away])
+        fitted = rows.fit(rows.inputs[away], rows.outputs[away])
         own = rows.inputs[first:end]
-        error = rows.outputs[first:end] - found.offset - own @ found.weights
+        error = rows.outputs[first:end] - fitted.offset - own @ fitted.weights
         about = own - rows.inputs[away].mean(axis=0)
-        spread = rules.open * np.einsum("ti,cij,tj->tc", about, found.covariance, about)
+        spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
         errors.append(error)
-        ratios.append(np.abs(error) / np.sqrt(spread + found.errors**2))
+        ratios.append(np.abs(error) / np.sqrt(spread + fitted.errors**2))
     whole = np.concatenate(errors)
     widening = np.quantile(np.concatenate(ratios), rules.within, axis=0) / _QUANTILE
     return np.sqrt((whole**2).mean(axis=0)), np.maximum(widening, 1.0)
@@ -187,12 +191,12 @@ def _model(
     errors: dict[Kind, tuple[Array, Array]],
     rules: Judging,
 ) -> LearnedModel:
-    """Return the model of a fit, without the features that it does not use."""
+    """Return the model of a fit, without unused features."""
     used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
     size = sizes(rows.features)[used] / MEGA
     weights = size[:, None] * fitted.weights[used]
     features = tuple(rows.features[k] for k in used)
-    columns = {one.column for one in features}
+    columns = {feature.column for feature in features}
     widening = errors[kind][1]
     channels = []
     for c, name in enumerate(cleaned.displacements):
@@ -221,9 +225,9 @@ def _model(
         features,
         tuple(channels),
         {
-            one: (float(cleaned.at(one).min()), float(cleaned.at(one).max()))
-            for one in (*cleaned.sensors, *cleaned.drives)
-            if one in columns
+            column: (float(cleaned.at(column).min()), float(cleaned.at(column).max()))
+            for column in (*cleaned.sensors, *cleaned.drives)
+            if column in columns
         },
         duration,
         LearnedFrom(
@@ -231,7 +235,7 @@ def _model(
             (),
             cleaned.faults,
             cleaned.warnings,
-            {one: tuple(map(float, rms)) for one, (rms, _) in errors.items()},
+            {kind_of: tuple(map(float, rms)) for kind_of, (rms, _) in errors.items()},
             {name: version(name) for name in ("thermojoint", "numpy")},
         ),
         log_end=_end_of(cleaned, features),
@@ -239,12 +243,12 @@ def _model(
 
 
 def _end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
-    """Return where the last run of a log leaves the model."""
+    """Return the state of the model at the end of the log's last run."""
     table = cleaned.table
-    names = [one.name for one in table.columns]
+    names = [column.name for column in table.columns]
     last = slice(table.starts[-1], None)
     run = table.times[last], table.values[last]
-    columns = dict.fromkeys(one.column for one in features)
+    columns = dict.fromkeys(feature.column for feature in features)
     return LogEnd(
         float(table.times[-1]),
         tuple(float(cleaned.at(name)[-1]) for name in columns),

@@ -1,8 +1,8 @@
-"""What learning from a log takes for a fault, for independent and for known.
+"""Thresholds of learning: faults, independence and prior knowledge.
 
-How sensors are chosen and the factor on the covariance were found on splits of one measured log,
-which flatter them (``python -m benchmarks.measured_machine``, docs/measured-machines.md). The tests
-of learning check the limits of faults one at a time.
+The selection of sensors and the factor on the covariance were determined on splits of one measured
+log and are therefore optimistic for it (``python -m benchmarks.measured_machine``,
+docs/measured-machines.md). The tests of learning check the fault limits one at a time.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Thinning:
-    """How a log becomes a table of bounded size.
+    """Averaging of a log to a table of bounded size.
 
     Attributes
     ----------
     interval : float
         Shortest interval, s.
     most_rows : int
-        A longer log has longer intervals.
+        Longer logs have longer intervals.
     spike, neighbours, least_spike : float
-        A value is a spike if it is above, or below, the median of so many neighbours on either side
-        by this many times their usual distance, and by more than the last, K.
+        A value is a spike if it is above, or below, the median of this many neighbours on either
+        side by this multiple of their usual distance, and by more than the last, K.
     """
 
     interval: float = 60.0
@@ -34,27 +34,27 @@ class Thinning:
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Which sensors are left out, and which logs are refused.
+    """Exclusion of sensors and refusal of logs.
 
     Attributes
     ----------
     shortest : float
-        A log tells nothing of relaxations of an hour if it is shorter, s.
+        A shorter log, s, contains no information on relaxations of an hour.
     still, still_length : float
-        A sensor that stays within this has not moved, K; a displacement, m.
+        A sensor within this range has not moved, K; a displacement, m.
     stuck, missing : float
-        A sensor is left out if it is stuck for this share of the log, or if more than this is
+        A sensor is excluded if it is stuck for this fraction of the log, or if more than this is
         missing.
     spikes : float
         More spikes than this share of the samples are a fault.
     moved, usual : float
-        A jump within one interval, K, and how many usual changes it is.
+        A jump within one interval, K, as a multiple of usual changes.
     side : int
-        Rows on either side by which a jump is told from a spike.
+        Rows on either side used to distinguish a jump from a spike.
     jump : float
-        A displacement that jumps by this share of its range has lost its zero.
+        A displacement that jumps by this fraction of its range has lost its zero.
     possible : (float, float)
-        No thermometer of a machine tool reads beyond, K.
+        Readings above this are not those of a machine tool, K.
     """
 
     shortest: float = 3.0 * 3600.0
@@ -72,22 +72,22 @@ class Cleaning:
 
 @dataclass(frozen=True)
 class Fitting:
-    """How weights are fitted, over blocks of time held out.
+    """Fitting of weights with held-out blocks of time.
 
     Attributes
     ----------
     hours, fewest, most : float
-        Blocks inside a fit: so many hours each, at least and at most so many.
+        Blocks inside a fit: duration in hours, least and largest number.
     independent : float
-        Time over which errors are one error, s.
+        Correlation time of errors, s.
     margin : float
-        What is left out of the fit beside a block that is held out, s.
+        Gap between a held-out block and the fit, s.
     priors : tuple of float
-        Weights of the prior that a fit is a mean over, um2.
+        Prior weights over which a fit is averaged, um2.
     sharpness : float
-        A structure counts by this power of its mean square error.
+        A structure is weighted by this power of its mean square error.
     noise : float
-        Errors below are measured noise, um.
+        Errors below this are measurement noise, um.
     """
 
     hours: float = 2.5
@@ -102,18 +102,18 @@ class Fitting:
 
 @dataclass(frozen=True)
 class Judging:
-    """How the whole is judged, and the band made.
+    """Validation of the whole procedure, and its band.
 
     Attributes
     ----------
     blocks : int
-        Blocks on which the whole procedure is judged: all of it is done without each.
+        Number of blocks; the whole procedure is repeated without each of them.
     open : float
-        What the log leaves open in the weights is taken as so much more: structures that are alike,
-        and errors that last longer than an hour, make it look smaller. Without it the band held too
-        few samples on rolling origins of a measured log.
+        Factor on the variance of the weights, which similar structures, and errors that last longer
+        than an hour, make too small. Without it the band contained too few samples on rolling
+        origins of a measured log.
     within : float
-        Share of the errors that lies within the band.
+        Fraction of the errors that lies within the band.
     """
 
     blocks: int = 4
@@ -123,7 +123,7 @@ class Judging:
 
 @dataclass(frozen=True)
 class Rules:
-    """All that learning goes by."""
+    """All rules of learning."""
 
     thinning: Thinning = field(default_factory=Thinning)
     cleaning: Cleaning = field(default_factory=Cleaning)

@@ -1,9 +1,9 @@
 """Selection of sensors and model structures by the error on held-out blocks.
 
-A log of a day holds some ten independent errors, and thousands of sets of sensors: the set with the
-least error is mostly luck. So what is fitted on a set is a mean over structures, weighted by their
-errors, and a set is judged by that error together with what the log leaves open in the weights:
-their variance, and what the structures disagree in. The same becomes part of the band.
+A log of a day contains some ten independent errors, and there are thousands of sets of sensors: the
+set with the smallest error is mostly luck. Therefore the fit on a set is a mean over structures,
+weighted by their errors, and a set is judged by that error together with the uncertainty of the
+weights: their variance, and the disagreement of the structures. The same is part of the band.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from thermojoint.models.learned import Feature
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Weights of a mean over structures.
+    """Weights averaged over structures.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Fitted:
     offset : ndarray, shape (axes,)
         Displacement where every feature is zero, µm.
     errors : ndarray, shape (axes,)
-        Rms error on blocks that were held out, µm.
+        Rms error on held-out blocks.
     doubt : ndarray, shape (axes,)
         Square of `errors`, and the mean variance of the estimate in the log by the covariance, µm².
     """
@@ -53,8 +53,8 @@ def choose(
 ) -> tuple[str, ...]:
     """Return at most `most` sensors, added one by one.
 
-    Each time the one that leaves the least doubt, over all displacements: of the error on blocks
-    held out, and of what the log leaves open in the weights (`Fitted.doubt`).
+    Each step adds the one that leaves the smallest doubt over all displacements: the error on
+    held-out blocks, and the uncertainty of the weights (`Fitted.doubt`).
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ def choose(
     features : tuple of Feature
         Of the rows.
     sensors : sequence of str
-        To choose from.
+        Candidates.
     kinds : sequence of Structure
-        What the fit is a mean over.
+        Structures over which a fit is averaged.
     most : int
-        How many.
+        Largest number of sensors.
     """
     chosen: tuple[str, ...] = ()
     for _ in range(min(most, len(sensors))):
@@ -98,9 +98,9 @@ def fit(
     weights, errors, spreads = [], [], []
     for kind in kinds:
         index = np.array(index_of(features, sensors, kind), dtype=np.int64)
-        found = weights_of(blocks, index, blocks.rules.priors)
+        fits = weights_of(blocks, index, blocks.rules.priors)
         inner = blocks.whole.centred[np.ix_(index, index)] / blocks.penalty
-        for own in found:
+        for own in fits:
             error = held_out(blocks, own[:-1]).mean(axis=0) + blocks.rules.noise**2
             weights.append(own)
             errors.append(error)

@@ -13,17 +13,18 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import Feature, features_of
 
-#: Relaxations of a temperature beside itself, and of a heat, s.
+#: Relaxations of a temperature, in addition to itself, and of a heat, s.
 SLOW = (3600.0, 7200.0)
 HEAT = (900.0, 5400.0)
-#: Heat of a bearing as a power of the speed; a power or load is heat already.
+#: Heat of a bearing as a power of the speed; a power or load counts as heat directly.
 EXPONENTS = (1.0, 1.5, 2.0)
-#: Relaxations slower than this share of the run are none that it can show.
+#: Relaxations slower than this fraction of the run are not observable in it.
 SLOWEST_SHARE = 1.0 / 3.0
 #: A priori size of a weight, µm: per kelvin (steel over half a metre), and of the largest heat.
 GAIN = 5.0
 HEAT_GAIN = 20.0
-#: How long what went in before a run counts, s, and at most which share of the run is given up.
+#: Time for which heat from before a run has an effect, s, and the largest fraction of the run
+#: discarded for it.
 BEFORE = 2.0 * HEAT[-1]
 _GIVEN_UP = 0.2
 
@@ -35,9 +36,9 @@ class Structure:
     Attributes
     ----------
     slow : tuple of float
-        Relaxations of every temperature beside itself, s.
+        Relaxations of every temperature, in addition to itself, s.
     exponent : float
-        Of speed; 0 without any heat.
+        Exponents of the speed; 0 for no heat.
     """
 
     slow: tuple[float, ...]
@@ -45,7 +46,7 @@ class Structure:
 
 
 def structures(drives: bool, length: float) -> tuple[Structure, ...]:
-    """Return the structures to choose from, for a run of `length` seconds."""
+    """Return the candidate structures for a run of `length` seconds."""
     slow = [tau for tau in SLOW if tau <= SLOWEST_SHARE * length]
     relaxations = [(), *((tau,) for tau in slow)]
     exponents = EXPONENTS if drives else (0.0,)
@@ -53,7 +54,7 @@ def structures(drives: bool, length: float) -> tuple[Structure, ...]:
 
 
 def candidates(cleaned: Cleaned) -> tuple[Feature, ...]:
-    """Return every feature that a structure may have."""
+    """Return all possible features of a structure."""
     quantities = {column.name: column.quantity for column in cleaned.table.columns}
     features = []
     for name in cleaned.sensors:
@@ -72,7 +73,7 @@ def candidates(cleaned: Cleaned) -> tuple[Feature, ...]:
 def index_of(
     features: tuple[Feature, ...], sensors: tuple[str, ...], structure: Structure
 ) -> list[int]:
-    """Return where the features of a structure on some sensors stand."""
+    """Return the indices of a structure's features on some sensors."""
     taus = (0.0, *structure.slow)
     loads = {
         feature.column
@@ -82,12 +83,12 @@ def index_of(
     }
     return [
         k
-        for k, one in enumerate(features)
-        if (not one.exponent and one.column in sensors and one.tau_s in taus)
+        for k, feature in enumerate(features)
+        if (not feature.exponent and feature.column in sensors and feature.tau_s in taus)
         or (
-            one.exponent
+            feature.exponent
             and structure.exponent
-            and (one.exponent == structure.exponent or one.column in loads)
+            and (feature.exponent == structure.exponent or feature.column in loads)
         )
     ]
 
@@ -95,8 +96,8 @@ def index_of(
 def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Array]:
     """Return features (k, n) in units of their prior and displacements (k, axes), µm.
 
-    Rows without a displacement are left out; of several runs, each of which has a zero of its own,
-    only what happens within each.
+    Rows without a displacement are left out; of several runs, each of which has its own zero, only
+    the variations within each are used.
     """
     table = cleaned.table
     names = [column.name for column in table.columns]
@@ -119,9 +120,9 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
 
 
 def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
-    """Return which rows of a run do not depend on what went in before it, shape (k,) of bool.
+    """Return which rows of a run are independent of earlier heat, shape (k,) of bool.
 
-    A run that begins at a standstill is taken to begin at rest.
+    A run that starts at standstill is assumed to start at rest.
     """
     times = cleaned.table.times[run]
     since = times - times[0]
@@ -133,7 +134,7 @@ def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
 
 
 def _within_runs(runs: list[Array]) -> Array:
-    """Return the rows of all runs, each run about the mean of all."""
+    """Return the rows of all runs, each run shifted to the common mean."""
     whole = np.concatenate(runs)
     if len(runs) == 1:
         return whole

@@ -33,7 +33,7 @@ class Table:
     samples : int
         Of the log.
     spikes, missing : ndarray of int, shape (columns,)
-        Samples that were left out, and that were not there.
+        Removed samples, and missing ones.
     """
 
     times: Array
@@ -49,7 +49,7 @@ class Table:
 def thinned(
     pieces: Iterable[Log], names: Sequence[str] = (), rules: Thinning | None = None
 ) -> Table:
-    """Return the table of a log that comes in pieces; memory is bounded by that of the table.
+    """Return the table of a log that is read in pieces; memory is bounded by that of the table.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def thinned(
     names : sequence of str
         Columns to keep, with their units; none for all.
     rules : Thinning, optional
-        Intervals, rows, and what a spike is.
+        Intervals, rows, and definition of a spike.
 
     Raises
     ------
@@ -85,8 +85,8 @@ def thinned(
         samples += len(piece.times)
         values = piece.values[:, at]
         missing += np.isnan(values).sum(axis=0)
-        values, found = without_spikes(values, [one.quantity for one in here], rules)
-        spikes += found
+        values, counts = without_spikes(values, [column.quantity for column in here], rules)
+        spikes += counts
         rows.extend(_means(piece.times, values, interval))
         while len(rows) > rules.most_rows:
             interval *= 2.0
@@ -108,7 +108,7 @@ def thinned(
 def without_spikes(
     values: Array, quantities: Sequence[str], rules: Thinning
 ) -> tuple[Array, Array]:
-    """Return values with NaN for spikes of temperatures, and how many each had."""
+    """Return values with NaN for spikes of temperatures, and the number of spikes of each."""
     import pandas as pd
 
     kept, count = values.copy(), np.zeros(values.shape[1])
@@ -121,7 +121,7 @@ def without_spikes(
         over, under = column - before.fillna(after), column - after.fillna(before)
         usual = over.abs().rolling(20 * rules.neighbours, center=True, min_periods=3).median()
         limit = np.maximum(rules.spike * usual, rules.least_spike)
-        # A corner or a ramp is above one side and below the other, or near one of them.
+        # A corner or a ramp lies above one side and below the other, or near one of them.
         spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
         kept[spike.to_numpy(), k] = np.nan
         count[k] = spike.sum()

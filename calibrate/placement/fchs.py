@@ -1,19 +1,19 @@
 """Placement rule for the sensors a, b, T1 and T2, from calibration data alone.
 
-It sees the responses to the calibration steps, never a validation case. In every choice a wrong
-displacement is what counts, so both halves of the rule are in micrometres.
+It uses the responses to the calibration steps, never a validation case. All choices are judged by
+the displacement error, so both halves of the rule are in micrometres.
 
 Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input within
 `PROPORTIONAL`, larger than `SMALLEST_DIFFERENCE` and monotone. Of these take the `SHORTLIST` that
-answer fastest (a fast pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and
+respond fastest (a fast pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and
 choose the pair whose estimated linear displacement is best at all calibration inputs.
 
 Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
-the nonlinear displacement at the calibration inputs with each pair, shrunk as if a deviation were
-known to `DEVIATION_UNCERTAINTY`. Order the pairs by what is left; sensors closer than `APART` would
-see one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last.
-The first pair whose source model has a stable inverse is taken. Fictitious source i lies at the
-contact element nearest to T_i, on which r_ij follow.
+the nonlinear displacement at the calibration inputs with each pair, regularised for an uncertainty
+of `DEVIATION_UNCERTAINTY`. Rank the pairs by the residual; sensors closer than `APART` would see
+one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last. The
+first pair whose source model has a stable inverse is used. Fictitious source i lies at the contact
+element nearest to T_i, which determines r_ij.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ if TYPE_CHECKING:
 PROPORTIONAL = 1e-3
 SMALLEST_DIFFERENCE = 4.0
 SHORTLIST = 60
-#: s: the larger the part of a difference that is there by now, the faster the pair.
+#: s: the larger the fraction of a difference reached by now, the faster the pair.
 EARLY = 30.0
 #: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
-#: calibrated (`calibrate.chain`), as if a temperature deviation were known to this rms.
+#: calibrated (`calibrate.chain`), for temperature deviations with this rms uncertainty.
 DEVIATION_UNCERTAINTY = 0.12
 APART = 0.1
-#: An axis whose nonlinear displacement is below this part of the largest does not rank the pairs.
+#: An axis with a nonlinear displacement below this fraction of the largest does not rank the pairs.
 FAINT_AXIS = 1e-3
 #: Tolerance of the rational approximations while pairs are compared.
 _SCREENING = 1e-5
@@ -96,7 +96,7 @@ class JointPair:
     signal : float
         The smaller of the two largest deviations at the calibration inputs, K.
     misfit : float
-        Rms of the nonlinear displacement left by the screening map, relative.
+        Rms nonlinear displacement left by the screening map, relative.
     """
 
     T1: str
@@ -164,11 +164,11 @@ def choose_heat_pair(
     others : mapping
         Heat input to the response to it.
     deformation : mapping
-        Eq. 8 of every axis that counts.
+        Eq. 8 of every relevant axis.
     candidates : list of str
         Probes to choose from.
     shortlist : int
-        Pairs that Eq. 2 is fitted to.
+        Number of pairs that Eq. 2 is fitted to.
 
     Raises
     ------
@@ -178,12 +178,12 @@ def choose_heat_pair(
     t = steps.times(reference)
     interval = float(np.median(np.diff(t)))
     unit = steps.step_level(reference, "reference response")
-    one = _temperatures(reference, candidates) / unit
+    unit_responses = _temperatures(reference, candidates) / unit
     scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
     linear = stacked([deformation_bank(model) for model in deformation.values()])
     good_pairs: list[tuple[float, int, int, float, float]] = []
     for i in range(len(candidates)):
-        difference = one[:, [i]] - one
+        difference = unit_responses[:, [i]] - unit_responses
         size = difference[-1]
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.max([np.abs(s[:, [i]] - s - difference).max(0) for s in scaled], axis=0) / size
@@ -195,10 +195,12 @@ def choose_heat_pair(
             for j in np.flatnonzero(good)
         ]
     good_pairs.sort()
-    found: list[HeatPair] = []
+    pairs: list[HeatPair] = []
     for _, i, j, size, off in good_pairs[:shortlist]:
         try:
-            ring, fit = fit_ring(t, one[:, i] - one[:, j], starts=6, polished=1)
+            ring, fit = fit_ring(
+                t, unit_responses[:, i] - unit_responses[:, j], starts=6, polished=1
+            )
             regularisation = choose_regularisation(ring, interval)
             inverse = inverse_bank(
                 [[ring]], [regularisation], interval, float(t[-1]), _SCREENING, "candidate pair"
@@ -207,17 +209,17 @@ def choose_heat_pair(
             continue  # no stable inverse: the pair is out
         error = max(
             _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * abs(level)
-            for level, s in zip((unit, *others), (one, *scaled), strict=True)
+            for level, s in zip((unit, *others), (unit_responses, *scaled), strict=True)
         )
         name = candidates[i], candidates[j]
         rise = steepest_rise(ring)[0]
-        found.append(HeatPair(*name, size, off, fit.max_abs_error / size, rise, error))
-    if not found:
+        pairs.append(HeatPair(*name, size, off, fit.max_abs_error / size, rise, error))
+    if not pairs:
         raise InputError(
             "placement: no pair of candidates near the source is proportional to the heat input "
             "and invertible; give more [[candidates]] around the source"
         )
-    return min(found, key=lambda pair: pair.displacement_error)
+    return min(pairs, key=lambda pair: pair.displacement_error)
 
 
 def rank_joint_pairs(
@@ -233,7 +235,7 @@ def rank_joint_pairs(
     reference, others, candidates
         As in `choose_heat_pair`.
     axes : list of str
-        Directions of the displacement that count.
+        Relevant directions of the displacement.
 
     Raises
     ------
@@ -272,7 +274,7 @@ def rank_joint_pairs(
         left = power - 2.0 * (weights * drive[own]).sum(0) + (weights * (inner @ weights)).sum(0)
         order.append((faint, float(np.sqrt((left[counts] / power[counts]).max())), i, j))
     order.sort()
-    # Along the joint means along the direction in which the candidates spread most.
+    # Along the joint is the direction in which the candidates spread most.
     along = at[:, int(np.argmax(np.ptp(at, axis=0)))]
     for _, misfit, i, j in order:
         low, high = (i, j) if along[i] <= along[j] else (j, i)
@@ -310,7 +312,7 @@ def sources_for(response: xr.Dataset, probes: Sequence[str]) -> tuple[Array, Arr
 
 
 def with_roles(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
-    """Return the response with further probes named after the roles they play."""
+    """Return the response with the probes duplicated under the names of their roles."""
     chosen = response.sel(probe=list(roles.values())).assign_coords(probe=list(roles))
     kept = response.sel(probe=[name for name in probes_of(response) if name not in roles])
     import xarray as xr
@@ -330,7 +332,7 @@ def _at(t: Array, values: Array, time: float) -> Array:
 
 
 def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> float:
-    """Largest error of δ_L, m, for the unit step that `difference` (K per unit) answers."""
+    """Largest error of δ_L, m, for the unit step with response `difference` (K per unit)."""
     interval = float(np.median(np.diff(t)))
     heat = respond_to_line(inverse, t, difference[:, None], interval)[0]
     error = respond_to_steps(linear, t, heat - (t > 0.0)[:, None], interval)
@@ -338,7 +340,7 @@ def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> f
 
 
 def _filtered(deviations: Array, interval: float) -> Array:
-    """Deviations (n, sensors) through each low-pass filter, shape (n, sensors * filters)."""
+    """Deviations (n, sensors) after each low-pass filter, shape (n, sensors * filters)."""
     from scipy.signal import lfilter
 
     columns = []

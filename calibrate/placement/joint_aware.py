@@ -1,17 +1,17 @@
 """Sensor placement for the joint-aware estimator: greedy search with exchange.
 
-The family are machines that a calibration cannot tell apart: drawn from what it leaves open of the
-parameters, each with the linear remainder with which it answers the calibration alike. They march,
-joint and all, through a random day, and the nominal machine beside them. What they answer otherwise
-an observer of the nominal machine has to bear. With the steady filter of a set of sensors the mean
+The family consists of machines that a calibration cannot distinguish: drawn from its posterior,
+each with the linear discrepancy that gives it the same calibration responses. They march, joint
+included, through a random day, like the nominal machine. Their differences from it act as model
+errors of an observer of the nominal machine. With the steady filter of a set of sensors the mean
 square error of the displacement is
 
     v = D P+ D^T + mean over plants and time of |D e - d|^2,    e' = F e,  e <- e + K (u - H e),
 
-P+ the covariance after a reading (unknown heat, ambient, flows across the joint, noise), u what a
-plant's sensors read more than the nominal machine's, d what it moves more. The criterion is the
-sum of v over the axes. A set that hears of the heat late has a large first part, one that sits
-where the plants differ a large second one.
+P+ the covariance after a reading (unknown heat, ambient, flows across the joint, noise), u the
+difference of a plant's sensor readings from the nominal machine, d that of its displacement. The
+criterion is the sum of v over the axes. For a set that detects heat late the first part is large,
+for one at places where the plants differ the second one.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_n
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 
-#: An exchange must lower the criterion by this part; each sensor is tried so often at most.
+#: Minimum relative gain of an exchange; each sensor is tried at most this often.
 WORTH, ROUNDS = 1e-3, 3
-#: Doublings of the Riccati equation, and when they end.
+#: Most doublings of the Riccati equation, and their tolerance.
 DOUBLINGS, CLOSE = 40, 1e-10
 
 Report = Callable[[str, int, int], None]
@@ -41,7 +41,7 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Sensors, and how well the displacement is known with them.
+    """Sensors, and the resulting uncertainty of the displacement.
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ class Placement:
     Attributes
     ----------
     steps : tuple of Choice
-        By adding one sensor after another, the first as small as it can be.
+        From adding one sensor after another, starting from the smallest possible set.
     chosen : Choice
-        As many as were asked for, after exchanges.
+        With the requested number, after exchanges.
     """
 
     steps: tuple[Choice, ...]
@@ -84,18 +84,18 @@ def place_sensors(
     Parameters
     ----------
     machine : ReducedMachine
-        Nominal; its sensors are the candidates, its axes those that count. Its
-        `plant_family.fewer_modes` are enough.
+        Nominal machine; its sensors are the candidates, its axes the relevant ones. Its
+        `plant_family.fewer_modes` are sufficient.
     count : int
         How many to choose, `kept` ones included.
     kept : sequence of str
-        Candidates that are chosen in any case: sensors that are there already.
+        Candidates chosen in any case: existing sensors.
     family : Family, optional
         Default `make_family` of the machine.
     noise : Noise, optional
-        What the filter reckons with.
+        Assumed noise.
     report : callable, optional
-        Called with (what, done, in all).
+        Called with (what, done, total).
 
     Raises
     ------
@@ -109,10 +109,12 @@ def place_sensors(
     problem = _problem(machine, family or make_family(machine), noise or Noise())
     done, tell = 0, report or (lambda *_: None)
     chosen = [names.index(name) for name in kept]
-    # With fewer sensors than sources no filter exists: begin with one close to each.
+    # With fewer sensors than sources no filter exists: start with one close to each.
     first = len(machine.source_names)
     if len(chosen) < first and first > 1:
-        chosen += [one for one in loudest(machine) if one not in chosen][: first - len(chosen)]
+        chosen += [sensor for sensor in loudest(machine) if sensor not in chosen][
+            : first - len(chosen)
+        ]
     steps: list[Choice] = []
     if chosen:
         steps.append(_choice(problem, names, chosen))
@@ -160,7 +162,7 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
         np.zeros(0), np.zeros((len(modes.sensors), 0)), np.zeros((len(machine.axes), 0))
     )
     system = linear_system(modes, nothing, machine.power, STEP)
-    # A walk over a long step is one of many short ones.
+    # The walk over a long step is the sum of many short ones.
     walk = math.sqrt(STEP / machine.step) * np.append(
         noise.heat_walk * machine.power, noise.ambient_walk
     )
@@ -171,7 +173,7 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
     source[:count, walk.size :] = (
         noise.joint_flow * math.sqrt(STEP * machine.step) * system.decay[:, None] * modes.jump.T
     )
-    # In units of the walks all unknowns are of one size.
+    # Scaled by the walks all unknowns are of one size.
     unit = np.concatenate([np.ones(count), walk])
     source = source / unit[:, None]
     tangent = sticking_tangent(modes.elastic, machine.laws)
@@ -204,14 +206,14 @@ def steady_covariance(transition: Array, rows: Array, disturbance: Array, varian
     Raises
     ------
     ConvergenceError
-        There is none: the readings do not determine what never decays.
+        No solution exists: the readings do not determine an undamped state.
     """
     a, h = transition.T, disturbance
     g = (rows.T / variance) @ rows
-    one = np.eye(len(a))
+    identity = np.eye(len(a))
     for _ in range(DOUBLINGS):
         try:
-            factor = np.linalg.inv(one + g @ h)
+            factor = np.linalg.inv(identity + g @ h)
         except np.linalg.LinAlgError:
             break
         through = a @ factor
@@ -228,7 +230,7 @@ def steady_covariance(transition: Array, rows: Array, disturbance: Array, varian
 
 
 def _mean_squares(problem: _Problem, chosen: Sequence[int]) -> Array:
-    """Mean square error of the displacement, m2, shape (axes,), with some candidates."""
+    """Mean square error of the displacement, m2, shape (axes,), for some candidates."""
     at = np.append(chosen, len(problem.rows) - 1)
     rows, variance = problem.rows[at], problem.variance[at]
     before = steady_covariance(problem.transition, rows, problem.disturbance, variance)
@@ -236,7 +238,7 @@ def _mean_squares(problem: _Problem, chosen: Sequence[int]) -> Array:
     gain = np.linalg.solve(rows @ cross + np.diag(variance), cross.T).T
     after = before - gain @ cross.T
     known = np.einsum("an,nm,am->a", problem.tangent, after, problem.tangent)
-    # The ambient's own reading is no different for a plant.
+    # The ambient reading is the same for all plants.
     closed = problem.transition - gain @ (rows @ problem.transition)
     driven = np.einsum("np,tpk->tnk", gain[:, :-1], problem.family.readings[:, chosen])
     error = np.zeros((len(closed), driven.shape[2]))
@@ -257,17 +259,17 @@ def _criterion(problem: _Problem, chosen: Sequence[int]) -> float:
 
 def _choice(problem: _Problem, names: Sequence[str], chosen: Sequence[int]) -> Choice:
     band = WIDTH * np.sqrt(_mean_squares(problem, chosen))
-    return Choice(tuple(names[one] for one in chosen), band)
+    return Choice(tuple(names[sensor] for sensor in chosen), band)
 
 
 def _best(problem: _Problem, chosen: Sequence[int]) -> int:
-    """The candidate that lowers the criterion most beside those that are chosen."""
-    others = [one for one in range(len(problem.variance) - 1) if one not in chosen]
-    return min(others, key=lambda one: _criterion(problem, [*chosen, one]))
+    """The candidate that reduces the criterion most in addition to the chosen ones."""
+    others = [sensor for sensor in range(len(problem.variance) - 1) if sensor not in chosen]
+    return min(others, key=lambda sensor: _criterion(problem, [*chosen, sensor]))
 
 
 def _exchanged(problem: _Problem, chosen: Sequence[int], kept: int) -> list[int]:
-    """Sensors of which none, but for the first `kept`, can be exchanged for a better one."""
+    """Sensors of which none, except the first `kept`, can be exchanged for a better one."""
     sensors, now = list(chosen), _criterion(problem, chosen)
     for _ in range(ROUNDS):
         begun = now

@@ -1,8 +1,8 @@
 """Machines with indistinguishable calibration responses, and their responses to a day.
 
-Parameters are drawn from what steps of `LEVELS` leave open of the priors; each machine has the
-linear remainder with which it answers those steps as the nominal one does. Minutes matter here, no
-seconds: marches take `STEP`, on the few modes that this needs.
+Parameters are drawn from the posterior after steps of `LEVELS`; each machine has the linear
+discrepancy that gives it the nominal responses to those steps. Minutes matter here, not seconds:
+marches use `STEP`, on the few modes that this needs.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from thermojoint.reduced.physics import make_physics, simulate_known
 
 #: Plants of the family, and its seed.
 PLANTS, SEED = 12, 2
-#: Sensors that their calibration sees.
+#: Number of sensors in their calibration.
 SEEN = 4
 #: Step of the marches and of the filter while sensors are compared, s.
 STEP = 60.0
-#: Steps that a plant is calibrated with: heat inputs and length, s.
+#: Calibration steps of a plant: heat inputs and length, s.
 LEVELS, CALIBRATED = (0.5, 1.0, 2.0), 2100.0
 #: Length of the day, s, and its highest heat.
 DURATION, HIGHEST = 8 * 3600.0, 2.0
 #: Random walk of the ambient over the day, K.
 AMBIENT = 3.0
-#: Fields that are smaller than this part of the largest get no mode.
+#: Fields smaller than this fraction of the largest get no mode.
 NEGLIGIBLE = 1e-6
 
 
@@ -59,22 +59,22 @@ class Family:
 def make_family(
     machine: ReducedMachine, plants: int = PLANTS, seed: int = SEED, seen: int = SEEN
 ) -> Family:
-    """Draw the machines that a calibration cannot tell apart, and march them through one day.
+    """Draw machines that a calibration cannot distinguish, and march them through one day.
 
-    The calibration is that of a plant that is the nominal machine, by steps of `LEVELS`. It sees
-    the displacement and some sensors, where the temperatures of these steps differ most from each
-    other (pivots of a QR factorisation): which ones will be chosen is not known yet.
+    The calibration uses the nominal machine as plant, with steps of `LEVELS`. It has the
+    displacement and some sensors, at the places where the temperatures of these steps differ most
+    (pivots of a QR factorisation), since the final choice is not yet known.
 
     Parameters
     ----------
     machine : ReducedMachine
         Nominal; its sensors are the candidates.
     plants : int
-        How many to draw. One that cannot be marched is left out.
+        Number to draw. One that cannot be marched is left out.
     seed : int
         Of plants and day.
     seen : int
-        How many sensors the calibration sees.
+        Number of sensors in the calibration.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def make_family(
 
 
 def _calibration(machine: ReducedMachine, level: float) -> Run:
-    """A step from rest, with what the machine itself answers."""
+    """A step from rest, with the machine's own response."""
     count = round(CALIBRATED / machine.step)
     inputs = np.tile(np.append(level * machine.power, 0.0), (count, 1))
     times: Array = machine.step * np.arange(1.0, count + 1.0)
@@ -134,7 +134,7 @@ def _answers(machine: ReducedMachine, inputs: Array) -> tuple[Array, Array]:
 
 
 def loudest(machine: ReducedMachine) -> list[int]:
-    """Return for each source a candidate that its heat warms soon, and the others' heat less."""
+    """Return for each source a candidate that its heat reaches early, and other heat less."""
     modes = diagonal_modes(machine, machine.at_preload)
     soon = answer(modes.rates, STEP, 0.0)[:, None] * modes.drive[:, : machine.power.size]
     answers = np.abs(modes.sensors @ (soon * machine.power))
@@ -145,7 +145,7 @@ def loudest(machine: ReducedMachine) -> list[int]:
 def fewer_modes(
     machine: ReducedMachine, noise: Noise | None = None, shortest: float = STEP
 ) -> ReducedMachine:
-    """Return a machine on the few modes that its inputs drive at the times of a run.
+    """Return a machine with the few modes that its inputs excite at the times of a run.
 
     The fields that every source at its power, the ambient and flows across the joint leave after
     `PASTS`, (M / time + K + H) T = input, span them, but for what is smaller than `NEGLIGIBLE` of
@@ -156,9 +156,9 @@ def fewer_modes(
     machine : ReducedMachine
         Any.
     noise : Noise, optional
-        Says how large flows across the joint are.
+        Defines the flows across the joint.
     shortest : float
-        Time that is resolved, s.
+        Shortest resolved time, s.
     """
     flow = (noise or Noise()).joint_flow
     inputs = np.column_stack(
@@ -169,7 +169,7 @@ def fewer_modes(
     fields = [
         np.linalg.solve(machine.capacity / time + linear, inputs) for time in (shortest, *PASTS)
     ]
-    # Fields are compared by the heat they hold: in coordinates in which M is the identity.
+    # Fields are compared by their heat content: in coordinates in which M is the identity.
     root = np.linalg.cholesky(machine.capacity).T
     basis, sizes, _ = np.linalg.svd(root @ np.hstack(fields), full_matrices=False)
     basis = np.linalg.solve(root, basis[:, sizes > NEGLIGIBLE * sizes[0]])

@@ -129,8 +129,9 @@ def test_a_case_is_simulated_by_the_name_of_its_file():
 def test_what_a_notebook_shows_of_an_object_is_short(
     coarse_case, coarse_setup, hand_made_model, log, learned
 ):
+    simulated = (coarse_case, coarse_setup, coarse_setup.structure)
     assembly = tj.assemble(hand_made_model, 2.0, 7200.0)
-    for one in (coarse_case, coarse_setup, hand_made_model, assembly, log, learned, learned.model):
+    for one in (*simulated, hand_made_model, assembly, log, learned, learned.model):
         assert "\n" not in repr(one)
         assert len(repr(one)) < 400
         assert repr(one).startswith(type(one).__name__ + "(")
