@@ -25,12 +25,18 @@ from rich.table import Table
 from fesim.case.schema import Case, parse_case
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, Step
-from fesim.march.reduced import ThermalModes, project_elasticity, project_heat, thermal_modes
+from fesim.march.reduced import (
+    ThermalModes,
+    outputs_of,
+    project_elasticity,
+    project_heat,
+    thermal_modes,
+)
 from fesim.setup.loads import heat_sources
 from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import body_materials
 from fesim.simulate import simulate
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from thermojoint.paper.inputs import VALIDATION
 
@@ -78,12 +84,11 @@ def reduced(case: Case, full: Setup) -> tuple[Setup, ThermalModes, float]:
         structure,
         full.spaces.heat,
         body_materials(case, structure),
-        case.convection_W_m2K,
-        heat_sources(case, structure),
+        ThermalLoads(case.convection_W_m2K, heat_sources(case, structure)),
     )
     operators = joint_operators(full.joints, full.spaces)
     begun = time.perf_counter()
-    modes = thermal_modes(heat, operators, elastic, full.probe_rows, thermal.step)
+    modes = thermal_modes(heat, operators, outputs_of(elastic, full.probe_rows), thermal.step)
     machine = CondensedMachine(
         project_heat(heat, operators, thermal.step, modes),
         ContactProblem(project_elasticity(elastic, modes), full.machine.contact.laws),

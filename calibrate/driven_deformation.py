@@ -13,6 +13,7 @@ The strengths are given; their estimation is independent of this module.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -121,7 +122,7 @@ def fit_driven_deformation(
     starts, seed : int
         Of the search (`least_squares.fit`).
     ridge : float
-        As in `least_squares.fit`.
+        As in `least_squares.Separable`.
 
     Raises
     ------
@@ -137,5 +138,5 @@ def fit_driven_deformation(
     after = steps.even_interval(t, "fictitious sources") * np.arange(1, t.size + 1)
     drivers = [driver(strength) for strength in strengths]
     problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
-    best = fit(problem, starts=starts, seed=seed, ridge=ridge)
+    best = fit(replace(problem, ridge=ridge), starts=starts, seed=seed)
     return eq18_models(best, sources), best

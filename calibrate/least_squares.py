@@ -54,6 +54,8 @@ class Separable:
         Bounds of the nonlinear parameters, positive.
     unit : str
         Unit of the data, for the report.
+    ridge : float
+        See the module docstring.
     """
 
     basis: Basis
@@ -63,6 +65,7 @@ class Separable:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     unit: str
+    ridge: float = 1e-6
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ class _End:
     message: str
 
 
-def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, limit: int) -> _End:
+def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) -> _End:
     """Return the local optimum reached from the parameters `start`."""
     data = problem.data / scale
 
@@ -140,7 +143,7 @@ def _descend(problem: Separable, start: np.ndarray, ridge: float, scale: float, 
             latest.clear()
             evaluations += 1
             columns, slopes = problem.basis(np.exp(log_theta))
-            latest[key] = columns, slopes, _project(columns, data, ridge)
+            latest[key] = columns, slopes, _project(columns, data, problem.ridge)
         return latest[key]
 
     def residual(log_theta: np.ndarray) -> np.ndarray:
@@ -192,7 +195,6 @@ def fit(
     starts: int = 24,
     guesses: Sequence[Sequence[float]] = (),
     seed: int = 0,
-    ridge: float = 1e-6,
     polished: int = 3,
 ) -> Fit:
     """Return the best fit found from many starts.
@@ -210,8 +212,6 @@ def fit(
         Further starts, in the units of the parameters.
     seed : int
         Of the Sobol sequence.
-    ridge : float
-        See the module docstring.
     polished : int
         Number of the best ends to be polished.
 
@@ -226,34 +226,34 @@ def fit(
     trial = coarse or problem
     scale = float(np.abs(problem.data).max()) or 1.0
     points = [*np.asarray(guesses, dtype=float), *_starts(problem, starts, seed)]
-    ends = [_descend(trial, point, ridge, scale, 60) for point in points]
+    ends = [_descend(trial, point, scale, 60) for point in points]
     ends.sort(key=lambda end: end.cost)
     best = ends[0]
     # cost is half a sum of squares, so an rms ratio of 1 + x is a cost ratio of about 1 + 2x.
     ceiling = best.cost * (1.0 + 2.0 * _SAME) + trial.data.size * 1e-20
     at_best = sum(end.cost <= ceiling for end in ends)
-    finals = [_descend(problem, end.theta, ridge, scale, 200) for end in ends[:polished]]
+    finals = [_descend(problem, end.theta, scale, 200) for end in ends[:polished]]
     winner = min(finals, key=lambda end: end.cost)
     evaluations = sum(end.evaluations for end in (*ends, *finals))
     return replace(
-        _assess(problem, winner, ridge),
+        _assess(problem, winner),
         starts=len(points),
         starts_at_best=at_best,
         evaluations=evaluations,
     )
 
 
-def fit_linear(problem: Separable, theta: Sequence[float], ridge: float = 1e-6) -> Fit:
+def fit_linear(problem: Separable, theta: Sequence[float]) -> Fit:
     """Return the fit of the coefficients alone, the nonlinear parameters being given."""
     _check(problem)
     end = _End(np.asarray(theta, dtype=float), 0.0, 1, "nonlinear parameters were given")
-    return _assess(problem, end, ridge, free=False)
+    return _assess(problem, end, free=False)
 
 
-def _assess(problem: Separable, end: _End, ridge: float, *, free: bool = True) -> Fit:
+def _assess(problem: Separable, end: _End, *, free: bool = True) -> Fit:
     """Return the `Fit` at `end`; `free` says whether the nonlinear parameters were searched."""
     columns, slopes = problem.basis(end.theta)
-    coefficients = solve_linear(columns, problem.data, ridge)
+    coefficients = solve_linear(columns, problem.data, problem.ridge)
     residual = problem.data - columns @ coefficients
     n, m = problem.data.shape
     k = end.theta.size if free else 0

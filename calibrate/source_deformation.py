@@ -63,6 +63,7 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
         lower=lower * sources,
         upper=upper * sources,
         unit="m",
+        ridge=RIDGE,
     )
 
 
@@ -127,10 +128,10 @@ def fit_source_deformation(
     guess: list[float] = []
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
-        best = fit(single, starts=starts, seed=seed, ridge=RIDGE)
+        best = fit(single, starts=starts, seed=seed)
         guess += _in_order([best.values[name] for name in single.names])
     problem = _step_problem(t, deviations, strengths)
-    best = fit(problem, coarse=coarse, starts=0, guesses=[guess], ridge=RIDGE)
+    best = fit(problem, coarse=coarse, starts=0, guesses=[guess])
     return eq18_models(best, sources), best
 
 

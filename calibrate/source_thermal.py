@@ -27,6 +27,8 @@ SOURCE_RADIUS = 0.02
 #: Bounds of a (1/m2) and alpha (m2/s).
 _LOWER = (1e-2, 1e-7)
 _UPPER = (1e3, 1e-2)
+#: Starts of the search in the first round of Figure 4's loop.
+FIRST_STARTS = 8
 
 
 @dataclass(frozen=True)
@@ -261,16 +263,14 @@ def fit_by_averaging(
     *,
     rounds: int = 20,
     tolerance: float = 1e-3,
-    starts: int = 8,
-    seed: int = 0,
 ) -> Averaging:
     """Return the sources found by the loop of Figure 4.
 
     Each input is fitted separately; if the inputs' a_i and alpha_i differ, their geometric means
-    (they are positive) are the next round's initial guess. The first round searches from `starts`
-    points. The loop ends when every rate is within `tolerance` (in ln) of its mean, when the means
-    no longer move (the inputs want different rates, and a good optimiser returns to them from any
-    guess), or after `rounds`. The products are then fitted with the means.
+    (they are positive) are the next round's initial guess. The first round searches from
+    `FIRST_STARTS` points. The loop ends when every rate is within `tolerance` (in ln) of its mean,
+    when the means no longer move (the inputs want different rates, and a good optimiser returns to
+    them from any guess), or after `rounds`. The products are then fitted with the means.
 
     Parameters
     ----------
@@ -280,8 +280,6 @@ def fit_by_averaging(
         Most rounds.
     tolerance : float
         Required agreement of the inputs.
-    starts, seed : int
-        Of the first round's search.
     """
     _check_deviations(t, deviations, inputs, geometry)
     thin = steps.thinned(t.size)
@@ -297,9 +295,9 @@ def fit_by_averaging(
     converged, reason = False, f"the inputs did not agree within {rounds} rounds"
     for index in range(rounds):
         guesses = [history[-1].averages.tolist()] if history else []
-        count = 0 if history else starts
+        count = 0 if history else FIRST_STARTS
         ends = [
-            fit(full, coarse=thin_one, starts=count, guesses=guesses, seed=seed, polished=1)
+            fit(full, coarse=thin_one, starts=count, guesses=guesses, polished=1)
             for full, thin_one in alone
         ]
         rates = np.array([[end.values[name] for name in names] for end in ends])

@@ -85,8 +85,8 @@ def learn(
     if isinstance(data, Log):
         return learning.learn([data], names, max_sensors, kind, ignored)
     paths = [Path(data)] if isinstance(data, str | Path) else [Path(one) for one in data]
-    files = [path.name for path in paths]
-    return learning.learn([read_log(paths)], names, max_sensors, kind, ignored, files)
+    model = learning.learn([read_log(paths)], names, max_sensors, kind, ignored)
+    return learning.with_origin(model, [path.name for path in paths])
 
 
 def estimate(

@@ -19,11 +19,11 @@ from fesim.case.schema import Case, step_count
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.stepping import march
-from fesim.setup.loads import heat_sources, thermal_inputs
+from fesim.setup.loads import heat_sources, held_profiles, thermal_inputs
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import COUPLINGS
 from fesim.solid.condensation import condense_heat
-from fesim.solid.heat import capacity_form, cell_field, heat_operators
+from fesim.solid.heat import ThermalLoads, capacity_form, cell_field, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import interpolation, probe_rows
 from meshes.pairing import PairedJoint, pair_joint
@@ -137,9 +137,7 @@ def with_consistent_capacity(
         structure,
         basis,
         materials,
-        case.convection_W_m2K,
-        heat_sources(case, structure),
-        list(case.held_temperatures),
+        ThermalLoads(case.convection_W_m2K, heat_sources(case, structure), held_profiles(case)),
     )
     capacity = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
     thermal = condense_heat(

@@ -19,7 +19,7 @@ from fesim.setup.loads import heat_sources, thermal_inputs
 from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.linear_solver import factorise
 from fesim.solid.spaces import make_spaces
@@ -48,7 +48,10 @@ class Refactoring:
         ]
         self.operators = joint_operators(joints, spaces)
         self.heat = heat_operators(
-            structure, spaces.heat, materials, case.convection_W_m2K, heat_sources(case, structure)
+            structure,
+            spaces.heat,
+            materials,
+            ThermalLoads(case.convection_W_m2K, heat_sources(case, structure)),
         )
         self.elastic = elastic_operators(
             structure, spaces, materials, case.supports.fixed, dict(case.supports.symmetry)

@@ -13,15 +13,15 @@ from skfem import BilinearForm, CellBasis, DiscreteField
 from skfem.assembly.form.form import FormExtraParams
 
 from fesim.case.schema import Case
-from fesim.march.reduced import ThermalModes, thermal_modes
+from fesim.march.reduced import ThermalModes, outputs_of, thermal_modes
 from fesim.setup.constraints import fixed_surfaces
-from fesim.setup.loads import heat_sources
-from fesim.setup.machine import reference_springs
+from fesim.setup.elastic import reference_springs
+from fesim.setup.loads import heat_sources, held_profiles
 from fesim.setup.parts import make_parts
 from fesim.setup.structure import body_materials, measured_points
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import ElasticOperators, held_unknowns
-from fesim.solid.heat import cell_field, heat_operators
+from fesim.solid.heat import ThermalLoads, cell_field, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.linear_solver import checked_solve, factorise
 from fesim.solid.materials import Material
@@ -131,9 +131,8 @@ def plain_set_up(case: Case) -> tuple[ElasticCondensation, ThermalModes]:
     materials = body_materials(case, structure)
     spaces = make_spaces(structure.mesh)
     operators = joint_operators(joints, spaces)
-    sources, held = heat_sources(case, structure), list(case.held_temperatures)
-    films = case.convection_W_m2K
-    heat = heat_operators(structure, spaces.heat, materials, films, sources, held, joints)
+    loads = ThermalLoads(case.convection_W_m2K, heat_sources(case, structure), held_profiles(case))
+    heat = heat_operators(structure, spaces.heat, materials, loads, joints)
     symmetry = dict(case.supports.symmetry)
     elastic = plain_operators(structure, spaces, materials, fixed_surfaces(case), symmetry)
     springs = reference_springs(structure, materials, joints)
@@ -143,4 +142,4 @@ def plain_set_up(case: Case) -> tuple[ElasticCondensation, ThermalModes]:
     probes = csr_array(kron(relative, eye_array(3)))
     condensed = plain_condensation(elastic, operators, springs, probes)
     rows = probe_rows(spaces.heat, structure, parts.probes)
-    return condensed, thermal_modes(heat, operators, condensed, rows, case.march.step_s)
+    return condensed, thermal_modes(heat, operators, outputs_of(condensed, rows), case.march.step_s)

@@ -107,7 +107,7 @@ def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibr
     def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
         # They know of no warm start: the run begins at rest for them.
         del warm
-        judged = validate("", response, calibrated.model).errors
+        judged = validate(response, calibrated.model).errors
         return {name: Errors(axes, judged[name], None) for name in ("linear", "fchs")}
 
     return Calibrated(judge, {})

@@ -53,8 +53,6 @@ def learn(
     max_sensors: int = 4,
     kind: Kind = "learned",
     ignored: Sequence[str] = (),
-    files: Sequence[str] = (),
-    renamed: Mapping[str, str] | None = None,
 ) -> LearnedModel:
     """Learn a model from a log.
 
@@ -70,10 +68,6 @@ def learn(
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
         Columns to ignore.
-    files : sequence of str
-        Names of the log's files, stored in the model.
-    renamed : mapping, optional
-        Original column names to new ones, stored in the model.
 
     Raises
     ------
@@ -93,7 +87,13 @@ def learn(
     errors = {name: _judge(own, rules.judging) for name, own in judged.items()}
     rows = judged[kind]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    model = _model(kind, cleaned, rows, fitted, errors, rules.judging)
+    return _model(kind, cleaned, rows, fitted, errors, rules.judging)
+
+
+def with_origin(
+    model: LearnedModel, files: Sequence[str], renamed: Mapping[str, str] | None = None
+) -> LearnedModel:
+    """Return a model that keeps the names of its log's files and what columns were renamed to."""
     origin = replace(model.learned_from, files=tuple(files))
     return replace(model, learned_from=origin, renamed=dict(renamed or {}))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +40,30 @@ ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", 
 
 
 @dataclass(frozen=True)
+class Beside:
+    """What is judged beside a model, and from when on.
+
+    Attributes
+    ----------
+    baselines : Baselines, optional
+        Regressions.
+    observers : sequence of (OpenedEstimator, ndarray)
+        Observers, and the state that each starts from. They read the probes that are named as
+        their sensors.
+    settled_s : float
+        Samples count from this long after the first one on, s.
+    """
+
+    baselines: Baselines | None = None
+    observers: Sequence[tuple[OpenedEstimator, Array]] = ()
+    settled_s: float = 0.0
+
+
+#: Nothing beside the model, from the first sample on.
+ALONE = Beside()
+
+
+@dataclass(frozen=True)
 class Judged:
     """The estimators against one response.
 
@@ -46,10 +71,10 @@ class Judged:
     ----------
     rows : list of dict
         For each estimator ("none", "linear": δ_L alone, the baselines, "fchs": δ, observers) and
-        axis: case, estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
+        axis: estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
         peak_nonlinear_um; of observers band_cover and mean_band_um, too.
     vectors : list of dict
-        case, estimator, max_abs_error_um: largest length of the error in all axes together.
+        estimator, max_abs_error_um: largest length of the error in all axes together.
     errors : dict
         Estimator to estimated less actual displacement, m, shape (k, axes).
     estimate : Signals
@@ -68,10 +93,8 @@ class Validated:
 
     Attributes
     ----------
-    rows : list of dict
-        See `validate`.
-    vectors : list of dict
-        See `Judged`.
+    rows, vectors : list of dict
+        See `Judged`; the name of the case comes first.
     as_printed : list of dict
         `rows` of the paper's own scheme, whose deformation models are calibrated to steps.
     blocks : list of dict
@@ -113,35 +136,25 @@ def joined(parts: Sequence[Validated]) -> Validated:
 
 
 def validate(
-    case: str,
     response: xr.Dataset,
     model: Model,
     *,
     reference: xr.Dataset | None = None,
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, np.ndarray] | None = None,
-    baselines: Baselines | None = None,
-    observers: Sequence[tuple[OpenedEstimator, Array]] = (),
-    settled_s: float = 0.0,
+    beside: Beside = ALONE,
 ) -> Judged:
     """Run the estimators on the temperatures of `response` and judge them by the displacement.
 
     Parameters
     ----------
-    case : str
-        Name for the rows.
     response, model, roles, noise
         As in `thermojoint.models.sensors.readings`.
     reference : xarray.Dataset, optional
         Response to the reference step. With it the actual δ_NL is the displacement less the
         superposed reference; without it, less the estimated δ_L.
-    baselines : Baselines, optional
-        Regressions to judge beside the model.
-    observers : sequence of (OpenedEstimator, ndarray)
-        Observers to judge beside the model, each with its initial state. They read the
-        probes that are named as their sensors.
-    settled_s : float
-        Samples count from this time after the first one, s.
+    beside : Beside
+        What is judged beside the model.
     """
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = assembled_for(model, seen.times)
@@ -152,17 +165,17 @@ def validate(
     if reference is not None:
         order = [axes_of(response).index(axis) for axis in axes]
         linear = superposed(reference, response, "displacement")[:, order]
-    counted = seen.times >= seen.times[0] + settled_s
+    counted = seen.times >= seen.times[0] + beside.settled_s
     peaks = {
         "peak_total_um": np.abs(actual[counted]).max(axis=0) * MEGA,
         "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MEGA,
     }
     told = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
     claims = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
-    if baselines is not None:
-        claims |= _regressed(baselines, assembly.dt_s, told, axes)
+    if beside.baselines is not None:
+        claims |= _regressed(beside.baselines, assembly.dt_s, told, axes)
     bands = {}
-    for observer, state in observers:
+    for observer, state in beside.observers:
         claims[observer.kind], bands[observer.kind] = _observed(
             response, observer, axes, noise or {}, state
         )
@@ -172,13 +185,12 @@ def validate(
         band = bands[name][counted] if name in bands else None
         figures = figures_of(error[counted], band)
         rows += [
-            {"case": case, "estimator": name, "axis": axis}
+            {"estimator": name, "axis": axis}
             | {key: float(values[k]) for key, values in (peaks | figures).items()}
             for k, axis in enumerate(axes)
         ]
     vectors: list[Row] = [
         {
-            "case": case,
             "estimator": name,
             "max_abs_error_um": float(np.linalg.norm(error[counted], axis=1).max() * MEGA),
         }
@@ -231,9 +243,7 @@ def validate_model(
     reference: xr.Dataset | None,
     responses: Mapping[str, xr.Dataset],
     noisy: Collection[str] = (),
-    baselines: Baselines | None = None,
-    observers: Sequence[tuple[OpenedEstimator, Array]] = (),
-    settled_s: float = 0.0,
+    beside: Beside = ALONE,
 ) -> Validated:
     """Judge a model by responses, from temperatures alone.
 
@@ -247,8 +257,8 @@ def validate_model(
         Name to response.
     noisy : collection of str
         Names of responses to judge once more with `joint_noise`, as "NAME-noise".
-    baselines, observers, settled_s
-        What is judged beside the model, and from when on; as in `validate`.
+    beside : Beside
+        What is judged beside the model, and from when on.
     """
     printed = as_printed(model)
     validated = Validated([], [], [], [], {}, {})
@@ -256,31 +266,15 @@ def validate_model(
         roles = roles_in(response, model)
         again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
         for case, noise in ({name: None} | again).items():
-            judged = validate(
-                case,
-                response,
-                model,
-                reference=reference,
-                roles=roles,
-                noise=noise,
-                baselines=baselines,
-                observers=observers,
-                settled_s=settled_s,
-            )
-            validated.rows.extend(judged.rows)
-            validated.vectors.extend(judged.vectors)
+            seen = partial(validate, response, reference=reference, roles=roles, noise=noise)
+            judged = seen(model, beside=beside)
+            validated.rows.extend({"case": case, **row} for row in judged.rows)
+            validated.vectors.extend({"case": case, **row} for row in judged.vectors)
             validated.estimates[case] = judged.estimate
             validated.errors[case] = judged.errors
-            paper = validate(
-                case,
-                response,
-                printed,
-                reference=reference,
-                roles=roles,
-                noise=noise,
-                settled_s=settled_s,
-            )
-            validated.as_printed.extend(row for row in paper.rows if row["estimator"] == "fchs")
+            paper = seen(printed, beside=Beside(settled_s=beside.settled_s)).rows
+            own = [row for row in paper if row["estimator"] == "fchs"]
+            validated.as_printed.extend({"case": case, **row} for row in own)
             if reference is not None:
                 validated.blocks.extend(
                     block_errors(case, response, model, reference, roles=roles, noise=noise)

@@ -94,16 +94,14 @@ def _judge(
     responses: Mapping[str, xr.Dataset],
     conditions: Conditions,
 ) -> Figures:
-    from estimator.fchs.judging import validate_model
+    from estimator.fchs.judging import Beside, validate_model
 
     seen = {
         conditions.named(name): conditions.noisy(response, kind.sensors(given, response))
         for name, response in responses.items()
     }
-    judged = validate_model(
-        _model(given), conditions.reference, seen, baselines=conditions.baselines
-    )
-    return judged.figures()
+    beside = Beside(conditions.baselines)
+    return validate_model(_model(given), conditions.reference, seen, beside=beside).figures()
 
 
 def _program(estimator: Fchs, precision: Precision, interval: float) -> Contents:

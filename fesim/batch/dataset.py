@@ -193,19 +193,23 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
         shape = (count, *(len(labels[dim]) for dim in dims))
         chunks = (1, *(CHUNK if dim == "time" else max(len(labels[dim]), 1) for dim in dims))
         text = name == "contact_joint"
+        units = {"units": unit} if unit else {}
         width = max([1, *(len(joint) for case in study.cases for joint in case.case.joints)])
-        _array(
-            group,
+        group.create_array(
             name,
-            ("case", *dims),
-            shape,
-            tuple(min(size, max(whole, 1)) for size, whole in zip(chunks, shape, strict=True)),
-            f"<U{width}" if text else "<f8",
-            "" if text else np.nan,
-            {"long_name": long_name, **({"units": unit} if unit else {})},
+            shape=shape,
+            chunks=tuple(
+                min(size, max(whole, 1)) for size, whole in zip(chunks, shape, strict=True)
+            ),
+            dtype=f"<U{width}" if text else "<f8",
+            fill_value="" if text else np.nan,
+            attributes=_attributes(("case", *dims), {"long_name": long_name, **units}),
         )
     meanings = {"flag_values": list(STATUS.values()), "flag_meanings": " ".join(STATUS)}
-    _array(group, "status", ("case",), (count,), (1,), "|i1", None, meanings)
+    attributes = _attributes(("case",), meanings)
+    group.create_array(
+        "status", shape=(count,), chunks=(1,), dtype="|i1", fill_value=None, attributes=attributes
+    )
     group.attrs.update({"title": study.title, "coordinates": " ".join(varied)})
     # Last: a store without it is not complete and is laid out again.
     group.attrs["layout"] = layout
@@ -213,20 +217,9 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
     return group
 
 
-def _array(
-    group: zarr.Group,
-    name: str,
-    dims: tuple[str, ...],
-    shape: tuple[int, ...],
-    chunks: tuple[int, ...],
-    dtype: str,
-    fill: float | str | None,
-    attrs: dict[str, Any],
-) -> zarr.Array:
-    meta = {"_ARRAY_DIMENSIONS": list(dims), **attrs}
-    return group.create_array(
-        name, shape=shape, chunks=chunks, dtype=dtype, fill_value=fill, attributes=meta
-    )
+def _attributes(dims: tuple[str, ...], attrs: dict[str, Any]) -> dict[str, Any]:
+    """Attributes of a variable, with its dimensions as xarray reads them."""
+    return {"_ARRAY_DIMENSIONS": list(dims), **attrs}
 
 
 def _coordinate(
@@ -238,7 +231,15 @@ def _coordinate(
 ) -> None:
     kept = values if values.dtype.kind != "U" else values.astype(f"<U{max(1, _width(values))}")
     chunks = tuple(max(size, 1) for size in kept.shape)
-    array = _array(group, name, dims, kept.shape, chunks, kept.dtype.str, None, attrs or {})
+    attributes = _attributes(dims, attrs or {})
+    array = group.create_array(
+        name,
+        shape=kept.shape,
+        chunks=chunks,
+        dtype=kept.dtype.str,
+        fill_value=None,
+        attributes=attributes,
+    )
     if kept.size:
         array[...] = kept
 

@@ -26,8 +26,40 @@ PATIENCE, FOR_EACH, MOST = 8, 16, 40
 LOOKS = 4
 
 
+class Equations(NamedTuple):
+    """(I + diag(beyond) S) j = driving, in W: S (m, m), K/W; beyond (m,), W/K; driving (m,), W."""
+
+    joint_influence: Array
+    beyond: Array
+    driving: Array
+
+
+class Krylov(NamedTuple):
+    """Storage of GMRES for up to k directions.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (k + 1, m)
+        Orthonormal residuals.
+    along : ndarray, shape (k, m)
+        Directions: the inverse times the residuals.
+    triangle : ndarray, shape (k + 1, k)
+        What the directions do to the residuals, turned to a triangle.
+    turn : ndarray, shape (2, k)
+        Cosine and sine of each Givens rotation.
+    left : ndarray, shape (k + 1,)
+        What is left of the residual, W.
+    """
+
+    basis: Array
+    along: Array
+    triangle: Array
+    turn: Array
+    left: Array
+
+
 class Flows(NamedTuple):
-    """An inverse that is kept from step to step, written in place.
+    """An inverse that is kept from step to step, and storage; written in place.
 
     Attributes
     ----------
@@ -35,15 +67,26 @@ class Flows(NamedTuple):
         Conductance times area at which it was made, W/K; zero at first.
     inverse : ndarray, shape (m, m)
         (I + diag(conducted) S)^-1.
+    krylov : Krylov
+        Storage.
     """
 
     conducted: Array
     inverse: Array
+    krylov: Krylov
 
 
 def new_flows(count: int) -> Flows:
     """Return an inverse for `count` contact elements that is not made yet."""
-    return Flows(np.zeros(count), np.zeros((count, count)))
+    most = min(PATIENCE + count // FOR_EACH, MOST)
+    krylov = Krylov(
+        basis=np.empty((most + 1, count)),
+        along=np.empty((most, count)),
+        triangle=np.empty((most + 1, most)),
+        turn=np.empty((2, most)),
+        left=np.empty(most + 1),
+    )
+    return Flows(np.zeros(count), np.zeros((count, count)), krylov)
 
 
 @compiled
@@ -58,76 +101,59 @@ def solve_flows(
     joint_influence: Array, beyond: Array, jump: Array, flows: Flows, flow: Array
 ) -> None:
     """Solve for the joint heat flows (m,), W, into `flow`; `beyond` is c, W/K, `jump` in K."""
-    driving = beyond * jump
-    enough = TOLERANCE * largest(driving)
+    equations = Equations(joint_influence, beyond, beyond * jump)
     if not flows.conducted.any():
         invert(joint_influence, beyond, flows)
     for attempt in range(2):
-        if _improve(joint_influence, beyond, driving, enough, flows.inverse, flow):
+        if _improve(equations, flows, flow):
             return
         if attempt == 0:
             invert(joint_influence, beyond, flows)
 
 
 @compiled
-def _improve(
-    joint_influence: Array,
-    beyond: Array,
-    driving: Array,
-    enough: float,
-    inverse: Array,
-    flow: Array,
-) -> bool:
-    """Whether GMRES, preconditioned by an inverse, finds the flows within the patience."""
-    count = beyond.size
-    most = min(PATIENCE + count // FOR_EACH, MOST)
-    basis, along = np.empty((most + 1, count)), np.empty((most, count))
-    np.dot(inverse, driving, flow)
-    taken, lack = 0, basis[0]
+def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
+    """Whether GMRES, preconditioned by the kept inverse, finds the flows within the patience."""
+    driving, lack = equations.driving, flows.krylov.basis[0]
+    enough = TOLERANCE * largest(driving)
+    np.dot(flows.inverse, driving, flow)
+    taken = 0
     for _ in range(LOOKS):
-        _apply(joint_influence, beyond, flow, lack)
-        for e in range(count):
+        _apply(equations, flow, lack)
+        for e in range(flow.size):
             lack[e] = driving[e] - lack[e]
         if largest(lack) <= enough:
             return True
-        if taken == most:
+        if taken == len(flows.krylov.along):
             break
-        taken = _least(joint_influence, beyond, inverse, enough, basis, along, flow)
+        taken = _least(equations, flows, enough, flow)
     return False
 
 
 @compiled
-def _apply(joint_influence: Array, beyond: Array, flow: Array, found: Array) -> None:
+def _apply(equations: Equations, flow: Array, found: Array) -> None:
     """(I + diag(c) S) j into `found` (m,)."""
-    np.dot(joint_influence, flow, found)
+    np.dot(equations.joint_influence, flow, found)
     for e in range(flow.size):
-        found[e] = flow[e] + beyond[e] * found[e]
+        found[e] = flow[e] + equations.beyond[e] * found[e]
 
 
 @compiled
-def _least(
-    joint_influence: Array,
-    beyond: Array,
-    inverse: Array,
-    enough: float,
-    basis: Array,
-    along: Array,
-    flow: Array,
-) -> int:
+def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> int:
     """Bring what is lacking, `basis[0]`, to its least by directions `along`; how many were taken.
 
     The residuals' orthonormal basis is turned to a triangle by Givens rotations as it grows.
     """
+    basis, along, triangle, turn, left = flows.krylov
     most, count = along.shape
-    triangle, turn, left = np.zeros((most + 1, most)), np.empty((2, most)), np.empty(most + 1)
     left[0] = math.sqrt(np.dot(basis[0], basis[0]))
     for e in range(count):
         basis[0, e] /= left[0]
     taken = 0
     while taken < most and abs(left[taken]) > 0.5 * enough:
         k, found = taken, basis[taken + 1]
-        np.dot(inverse, basis[k], along[k])
-        _apply(joint_influence, beyond, along[k], found)
+        np.dot(flows.inverse, basis[k], along[k])
+        _apply(equations, along[k], found)
         for i in range(k + 1):
             part = np.dot(found, basis[i])
             triangle[i, k] = part

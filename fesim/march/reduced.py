@@ -23,7 +23,7 @@ from fesim.solid.condensation import (
 from fesim.solid.heat import HeatOperators
 from fesim.solid.joint_operators import JointOperators
 from fesim.solid.linear_solver import Factor
-from fesim.solid.reduction import ReducedHeat, reduce_heat
+from fesim.solid.reduction import HeatSystem, reduce_heat
 from thermojoint.artefacts.arrays import Array
 
 #: What the inputs of a march are like: heat in all, W; ambient and held surfaces, K.
@@ -63,8 +63,7 @@ class ThermalModes:
 def thermal_modes(
     heat: HeatOperators,
     joints: JointOperators,
-    elastic: ElasticCondensation,
-    probes: csr_array,
+    outputs: Array,
     step: float,
     solver: str | None = None,
     start: Array | None = None,
@@ -75,10 +74,8 @@ def thermal_modes(
     ----------
     heat : HeatOperators
     joints : JointOperators
-    elastic : ElasticCondensation
-        Of the full model.
-    probes : scipy.sparse.csr_array, shape (p, n)
-        Rows of the temperature probes.
+    outputs : ndarray, shape (q, n)
+        What is read of the temperatures besides the joints' jumps, by `outputs_of`.
     step : float
         Time step, s.
     solver : str, optional
@@ -100,29 +97,34 @@ def thermal_modes(
     usual[heat.layout.temperature_columns] = USUAL_RISE
     drives = usual * (heat.inputs - system[:, heat.held] @ heat.held_inputs)
     flows = USUAL_POWER / max(len(joints.area), 1) * joints.jump.toarray().T
-    outputs = np.vstack(
+    outputs = np.vstack([joints.jump.toarray() / TEMPERATURE_ERROR, outputs])
+    reduced = HeatSystem(
+        heat.capacity.diagonal()[free],
+        csr_array(system[free][:, free]),
+        np.hstack([drives, flows])[free],
+        outputs[:, free],
+        np.empty((free.size, 0)) if start is None else _usual_field(start[free]),
+    )
+    with one_dense_thread() if len(joints.area) <= FEW else nullcontext():
+        found = reduce_heat(reduced, shortest(step), LONGEST, solver)
+    basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
+    basis[free, : found.rates.size] = found.basis
+    basis[:, found.rates.size :] = surfaces
+    return ThermalModes(basis, found.rates, found.error)
+
+
+def outputs_of(elastic: ElasticCondensation, probes: csr_array) -> Array:
+    """Return probes (p, n), gaps and displacements as rows of the temperatures, shape (q, n).
+
+    Each row is divided by the error that it may have.
+    """
+    return np.vstack(
         [
-            joints.jump.toarray() / TEMPERATURE_ERROR,
             probes.toarray() / TEMPERATURE_ERROR,
             elastic.thermal_gap / GAP_ERROR,
             elastic.probe_thermal / DISPLACEMENT_ERROR,
         ]
     )
-    with one_dense_thread() if len(joints.area) <= FEW else nullcontext():
-        found: ReducedHeat = reduce_heat(
-            heat.capacity.diagonal()[free],
-            csr_array(system[free][:, free]),
-            np.hstack([drives, flows])[free],
-            outputs[:, free],
-            shortest(step),
-            LONGEST,
-            solver,
-            None if start is None else _usual_field(start[free]),
-        )
-    basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
-    basis[free, : found.rates.size] = found.basis
-    basis[:, found.rates.size :] = surfaces
-    return ThermalModes(basis, found.rates, found.error)
 
 
 def shortest(step: float) -> float:

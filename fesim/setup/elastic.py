@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,10 +11,11 @@ from scipy.sparse import csr_array
 
 from fesim.case.schema import Case
 from fesim.setup.constraints import fixed_surfaces
+from fesim.setup.laws import element_means
 from fesim.setup.loads import spring_stiffnesses
-from fesim.setup.outputs import asks_for_outputs
 from fesim.solid.condensation import DisplacementField, displacement_field
 from fesim.solid.elasticity import ElasticPiece, elastic_pieces
+from fesim.solid.heat import by_cell
 from fesim.solid.joint_operators import JointOperators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
@@ -26,6 +27,7 @@ from fesim.solid.substructures import (
     factorised_structure,
     substructures,
 )
+from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
@@ -104,7 +106,22 @@ def elastic_structure(
     )
 
 
-def pieces_to_condense(case: Case, elastic: ElasticStructure) -> Iterable[Substructure]:
-    """Return the factorised pieces: kept if loads, outputs or snapshots need them again."""
-    again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
-    return elastic.factorised.substructures if again else elastic.one_by_one()
+def reference_springs(
+    structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
+) -> Array:
+    """Reference springs (3 m,) as stiff as the softer body is behind a contact element, Pa/m.
+
+    They do not depend on the joint's law, so that one condensation serves every law. Their modulus
+    is the harmonic mean of the two: beside much stiffer ones all that gives way would be rounding.
+    """
+    modulus = by_cell(structure, {name: m.youngs_modulus for name, m in materials.items()})
+    each = [
+        2.0
+        / (
+            1.0 / element_means(joint, modulus[joint.cells_a])
+            + 1.0 / element_means(joint, modulus[joint.cells_b])
+        )
+        / np.sqrt(joint.area)
+        for joint in joints
+    ]
+    return np.tile(np.concatenate([np.empty(0), *each]), 3)

@@ -43,12 +43,13 @@ def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
     return sources
 
 
-def held_profiles(case: Case) -> dict[str, OfPosition]:
-    """Return the factor of position of every held surface that has one."""
+def held_profiles(case: Case) -> dict[str, OfPosition | None]:
+    """Return the factor of position of every held surface; None of those held evenly."""
     return {
-        name: profile_of(held.profile, f"held_temperatures.{name}.profile")
+        name: None
+        if held.profile is None
+        else profile_of(held.profile, f"held_temperatures.{name}.profile")
         for name, held in case.held_temperatures.items()
-        if held.profile is not None
     }
 
 

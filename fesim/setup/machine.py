@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -24,6 +24,7 @@ from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.reduced import (
     ThermalModes,
+    outputs_of,
     project_elasticity,
     project_heat,
     shortest,
@@ -32,24 +33,17 @@ from fesim.march.reduced import (
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
 from fesim.setup.constraints import start_closed, with_friction
-from fesim.setup.elastic import elastic_structure, pieces_to_condense
-from fesim.setup.initial_temperature import initial_temperature
-from fesim.setup.laws import element_means, joint_laws
-from fesim.setup.loads import (
-    heat_sources,
-    held_profiles,
-    mechanical_loads,
-)
+from fesim.setup.discretised import Discretised, discretised, load_forces, relative_rows
+from fesim.setup.elastic import elastic_structure
+from fesim.setup.laws import joint_laws
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
-from fesim.setup.parts import Parts, make_parts
-from fesim.setup.structure import body_materials, measured_points
+from fesim.setup.parts import make_parts
+from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
-    reference_coefficients,
-    reference_materials,
     variable_heat,
 )
-from fesim.solid.bolts import bolt_springs, stretch_rows, temperature_rows
+from fesim.solid.bolts import bolt_springs
 from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
@@ -58,14 +52,10 @@ from fesim.solid.condensation import (
     condense_loads,
     elastic_condensation,
 )
-from fesim.solid.elasticity import DIRECTIONS
-from fesim.solid.forces import nodal_forces
-from fesim.solid.heat import HeatOperators, by_cell, heat_operators
-from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Constraints, check_held
-from fesim.solid.spaces import Spaces, make_spaces, probe_rows
+from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import TieCondensation
 from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
@@ -196,47 +186,6 @@ class Setup(Described):
 
 
 @dataclass(frozen=True)
-class _Whole:
-    """A case as finite elements, before anything is condensed.
-
-    Attributes
-    ----------
-    case : Case
-        Where it comes from.
-    parts : Parts
-        Structure, joints, bolts, probes.
-    materials : dict of str to Material
-        Of every body.
-    spaces : Spaces
-        Finite-element spaces.
-    operators : JointOperators
-        Of the joints.
-    heat : HeatOperators
-        Of the structure.
-    warm : ndarray, shape (n,), or None
-        Temperatures at the start, if these are not the ambient's.
-    springs : ndarray, shape (3 m,)
-        Reference springs, Pa/m.
-    stretch, ends : scipy.sparse.csr_array
-        Of the bolts: rows of their stretch, and of the temperatures at their ends.
-    rows : scipy.sparse.csr_array
-        Of the temperature probes.
-    """
-
-    case: Case
-    parts: Parts
-    materials: dict[str, Material]
-    spaces: Spaces
-    operators: JointOperators
-    heat: HeatOperators
-    warm: NDArray[np.float64] | None
-    springs: NDArray[np.float64]
-    stretch: csr_array
-    ends: csr_array
-    rows: csr_array
-
-
-@dataclass(frozen=True)
 class _Keys:
     """Under which a condensation is remembered; None where a mesh file has changed meanwhile."""
 
@@ -260,9 +209,9 @@ def set_up(case: Case) -> Setup:
     before = thermal_key(case)
     parts = make_parts(case)
     keys = _keys(case, before)
-    whole = _discretised(case, parts)
+    whole = discretised(case, parts)
     condensed, field = _condensed_elasticity(whole, keys)
-    forces = _nodal_forces(whole)
+    forces = load_forces(whole)
     loads = _loads(whole, keys, field, forces)
     outputs = _outputs(whole, keys, field, forces)
     modes = _modes(whole, keys, condensed)
@@ -300,67 +249,28 @@ def _keys(case: Case, before: str) -> _Keys:
     return _Keys(before, elasticity_key(case, digest))
 
 
-def _discretised(case: Case, parts: Parts) -> _Whole:
-    """Make spaces and operators."""
-    structure, joints = parts.structure, parts.joints
-    materials = body_materials(case, structure)
-    spaces = make_spaces(structure.mesh)
-    return _Whole(
-        case=case,
-        parts=parts,
-        materials=materials,
-        spaces=spaces,
-        operators=joint_operators(joints, spaces),
-        heat=heat_operators(
-            structure,
-            spaces.heat,
-            reference_materials(case, materials),
-            reference_coefficients(case),
-            heat_sources(case, structure),
-            list(case.held_temperatures),
-            joints,
-            held_profiles(case),
-        ),
-        warm=initial_temperature(case, structure, spaces.heat),
-        springs=reference_springs(structure, materials, joints),
-        stretch=stretch_rows(spaces.displacement, parts.bolts),
-        ends=temperature_rows(spaces.heat, parts.bolts),
-        rows=probe_rows(spaces.heat, structure, parts.probes),
-    )
-
-
-def _relative(whole: _Whole) -> csr_array:
-    """Rows of the displacement probes, then of the bolts' stretch."""
-    probes = _relative_rows(whole.case, whole.parts.structure, whole.spaces)
-    return csr_array(vstack([probes, whole.stretch]))
-
-
 def _condensed_elasticity(
-    whole: _Whole, keys: _Keys
+    whole: Discretised, keys: _Keys
 ) -> tuple[ElasticCondensation, Callable[[], DisplacementField]]:
     """Condense the structure; what gives its displacement field is factorised on demand."""
     case = whole.case
     solid = elastic_structure(
         case, whole.parts.structure, whole.spaces, whole.materials, whole.operators, whole.springs
     )
-    tied = remembered(
-        TieCondensation,
-        keys.elasticity,
-        lambda: solid.condense(pieces_to_condense(case, solid), _relative(whole)),
-    )
+
+    def condense() -> TieCondensation:
+        # Kept only if loads, outputs or snapshots need them again.
+        again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
+        pieces = solid.factorised.substructures if again else solid.one_by_one()
+        return solid.condense(pieces, relative_rows(whole))
+
+    tied = remembered(TieCondensation, keys.elasticity, condense)
     condensed = elastic_condensation(tied, whole.operators, whole.springs)
     return condensed, cache(partial(solid.field, tied))
 
 
-def _nodal_forces(whole: _Whole) -> NDArray[np.float64]:
-    """Nodal forces of the mechanical loads at factor one, then of the bolts per N."""
-    structure, loads = whole.parts.structure, mechanical_loads(whole.case, whole.parts.structure)
-    acting = nodal_forces(structure, whole.spaces, whole.materials, loads)
-    return np.hstack([acting, -whole.stretch.toarray().T])
-
-
 def _loads(
-    whole: _Whole,
+    whole: Discretised,
     keys: _Keys,
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
@@ -371,13 +281,13 @@ def _loads(
     return remembered(
         LoadInfluence,
         keys.elasticity,
-        lambda: condense_loads(field(), forces, _relative(whole)),
+        lambda: condense_loads(field(), forces, relative_rows(whole)),
         also=f"under {load_patterns(whole.case)}",
     )
 
 
 def _outputs(
-    whole: _Whole,
+    whole: Discretised,
     keys: _Keys,
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
@@ -389,20 +299,12 @@ def _outputs(
     return remembered(
         MechanicalOutputs,
         keys.elasticity,
-        lambda: mechanical_outputs(
-            case,
-            whole.parts.structure,
-            whole.spaces,
-            whole.materials,
-            field(),
-            whole.springs,
-            forces,
-        ),
+        lambda: mechanical_outputs(whole, field(), forces),
         also=f"under {load_patterns(case)} gives {asked(case)}",
     )
 
 
-def _modes(whole: _Whole, keys: _Keys, condensed: ElasticCondensation) -> ThermalModes | None:
+def _modes(whole: Discretised, keys: _Keys, condensed: ElasticCondensation) -> ThermalModes | None:
     """The reduced thermal model, if the case marches on one."""
     march = whole.case.march
     if march.thermal != "reduced":
@@ -413,8 +315,7 @@ def _modes(whole: _Whole, keys: _Keys, condensed: ElasticCondensation) -> Therma
         lambda: thermal_modes(
             whole.heat,
             whole.operators,
-            condensed,
-            csr_array(vstack([whole.rows, whole.ends])),
+            outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends]))),
             march.step_s,
             march.solver,
             whole.warm,
@@ -424,7 +325,7 @@ def _modes(whole: _Whole, keys: _Keys, condensed: ElasticCondensation) -> Therma
 
 
 def _machine(
-    whole: _Whole,
+    whole: Discretised,
     condensed: ElasticCondensation,
     loads: LoadInfluence | None,
     modes: ThermalModes | None,
@@ -466,43 +367,3 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs
     machine, bolts = tightened(names, loose.with_laws(laws), springs, first_forces(case))
     return replace(setup, machine=machine, bolts=bolts)
-
-
-def reference_springs(
-    structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
-) -> NDArray[np.float64]:
-    """Reference springs (3 m,) as stiff as the softer body is behind a contact element, Pa/m.
-
-    They do not depend on the joint's law, so that one condensation serves every law. Their modulus
-    is the harmonic mean of the two: beside much stiffer ones all that gives way would be rounding.
-    """
-    modulus = by_cell(structure, {name: m.youngs_modulus for name, m in materials.items()})
-    each = [
-        2.0
-        / (
-            1.0 / element_means(joint, modulus[joint.cells_a])
-            + 1.0 / element_means(joint, modulus[joint.cells_b])
-        )
-        / np.sqrt(joint.area)
-        for joint in joints
-    ]
-    return np.tile(np.concatenate([np.empty(0), *each]), 3)
-
-
-def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
-    names = measured_points(case)
-    rows = probe_rows(
-        spaces.displacement, structure, {name: structure.probes[name] for name in names}
-    )
-    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
-    at = relative.tocoo()
-    shape = (1, spaces.displacement_size)
-    return csr_array(
-        vstack(
-            [
-                csr_array((at.data, (np.zeros(at.nnz, dtype=int), 3 * at.col + i)), shape=shape)
-                for i in range(len(DIRECTIONS))
-            ],
-            format="csr",
-        )
-    )

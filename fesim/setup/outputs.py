@@ -6,19 +6,19 @@ import numpy as np
 
 from fesim.case.schema import Case
 from fesim.setup.constraints import fixed_surfaces
+from fesim.setup.discretised import Discretised
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.condensation import DisplacementField
 from fesim.solid.elasticity import DIRECTIONS
-from fesim.solid.materials import Material
 from fesim.solid.outputs import (
     MechanicalOutputs,
+    Supports,
     condense_outputs,
     reaction_rows,
     with_stresses,
 )
-from fesim.solid.spaces import Spaces, probe_cells
+from fesim.solid.spaces import probe_cells
 from fesim.solid.stress import stress_rows
-from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
 
@@ -35,37 +35,32 @@ def support_names(case: Case) -> list[str]:
 
 
 def mechanical_outputs(
-    case: Case,
-    structure: Structure,
-    spaces: Spaces,
-    materials: dict[str, Material],
-    field: DisplacementField,
-    reference: Array,
-    forces: Array,
+    whole: Discretised, field: DisplacementField, forces: Array
 ) -> MechanicalOutputs:
     """Condense what a case asks for: three rows a support, then six a stress probe.
 
     Parameters
     ----------
-    case, structure, spaces, materials
-        What is set up.
+    whole : Discretised
+        The case as finite elements.
     field : DisplacementField
         The factorised structure.
-    reference : ndarray, shape (3 m,)
-        Stiffness of the reference springs, Pa/m.
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
     """
+    case, structure, spaces = whole.case, whole.parts.structure, whole.spaces
     every = range(len(DIRECTIONS))
     held = [
         *((name, tuple(every)) for name in fixed_surfaces(case)),
         *((name, (DIRECTIONS.index(axis),)) for name, axis in case.supports.symmetry.items()),
     ]
     springs = list(spring_stiffnesses(case, structure).items())
-    rows = reaction_rows(structure, spaces, field, reference, forces, held, springs)
+    supports = Supports(held, springs)
+    rows = reaction_rows(structure, spaces, field, whole.springs, forces, supports)
     if case.output.stress_probes:
         probes = {name: structure.probes[name] for name in case.output.stress_probes}
         points = np.array([probe.position for probe in probes.values()]).T
         cells = probe_cells(structure, probes)
-        rows = with_stresses(rows, *stress_rows(structure, spaces, materials, points, cells))
+        stresses = stress_rows(structure, spaces, whole.materials, points, cells)
+        rows = with_stresses(rows, *stresses)
     return condense_outputs(field, rows, forces)

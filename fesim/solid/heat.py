@@ -7,7 +7,7 @@ the sources in the order given, the ambient, and the held surfaces in the order 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,26 @@ class HeatSource:
     surface: str | None = None
     body: str | None = None
     weight: OfPosition | None = None
+
+
+@dataclass(frozen=True)
+class ThermalLoads:
+    """Convection, heat sources and prescribed temperatures of a structure.
+
+    Attributes
+    ----------
+    films : mapping
+        Surface name to its convection coefficient, W/(m2 K).
+    sources : sequence of HeatSource
+        Heat sources.
+    held : mapping
+        Surface with prescribed temperature to a factor of position on it; None holds it evenly.
+        Where two of them meet, the first one applies.
+    """
+
+    films: Mapping[str, float] = field(default_factory=dict)
+    sources: Sequence[HeatSource] = ()
+    held: Mapping[str, OfPosition | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -123,11 +143,8 @@ def heat_operators(
     structure: Structure,
     basis: CellBasis,
     materials: dict[str, Material],
-    films: dict[str, float],
-    sources: Sequence[HeatSource],
-    held: Sequence[str] = (),
+    loads: ThermalLoads,
     joints: Sequence[PairedJoint] = (),
-    profiles: Mapping[str, OfPosition] | None = None,
 ) -> HeatOperators:
     """Assemble the heat operators.
 
@@ -139,16 +156,10 @@ def heat_operators(
         Temperature space.
     materials : dict
         Body name to its material.
-    films : dict
-        Surface name to its heat transfer coefficient, W/(m2 K).
-    sources : sequence of HeatSource
-        Heat sources.
-    held : sequence of str
-        Surfaces with prescribed temperature; where two of them meet, the first one applies.
+    loads : ThermalLoads
+        What heats and cools it.
     joints : sequence of PairedJoint
         Joints, whose covered surfaces do not convect.
-    profiles : mapping, optional
-        Held surface to a factor of position on its temperature; the others are held evenly.
 
     Raises
     ------
@@ -162,18 +173,18 @@ def heat_operators(
     capacity = diags_array(np.asarray(consistent.sum(axis=1)).ravel(), format="csr")
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
-    for name, coefficient in films.items():
+    for name, coefficient in loads.films.items():
         convection = convection + coefficient * convection_matrix(structure, basis, name, joints)
-    layout = InputLayout(len(sources), len(held))
+    layout = InputLayout(len(loads.sources), len(loads.held))
     inputs = np.zeros((basis.N, layout.count))
-    for column, source in enumerate(sources):
+    for column, source in enumerate(loads.sources):
         load = _heat_load(structure, basis, source)
         inputs[:, column] = source.power * load / load.sum()
     inputs[:, layout.ambient] = np.asarray(convection.sum(axis=1)).ravel()
-    nodes, surface = _held_unknowns(structure, basis, held)
+    nodes, surface = _held_unknowns(structure, basis, list(loads.held))
     pattern = np.zeros((nodes.size, layout.count))
     pattern[np.arange(nodes.size), layout.held_columns.start + surface] = _held_factors(
-        basis, held, profiles or {}, nodes, surface
+        basis, loads.held, nodes, surface
     )
     return HeatOperators(
         csr_array(capacity),
@@ -228,17 +239,16 @@ def _heat_load(structure: Structure, basis: CellBasis, source: HeatSource) -> Ar
 
 def _held_factors(
     basis: CellBasis,
-    held: Sequence[str],
-    profiles: Mapping[str, OfPosition],
+    held: Mapping[str, OfPosition | None],
     nodes: NDArray[np.int64],
     surface: NDArray[np.int64],
 ) -> Array:
     """Factor of each held unknown (h,), on the surface of given number (h,), on its temperature."""
     factors = np.ones(nodes.size)
-    for number, name in enumerate(held):
-        if name in profiles:
+    for number, profile in enumerate(held.values()):
+        if profile is not None:
             own = surface == number
-            factors[own] = profiles[name](basis.doflocs[:, nodes[own]])
+            factors[own] = profile(basis.doflocs[:, nodes[own]])
     return factors
 
 

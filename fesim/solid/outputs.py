@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,14 +97,28 @@ def stacked(rows: Sequence[OutputRows]) -> OutputRows:
     )
 
 
+class Supports(NamedTuple):
+    """Surfaces that something outside holds.
+
+    Attributes
+    ----------
+    held : sequence of (str, sequence of int)
+        Surfaces and their constrained directions; unknowns on two of them belong to the first.
+    springs : sequence of (str, tuple of float)
+        Surfaces and the stiffness of the springs under them along x, y and z, N/m.
+    """
+
+    held: Sequence[tuple[str, Sequence[int]]]
+    springs: Sequence[tuple[str, tuple[float, float, float]]]
+
+
 def reaction_rows(
     structure: Structure,
     spaces: Spaces,
     field: DisplacementField,
     reference: Array,
     forces: Array,
-    held: Sequence[tuple[str, Sequence[int]]],
-    springs: Sequence[tuple[str, tuple[float, float, float]]],
+    supports: Supports,
 ) -> OutputRows:
     """Rows of the reactions of supports on the structure, N: x, y and z of each.
 
@@ -120,11 +135,10 @@ def reaction_rows(
         Stiffness of the reference springs, Pa/m.
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
-    held : sequence of (str, sequence of int)
-        Surfaces and their constrained directions; unknowns on two of them belong to the first.
-    springs : sequence of (str, tuple of float)
-        Surfaces and the stiffness of the springs under them along x, y and z, N/m.
+    supports : Supports
+        The held ones come first.
     """
+    held = supports.held
     size = spaces.displacement_size
     chosen = np.zeros((3 * len(held), size))
     taken = np.zeros(size, dtype=bool)
@@ -146,7 +160,7 @@ def reaction_rows(
         -lacking.toarray(),
         -(sums @ forces),
     )
-    return stacked([fixed, _spring_rows(structure, spaces, fixed, springs)])
+    return stacked([fixed, _spring_rows(structure, spaces, fixed, supports.springs)])
 
 
 def _spring_rows(

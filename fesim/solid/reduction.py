@@ -71,19 +71,11 @@ class ReducedHeat:
     shifts: Array
 
 
-def reduce_heat(
-    capacity: Array,
-    conduction: csr_array,
-    drives: Array,
-    outputs: Array,
-    shortest: float,
-    longest: float,
-    solver: str | None = None,
-    start: Array | None = None,
-) -> ReducedHeat:
-    """Reduce the heat equation.
+@dataclass(frozen=True)
+class HeatSystem:
+    """The heat equation to reduce, and what drives it and is read of it.
 
-    Parameters
+    Attributes
     ----------
     capacity : ndarray, shape (n,)
         Diagonal of M, J/K.
@@ -93,22 +85,39 @@ def reduce_heat(
         Right-hand sides, each of typical size, W.
     outputs : ndarray, shape (q, n)
         Rows of the outputs, each divided by its tolerance.
+    start : ndarray, shape (n, f)
+        Initial fields, K.
+    """
+
+    capacity: Array
+    conduction: csr_array
+    drives: Array
+    outputs: Array
+    start: Array
+
+
+def reduce_heat(
+    system: HeatSystem, shortest: float, longest: float, solver: str | None = None
+) -> ReducedHeat:
+    """Reduce the heat equation.
+
+    Parameters
+    ----------
+    system : HeatSystem
     shortest, longest : float
         Times of interest, s: the shortest step, and the time to a steady state.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
-    start : ndarray, shape (n, f), optional
-        Initial fields, K.
 
     Raises
     ------
     ConvergenceError
         The error stays above the tolerance with the most shifts.
     """
+    capacity, drives, outputs, fields = system.capacity, system.drives, system.outputs, system.start
     root = np.sqrt(capacity)
-    fields = np.empty((len(root), 0)) if start is None else start
     stored = capacity[:, None] * fields
-    upper = upper_triangle(csr_array(conduction))
+    upper = upper_triangle(csr_array(system.conduction))
     factors = shifted_factors(upper, "shifted heat equation", solver)
     step = STEP * shortest
     rate = capacity / step
@@ -127,7 +136,7 @@ def reduce_heat(
                 if 2 * directions.shape[1] < sample.shape[1]:
                     break
         vectors = basis / root[:, None]
-        rates, turn = np.linalg.eigh(vectors.T @ (conduction @ vectors))
+        rates, turn = np.linalg.eigh(vectors.T @ (system.conduction @ vectors))
         modes = np.ascontiguousarray(vectors @ turn)
         rates = np.maximum(rates, 0.0)
         reduced = (outputs @ modes, rates, modes.T @ drives, modes.T @ stored)

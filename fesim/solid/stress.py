@@ -19,21 +19,13 @@ from thermojoint.artefacts.arrays import Array
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
-def stress_at(
-    structure: Structure,
-    spaces: Spaces,
-    materials: dict[str, Material],
-    displacement: Array,
-    temperature: Array,
-    points: Array,
-    cells: NDArray[np.int64],
-) -> Array:
-    """Stress at points; arguments as for `stress_rows`, with displacement and temperature.
+def stress_at(rows: tuple[csr_array, csr_array], displacement: Array, temperature: Array) -> Array:
+    """Stress at k points.
 
     Parameters
     ----------
-    structure, spaces, materials, points, cells
-        As for `stress_rows`.
+    rows : tuple of scipy.sparse.csr_array
+        Of the points, by `stress_rows`.
     displacement : ndarray, shape (3 n,)
         Unknown 3 i + c is direction c at node i, m (`fesim.solid.condensation.DisplacementField`).
     temperature : ndarray, shape (n_heat,)
@@ -44,7 +36,7 @@ def stress_at(
     ndarray, shape (k, 3, 3)
         Pa, tension positive.
     """
-    moved, heated = stress_rows(structure, spaces, materials, points, cells)
+    moved, heated = rows
     return stress_tensors((moved @ displacement + heated @ temperature).reshape(-1, 6))
 
 
@@ -128,11 +120,10 @@ def corner_stresses(
     ndarray, shape (corners, cells, 6)
         `COMPONENTS`, Pa.
     """
-    cells = np.arange(structure.mesh.nelements)
     best = _best_points(structure.mesh.t.shape[0])
     inside = np.stack(
         [
-            _stress_in(structure, spaces, materials, displacement, temperature, point, cells)
+            _stress_in(structure, spaces, materials, displacement, temperature, point)
             for point in best.T
         ]
     )
@@ -158,9 +149,9 @@ def _stress_in(
     displacement: Array,
     temperature: Array,
     point: Array,
-    cells: NDArray[np.int64],
 ) -> Array:
-    """Stress (k, 6) at one local point (3,) of each of k cells."""
+    """Stress (cells, 6) at one local point (3,) of every cell."""
+    cells = np.arange(structure.mesh.nelements)
     local = np.tile(point[:, None, None], (1, len(cells), 1))
     slopes = _shape_gradients(spaces.displacement, local, cells)
     own = displacement.reshape(-1, 3)[spaces.displacement.element_dofs[:, cells]]

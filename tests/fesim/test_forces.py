@@ -19,7 +19,7 @@ from fesim.setup.parts import check_names
 from fesim.setup.structure import body_materials, build_structure
 from fesim.simulate import simulate
 from fesim.solid.spaces import probe_cells
-from fesim.solid.stress import principal, stress_at, stress_tensors, von_mises
+from fesim.solid.stress import principal, stress_at, stress_rows, stress_tensors, von_mises
 from thermojoint.artefacts.errors import InputError
 from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
@@ -87,15 +87,14 @@ def test_stress_at_a_probe_is_that_of_the_full_field(marched):
     structure = setup.structure
     probes = {"P": structure.probes["P"]}
     field = setup.displacement(steps[-1])
-    found = stress_at(
+    rows = stress_rows(
         structure,
         setup.spaces,
         body_materials(case, structure),
-        field,
-        setup.nodal_temperature(steps[-1].state),
         np.array([probes["P"].position]).T,
         probe_cells(structure, probes),
-    )[0]
+    )
+    found = stress_at(rows, field, setup.nodal_temperature(steps[-1].state))[0]
     row = response["stress"].sel(stress_probe="P")[-1].to_numpy()
     np.testing.assert_allclose(stress_tensors(row), found, atol=1e-8 * np.abs(found).max())
 

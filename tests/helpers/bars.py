@@ -9,7 +9,7 @@ from skfem import MeshHex, MeshTet
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
-from fesim.setup.machine import reference_springs
+from fesim.setup.elastic import reference_springs
 from fesim.solid.condensation import (
     DisplacementField,
     ThermalCondensation,
@@ -17,7 +17,7 @@ from fesim.solid.condensation import (
     condense_heat,
 )
 from fesim.solid.elasticity import ElasticOperators, elastic_operators
-from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.heat import HeatOperators, HeatSource, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
@@ -119,7 +119,13 @@ def conduct(
     joints = [pair_joint(structure, "joint", *grid)]
     operators = joint_operators(joints, spaces)
     given = [HeatSource(power, surface=name) for name, power in (sources or {}).items()]
-    heat = heat_operators(structure, spaces.heat, by_body, films or {}, given, held, joints)
+    heat = heat_operators(
+        structure,
+        spaces.heat,
+        by_body,
+        ThermalLoads(films or {}, given, dict.fromkeys(held)),
+        joints,
+    )
     return HeatParts(
         structure, spaces, joints, heat, operators, condense_heat(heat, operators, step, solver)
     )

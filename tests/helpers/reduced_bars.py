@@ -5,7 +5,7 @@ from bars import assemble, surface_law, two_bars
 
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
-from fesim.march.reduced import project_elasticity, project_heat, thermal_modes
+from fesim.march.reduced import outputs_of, project_elasticity, project_heat, thermal_modes
 from fesim.solid.spaces import probe_rows
 
 
@@ -23,7 +23,9 @@ def bars_of(step=2.0, friction=0.3):
 def modes_of(bars, step=2.0):
     parts = bars.parts
     rows = probe_rows(parts.spaces.heat, parts.structure, parts.structure.probes)
-    return thermal_modes(parts.heat, parts.operators, bars.machine.contact.elastic, rows, step)
+    return thermal_modes(
+        parts.heat, parts.operators, outputs_of(bars.machine.contact.elastic, rows), step
+    )
 
 
 def on_modes(bars, modes, step=2.0):

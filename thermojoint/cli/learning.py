@@ -66,7 +66,7 @@ def learn(
     Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
     --case machine.toml --out model.h5[/bold]
     """
-    from calibrate.learning.learn import Kind
+    from calibrate.learning.learn import Kind, with_origin
     from calibrate.learning.learn import learn as learned
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
@@ -83,7 +83,8 @@ def learn(
     files = [path.name for path in logs]
     wanted = cast("Kind", kind.value)
     with console.working("learning"):
-        model = learned(pieces, displacement, max_sensors, wanted, ignore or (), files, renamed)
+        model = learned(pieces, displacement, max_sensors, wanted, ignore or ())
+        model = with_origin(model, files, renamed)
     write_learned(model, out)
     _show(model)
     console.wrote(out)

@@ -158,27 +158,18 @@ def _judged(
     at_rest = [(observer, observer.initial_state()) for observer in observers]
     warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
+    cold = judge.Beside(baselines, at_rest)
+    begun = judge.Beside(baselines, warm, settled_s=60.0 * runs.settled)
     with process_pool(JUDGES) as crew:
-        long = crew.submit(
-            judge.validate_model, model, None, lasting, baselines=baselines, observers=at_rest
-        )
-        warmed = crew.submit(
-            judge.validate_model,
-            model,
-            None,
-            started,
-            baselines=baselines,
-            observers=warm,
-            settled_s=60.0 * runs.settled,
-        )
+        long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
+        warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
         short = crew.submit(
             judge.validate_model,
             model,
             responses[inputs.REFERENCE],
             {name: responses[name] for name in inputs.VALIDATION},
             noisy=[inputs.TRIANGLE],
-            baselines=baselines,
-            observers=at_rest,
+            beside=cold,
         )
         hours = [without_nonlinear(one.result()) for one in (long, warmed)]
         return judge.joined([short.result(), *hours])

@@ -21,7 +21,7 @@ from fesim.setup.machine import Setup
 from fesim.setup.structure import body_materials
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.elasticity import DIRECTIONS
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
@@ -158,8 +158,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         setup.structure,
         setup.spaces.heat,
         materials,
-        case.convection_W_m2K,
-        heat_sources(case, setup.structure),
+        ThermalLoads(case.convection_W_m2K, heat_sources(case, setup.structure)),
     )
     basis = setup.modes.basis
     rows = [list(setup.probes).index(name) for name in sensors]

@@ -8,6 +8,7 @@ a^2), B = A b^2, and no strain along its axis adds nu (sigma_r + sigma_t).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -24,7 +25,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, closed_form
 from thermojoint.verification.loaded import AREA, DENSITY, GRAVITY, HALF, WEIGHT, column_case, joint
 
 #: On the top of the column: the force, N.
@@ -166,12 +167,6 @@ def _check(
     computed: float,
     tolerance: float = 1e-7,
 ) -> Check:
-    return Check(
-        name=f"forces, {name}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=tolerance,
-        source="equilibrium" if quantity != "stress" else "Lame, equilibrium",
-    )
+    source = "equilibrium" if quantity != "stress" else "Lame, equilibrium"
+    check = closed_form(f"forces, {name}", quantity, unit, reference, computed, tolerance)
+    return replace(check, source=source)

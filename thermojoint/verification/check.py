@@ -68,7 +68,6 @@ class Check:
 
 
 def closed_form(
-    group: str,
     name: str,
     quantity: str,
     unit: str,
@@ -76,9 +75,9 @@ def closed_form(
     computed: float,
     tolerance: float = 1e-7,
 ) -> Check:
-    """Return a check against a closed form; `group` is the prefix of its name."""
+    """Return a check against a closed form; the quantity ends its name."""
     return Check(
-        name=f"{group}, {name}, {quantity}",
+        name=f"{name}, {quantity}",
         quantity=quantity,
         unit=unit,
         reference=reference,

@@ -25,7 +25,7 @@ from skfem import MeshHex
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_cells
-from fesim.solid.stress import stress_at
+from fesim.solid.stress import stress_at, stress_rows
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.check import Check
@@ -128,15 +128,14 @@ def stress_at_d(half_width: float, around: int) -> float:
     load = elastic.thermal_load @ rise
     displacement = solve_given(elastic.stiffness, load, held_unknowns, 0.0, "hot spot")
     point = Probe((RADIUS, 0.0, 0.5 * THICKNESS), "cold")
-    stress = stress_at(
+    rows = stress_rows(
         structure,
         spaces,
         materials,
-        displacement,
-        rise,
         np.array(point.position)[:, None],
         probe_cells(structure, {"D": point}),
     )
+    stress = stress_at(rows, displacement, rise)
     return float(stress[0, 1, 1])
 
 

@@ -9,7 +9,6 @@ way by follows from p = (H/2) erfc(Y/(sqrt 2 sigma)).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +31,6 @@ ROUGHNESS, HARDNESS = 1.25e-6, 1.961e9
 #: Preload, Pa, and the force on the top, N; the times at which it is none, half and whole, s.
 PRELOAD, FORCE = 2e6, -8000.0
 TIMES = (0.0, 60.0, 120.0)
-
-_check = partial(closed_form, "loads")
 
 
 def column(split: bool) -> Structure:
@@ -134,22 +131,26 @@ def _weight_checks(folder: Path) -> Iterator[Check]:
     sunk = -DENSITY * GRAVITY * height**2 / (2.0 * MODULUS)
     held = simulate(case_from_data(column_case(folder, False, {"loads": WEIGHT}), "column", folder))
     top = float(held.response["displacement"].sel(axis="z")[-1])
-    yield _check("column under its weight: top", "displacement", "m", sunk, top)
+    yield closed_form("loads, column under its weight: top", "displacement", "m", sunk, top)
     stands = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
     pressure = DENSITY * GRAVITY * height
     # The joint without preload gives way from where its surfaces touch.
     given = separation(pressure) - separation(1e-6 * HARDNESS)
     last = stands.response.isel(time=-1)
-    yield _check(
-        "column on a joint without preload: top",
+    yield closed_form(
+        "loads, column on a joint without preload: top",
         "displacement",
         "m",
         sunk + given,
         float(last["displacement"].sel(axis="z")),
     )
     force = float(last["pressure"] @ last["contact_area"])
-    yield _check(
-        "column on a joint without preload: joint", "contact force", "N", pressure * AREA, force
+    yield closed_form(
+        "loads, column on a joint without preload: joint",
+        "contact force",
+        "N",
+        pressure * AREA,
+        force,
     )
 
 
@@ -168,9 +169,13 @@ def _force_checks(folder: Path) -> Iterator[Check]:
         moved = given + factor * FORCE / AREA * 2.0 * HALF / MODULUS
         then = response.sel(time=time)
         name = f"two bars and a joint under {-factor * FORCE:g} N"
-        yield _check(
-            f"{name}: top", "displacement", "m", moved, float(then["displacement"].sel(axis="z"))
+        yield closed_form(
+            f"loads, {name}: top",
+            "displacement",
+            "m",
+            moved,
+            float(then["displacement"].sel(axis="z")),
         )
         computed = float(then["pressure"].mean())
         # The gap equations are solved to 1e-13 m, some 1e-1 Pa here.
-        yield _check(f"{name}: joint", "pressure", "Pa", pressure, computed, 1e-6)
+        yield closed_form(f"loads, {name}: joint", "pressure", "Pa", pressure, computed, 1e-6)

@@ -27,9 +27,9 @@ from skfem.assembly.form.form import FormExtraParams
 
 from fesim.march.heat_step import heat_step
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.spaces import Spaces, make_spaces
-from fesim.solid.stress import stress_at
+from fesim.solid.stress import stress_at, stress_rows
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.check import Check
@@ -142,7 +142,7 @@ def body_load(v: DiscreteField, w: FormExtraParams) -> Array:
 def heat_error(structure: Structure) -> float:
     """Relative error in L2 of the temperature under the heat k |q|^2 T that the wave needs."""
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"block": IRON}, {}, [])
+    heat = heat_operators(structure, basis, {"block": IRON}, ThermalLoads())
     fine = CellBasis(structure.mesh, basis.elem, intorder=FINE)
     x = np.asarray(fine.global_coordinates())
     exact = TEMPERATURE.value(x)[0]
@@ -194,15 +194,10 @@ def _stress_error(
     x = np.asarray(spaces.elastic.global_coordinates())
     cells, count = x.shape[1:]
     lam, mu = IRON.lame
-    computed = stress_at(
-        structure,
-        spaces,
-        {"block": IRON},
-        displacement,
-        temperature,
-        x.reshape(3, -1),
-        np.repeat(np.arange(cells), count),
+    rows = stress_rows(
+        structure, spaces, {"block": IRON}, x.reshape(3, -1), np.repeat(np.arange(cells), count)
     )
+    computed = stress_at(rows, displacement, temperature)
     gradient = DISPLACEMENT.gradient(x.reshape(3, -1)).transpose(2, 0, 1)
     strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     strain = strain - IRON.expansion * rise * np.multiply.outer(
@@ -224,7 +219,7 @@ def time_errors(counts: Sequence[int]) -> list[float]:
     """
     structure = block(box_grid("hexahedra", (6, 1, 1), (0.1, 0.02, 0.02)))
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"block": IRON}, {"x0": 200.0}, [])
+    heat = heat_operators(structure, basis, {"block": IRON}, ThermalLoads({"x0": 200.0}))
     matrix = (heat.conduction + heat.convection).toarray()
     rates, modes = eigh(matrix, heat.capacity.toarray())
     mode, unit = modes[:, 1], 1.0 / rates[1]

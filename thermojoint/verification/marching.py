@@ -18,15 +18,16 @@ from fesim.march.reduced import (
     TEMPERATURE_ERROR,
     USUAL_POWER,
     ThermalModes,
+    outputs_of,
     project_elasticity,
     project_heat,
     thermal_modes,
 )
 from fesim.march.stepping import Advance, Inputs, iterated, march, staggered
-from fesim.setup.machine import reference_springs
+from fesim.setup.elastic import reference_springs
 from fesim.solid.condensation import DisplacementField, condense_elasticity, condense_heat
 from fesim.solid.elasticity import ElasticOperators, elastic_operators
-from fesim.solid.heat import HeatOperators, HeatSource, heat_operators
+from fesim.solid.heat import HeatOperators, HeatSource, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_rows
@@ -91,27 +92,39 @@ class Assembled:
     field: DisplacementField
 
 
-def assemble(
-    structure: Structure,
-    joint: PairedJoint,
-    materials: dict[str, Material],
-    law: JointLaw,
-    step: float,
-    films: dict[str, float],
-    source: HeatSource,
-    fixed: list[str],
-    rollers: dict[str, str],
-    probe: Probe,
-) -> Assembled:
-    """Assemble a structure with one joint, and condense it."""
+@dataclass(frozen=True)
+class Model:
+    """A structure with one joint, before it is assembled.
+
+    Attributes
+    ----------
+    structure, joint, materials, loads
+        As `fesim.solid.heat.heat_operators` takes them.
+    fixed, rollers
+        As `fesim.solid.elasticity.elastic_operators` takes them.
+    probe : Probe
+        Of displacement and temperature.
+    """
+
+    structure: Structure
+    joint: PairedJoint
+    materials: dict[str, Material]
+    loads: ThermalLoads
+    fixed: list[str]
+    rollers: dict[str, str]
+    probe: Probe
+
+
+def assemble(model: Model, law: JointLaw, step: float) -> Assembled:
+    """Assemble a structure with one joint, and condense it for steps of some length, s."""
+    structure, materials, probe = model.structure, model.materials, {"probe": model.probe}
     spaces = make_spaces(structure.mesh)
-    joints = joint_operators([joint], spaces)
-    heat = heat_operators(structure, spaces.heat, materials, films, [source])
-    elastic = elastic_operators(structure, spaces, materials, fixed, rollers)
-    measured = {"probe": probe}
-    probes = csr_array(kron(probe_rows(spaces.elastic, structure, measured), eye_array(3)))
-    thermometer = probe_rows(spaces.heat, structure, measured)
-    springs = reference_springs(structure, materials, [joint])
+    joints = joint_operators([model.joint], spaces)
+    heat = heat_operators(structure, spaces.heat, materials, model.loads)
+    elastic = elastic_operators(structure, spaces, materials, model.fixed, model.rollers)
+    probes = csr_array(kron(probe_rows(spaces.elastic, structure, probe), eye_array(3)))
+    thermometer = probe_rows(spaces.heat, structure, probe)
+    springs = reference_springs(structure, materials, [model.joint])
     condensed, field = condense_elasticity(elastic, joints, springs, probes)
     laws = [(law, len(joints.area))]
     thermal = condense_heat(heat, joints, step)
@@ -125,18 +138,16 @@ def heated_bars(kind: str, law: JointLaw, step: float) -> Assembled:
     Heat on one side and air on the other turn the joint; the unlike expansion makes it slide.
     """
     structure = bars(kind, (2, 3, 1), (2, 2, 2))
-    return assemble(
+    model = Model(
         structure,
         pair_joint(structure, "joint", 3, 2),
         {"left": IRON, "right": STEEL},
-        law,
-        step,
-        {"y0": 50.0},
-        HeatSource(1.0, surface="y1"),
+        ThermalLoads({"y0": 50.0}, [HeatSource(1.0, surface="y1")]),
         ["x0", "x1"],
         {"z0": "z"},
         Probe((LEFT, *SECTION), "left"),
     )
+    return assemble(model, law, step)
 
 
 def coarse_machine(law: JointLaw, step: float) -> Assembled:
@@ -144,18 +155,17 @@ def coarse_machine(law: JointLaw, step: float) -> Assembled:
     structure = box_milling_machine(MillingMachineDimensions(), element_size=0.1)
     materials = {"column": IRON, "table": IRON}
     materials["screw"] = replace(IRON, youngs_modulus=2940e9)
-    return assemble(
+    heating = HeatSource(1.0 / structure.symmetry_factor, surface="bearings")
+    model = Model(
         structure,
         pair_joint(structure, "knee", 9, 3),
         materials,
-        law,
-        step,
-        {"exterior": 6.0},
-        HeatSource(1.0 / structure.symmetry_factor, surface="bearings"),
+        ThermalLoads({"exterior": 6.0}, [heating]),
         ["column_base", "screw_foot"],
         {"symmetry": "z"},
         structure.probes["A"],
     )
+    return assemble(model, law, step)
 
 
 def condensed_checks() -> Iterator[Check]:
@@ -182,7 +192,8 @@ def modes_of(made: Assembled) -> ThermalModes:
     """Return the modes that a case of this structure would march on."""
     machine = made.machine
     step = machine.thermal.step
-    return thermal_modes(made.heat, made.joints, machine.contact.elastic, made.thermometer, step)
+    outputs = outputs_of(machine.contact.elastic, made.thermometer)
+    return thermal_modes(made.heat, made.joints, outputs, step)
 
 
 def reduced_machine(made: Assembled, modes: ThermalModes) -> CondensedMachine:

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from fesim.march.heat_step import heat_step
 from fesim.solid.condensation import ThermalCondensation, condense_heat
-from fesim.solid.heat import HeatOperators, heat_operators
+from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_rows
@@ -56,7 +56,9 @@ def bar_temperature(elements: int, step: float) -> float:
     material = _conductor(conductivity=35.0, density=7200.0, heat_capacity=440.5)
     structure = block(box_grid("hexahedra", (elements, 1, 1), (length, 0.01, 0.01)))
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"block": material}, {}, [], ["x0", "x1"])
+    heat = heat_operators(
+        structure, basis, {"block": material}, ThermalLoads(held={"x0": None, "x1": None})
+    )
     thermal = alone(heat, step)
     temperature = np.zeros(basis.N)
     for k in range(1, round(end / step) + 1):
@@ -74,7 +76,9 @@ def plate_temperature(elements: int) -> float:
     structure = block(box_grid("hexahedra", divisions, (width, height, 0.01)))
     basis = make_spaces(structure.mesh).heat
     films = {"x1": 750.0, "y1": 750.0}
-    heat = heat_operators(structure, basis, {"block": material}, films, [], ["y0"])
+    heat = heat_operators(
+        structure, basis, {"block": material}, ThermalLoads(films, held={"y0": None})
+    )
     inputs = np.array([0.0, 100.0])
     temperature, _ = heat_step(alone(heat, FOREVER), np.zeros(basis.N), inputs, NO_JOINT)
     at = probe_rows(basis, structure, {"point": Probe((width, 0.2, 0.005))})

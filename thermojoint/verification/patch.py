@@ -11,13 +11,13 @@ from scipy.sparse import csr_array
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
 from fesim.march.contact import gap_solver
-from fesim.setup.machine import reference_springs
+from fesim.setup.elastic import reference_springs
 from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import Spaces, make_spaces
-from fesim.solid.stress import stress_at
+from fesim.solid.stress import stress_at, stress_rows
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -38,6 +38,7 @@ from thermojoint.verification.structures import (
 TOLERANCE = 1e-9
 #: Share of the spacing by which nodes inside are moved.
 SHAKE = 0.2
+UNITS = {"temperature": "K", "displacement": "m", "stress": "Pa", "contact pressure": "Pa"}
 ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
 
 
@@ -46,7 +47,7 @@ def heat_checks() -> Iterator[Check]:
     for kind, (element, _) in ELEMENTS.items():
         structure = shaken_block(kind)
         basis = make_spaces(structure.mesh).heat
-        heat = heat_operators(structure, basis, {"block": IRON}, {}, [])
+        heat = heat_operators(structure, basis, {"block": IRON}, ThermalLoads())
         exact = np.array([3.0, 20.0, -50.0, 40.0]) @ np.vstack([np.ones(basis.N), basis.doflocs])
         outside = basis.get_dofs(structure.mesh.boundary_facets()).all()
         computed = solve_given(
@@ -55,7 +56,6 @@ def heat_checks() -> Iterator[Check]:
         yield worst(
             f"heat patch test, {element}",
             "temperature",
-            "K",
             computed,
             exact,
             "linear temperature",
@@ -82,11 +82,10 @@ def elastic_checks() -> Iterator[Check]:
         computed = solve_given(elastic.stiffness, load, given, exact[given], "elastic patch")
         cold = np.zeros(spaces.heat.N)
         name = f"elastic patch test, {element}"
-        yield worst(name, "displacement", "m", computed, exact, "uniform strain")
+        yield worst(name, "displacement", computed, exact, "uniform strain")
         yield worst(
             name,
             "stress",
-            "Pa",
             stress_inside(structure, spaces, computed, cold),
             np.broadcast_to(stress, (structure.mesh.nelements, 3, 3)),
             "uniform strain",
@@ -99,11 +98,10 @@ def elastic_checks() -> Iterator[Check]:
             elastic.stiffness, elastic.thermal_load @ hot, held, 0.0, "expansion patch"
         )
         name = f"expansion patch test, {element}"
-        yield worst(name, "displacement", "m", computed, free, "u = alpha T x")
+        yield worst(name, "displacement", computed, free, "u = alpha T x")
         yield worst(
             name,
             "stress",
-            "Pa",
             stress_inside(structure, spaces, computed, hot),
             np.zeros((structure.mesh.nelements, 3, 3)),
             "none; relative to E alpha T",
@@ -141,9 +139,7 @@ def contact_checks() -> Iterator[Check]:
         name = f"contact patch test, non-matching {kind}"
         source = "bars and joint in series"
         contact = settled.traction.value[0] + law.preload
-        yield worst(
-            name, "contact pressure", "Pa", contact, np.full_like(contact, pressure), source
-        )
+        yield worst(name, "contact pressure", contact, np.full_like(contact, pressure), source)
         remainder = settled.traction.value.ravel() + condensed.reference * settled.gap.ravel()
         moved = field.solve(hot, remainder)
         # The field is that of the pressure above the preload.
@@ -152,7 +148,6 @@ def contact_checks() -> Iterator[Check]:
         yield worst(
             name,
             "stress",
-            "Pa",
             stress_inside(structure, spaces, moved, hot),
             np.broadcast_to(along, (structure.mesh.nelements, 3, 3)),
             source,
@@ -189,21 +184,19 @@ def stress_inside(
 ) -> Array:
     """Stress at the mean of each cell's corners, shape (cells, 3, 3), Pa; all bodies of iron."""
     mesh = structure.mesh
-    return stress_at(
+    rows = stress_rows(
         structure,
         spaces,
         dict.fromkeys(structure.bodies, IRON),
-        displacement,
-        temperature,
         mesh.p[:, mesh.t].mean(axis=1),
         np.arange(mesh.nelements),
     )
+    return stress_at(rows, displacement, temperature)
 
 
 def worst(
     name: str,
     quantity: str,
-    unit: str,
     found: Array,
     exact: Array,
     source: str,
@@ -214,7 +207,7 @@ def worst(
     return Check(
         name=f"{name}: {quantity}",
         quantity=quantity,
-        unit=unit,
+        unit=UNITS[quantity],
         reference=float(exact[at]),
         computed=float(found[at]),
         tolerance=TOLERANCE,

@@ -9,10 +9,10 @@ from scipy.sparse import csr_array
 from fesim.joint.law import Friction, JointLaw
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
-from fesim.setup.machine import reference_springs
+from fesim.setup.elastic import reference_springs
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import HeatOperators, heat_operators
+from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
@@ -81,5 +81,5 @@ def rods(
     springs = reference_springs(structure, by_body, joints)
     no_probes = csr_array((0, spaces.displacement_size))
     condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
-    heat = heat_operators(structure, spaces.heat, by_body, {}, [], held)
+    heat = heat_operators(structure, spaces.heat, by_body, ThermalLoads(held=dict.fromkeys(held)))
     return Rods(heat, operators, condensed, law, spaces.heat.doflocs[0], first.p.shape[1])

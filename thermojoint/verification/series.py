@@ -22,11 +22,11 @@ from fesim.joint.law import (
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.stepping import march, staggered
+from fesim.setup.elastic import reference_springs
 from fesim.setup.laws import law_of
-from fesim.setup.machine import reference_springs
 from fesim.solid.condensation import condense_elasticity, condense_heat
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
@@ -68,7 +68,9 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     spaces = make_spaces(structure.mesh)
     joints = [pair_joint(structure, "joint", 3, 2)]
     operators = joint_operators(joints, spaces)
-    heat = heat_operators(structure, spaces.heat, materials, {}, [], ["x0", "x1"])
+    heat = heat_operators(
+        structure, spaces.heat, materials, ThermalLoads(held={"x0": None, "x1": None})
+    )
     rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
     elastic = elastic_operators(structure, spaces, materials, [], rollers)
     springs = reference_springs(structure, materials, joints)

@@ -18,7 +18,6 @@ T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +52,6 @@ POWER, FILM = 2.0, 40.0
 #: Length of the bar that cools as a whole, m.
 SHORT = 0.001
 
-_check = partial(closed_form, "temperature dependence")
-
 
 def checks() -> Iterator[Check]:
     """All of them."""
@@ -73,7 +70,14 @@ def _conducting(folder: Path) -> Iterator[Check]:
         middle = response["temperature"][-1].sel(probe="middle").item()
         half = 0.5 * (HOT + 0.5 * slope * HOT**2)
         expected = (np.sqrt(1.0 + 2.0 * slope * half) - 1.0) / slope
-        yield _check(f"{name} conductivity: middle", "temperature", "K", expected, middle, 1e-6)
+        yield closed_form(
+            f"temperature dependence, {name} conductivity: middle",
+            "temperature",
+            "K",
+            expected,
+            middle,
+            1e-6,
+        )
         yield _settled(f"{name} conductivity", response)
 
 
@@ -91,7 +95,9 @@ def _radiating(folder: Path) -> Iterator[Check]:
     for name, lost, expected in (("radiation", black, hot), ("film", film, warm)):
         response = run(bar_case(folder, driven | lost), folder)
         end = response["temperature"][-1].sel(probe="end").item()
-        yield _check(f"{name}: surface", "temperature", "K", expected, end, 1e-6)
+        yield closed_form(
+            f"temperature dependence, {name}: surface", "temperature", "K", expected, end, 1e-6
+        )
         yield _settled(name, response)
 
 
@@ -104,7 +110,14 @@ def _growing(folder: Path) -> Iterator[Check]:
     expected = EXPANSION * LENGTH * (60.0 + 0.5 * SLOPE * 60.0**2)
     for name, row in (("start", 0), ("end", -1)):
         computed = response["displacement"][row].sel(axis="x").item()
-        yield _check(f"expansion, {name}: growth", "displacement", "m", expected, computed, 1e-6)
+        yield closed_form(
+            f"temperature dependence, expansion, {name}: growth",
+            "displacement",
+            "m",
+            expected,
+            computed,
+            1e-6,
+        )
 
 
 def _cooling(folder: Path) -> Iterator[Check]:
@@ -121,7 +134,14 @@ def _cooling(folder: Path) -> Iterator[Check]:
     computed = response["temperature"][-1].sel(probe="end").item()
     left = HOT / (1.0 + SLOPE * HOT) * np.exp(-rate * float(response["time"][-1]))
     expected = left / (1.0 - SLOPE * left)
-    yield _check("film of a cooling plate: end", "temperature", "K", expected, computed, 2e-3)
+    yield closed_form(
+        "temperature dependence, film of a cooling plate: end",
+        "temperature",
+        "K",
+        expected,
+        computed,
+        2e-3,
+    )
 
 
 def facing_bars() -> Structure:
@@ -165,7 +185,14 @@ def _enclosing(folder: Path) -> Iterator[Check]:
     flux = HOT / (1.5 * LENGTH / CONDUCTIVITY + 2.0 / FILM)
     computed = response["temperature"][-1, 0].item()
     expected = flux * LENGTH / CONDUCTIVITY
-    yield _check("enclosed air: cold face", "temperature", "K", expected, computed, 1e-6)
+    yield closed_form(
+        "temperature dependence, enclosed air: cold face",
+        "temperature",
+        "K",
+        expected,
+        computed,
+        1e-6,
+    )
     yield _settled("enclosed air", response)
 
 

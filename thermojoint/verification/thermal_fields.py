@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +48,6 @@ EXPANSION, WARM = 11e-6, 20.0
 POWER = 50.0
 SIDE = 0.2
 
-_check = partial(closed_form, "thermal fields")
-
 
 def pressed_pressure(rise: float) -> float:
     """Pressure (Pa) of a joint between two bars of `HALF` between walls, warmed by a rise (K)."""
@@ -85,9 +82,9 @@ def _decaying_wave(folder: Path) -> Iterator[Check]:
         response = run(bar_case(folder, changes, (40, 1, 1)), folder)
         computed = response["temperature"].sel(probe="start").to_numpy()
         name, begun, ended = f"wave left alone, {thermal}", float(computed[0]), float(computed[-1])
-        yield _check(f"{name}: start", "temperature", "K", WAVE, begun, 1e-9)
+        yield closed_form(f"thermal fields, {name}: start", "temperature", "K", WAVE, begun, 1e-9)
         expected = WAVE * np.exp(-rate * float(response["time"][-1]))
-        yield _check(f"{name}: end", "temperature", "K", expected, ended, 2e-3)
+        yield closed_form(f"thermal fields, {name}: end", "temperature", "K", expected, ended, 2e-3)
 
 
 def _warm_start(folder: Path) -> Iterator[Check]:
@@ -106,7 +103,14 @@ def _warm_start(folder: Path) -> Iterator[Check]:
         expected = pressed_pressure(WARM)
         for name, row in (("start", 0), ("end", -1)):
             title = f"warm bars between walls, {thermal}: {name}"
-            yield _check(title, "pressure", "Pa", expected, float(pressure[row].mean()), 1e-6)
+            yield closed_form(
+                f"thermal fields, {title}",
+                "pressure",
+                "Pa",
+                expected,
+                float(pressure[row].mean()),
+                1e-6,
+            )
 
 
 def _uneven_source(folder: Path) -> Check:
@@ -123,7 +127,9 @@ def _uneven_source(folder: Path) -> Check:
     }
     computed = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
     expected = 2.0 * POWER * LENGTH / (3.0 * WIDTH**2 * CONDUCTIVITY)
-    return _check("heat in proportion to x: end", "temperature", "K", expected, computed, 1e-6)
+    return closed_form(
+        "thermal fields, heat in proportion to x: end", "temperature", "K", expected, computed, 1e-6
+    )
 
 
 def _uneven_edge(folder: Path) -> Check:
@@ -138,4 +144,6 @@ def _uneven_edge(folder: Path) -> Check:
     plate = bar_case(folder, changes, (32, 32, 1), (SIDE, SIDE, 0.01))
     computed = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
     expected = 100.0 / (2.0 * np.cosh(0.5 * np.pi))
-    return _check("edge held at a sine: middle", "temperature", "K", expected, computed, 5e-3)
+    return closed_form(
+        "thermal fields, edge held at a sine: middle", "temperature", "K", expected, computed, 5e-3
+    )

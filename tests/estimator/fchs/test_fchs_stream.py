@@ -431,7 +431,7 @@ def test_a_model_whose_parts_do_not_fit_is_refused():
 
 
 def test_validation_judges_both_estimators_on_every_axis(response, reference):
-    judged = validate("step-2.0", response, MODEL, reference=reference)
+    judged = validate(response, MODEL, reference=reference)
     assert [(r["estimator"], r["axis"]) for r in judged.rows] == [
         ("none", "x"),
         ("none", "y"),
@@ -455,18 +455,18 @@ def test_validation_judges_both_estimators_on_every_axis(response, reference):
 
 
 def test_validation_uses_the_temperatures_and_no_other_knowledge(response):
-    seeing = validate("case", response, MODEL).estimate
+    seeing = validate(response, MODEL).estimate
     blind = response.copy(deep=True)
     blind["displacement"] *= 0.0
     blind["heat_input"] *= 0.0
-    blinded = validate("case", blind, MODEL).estimate
+    blinded = validate(blind, MODEL).estimate
     assert np.array_equal(seeing.total, blinded.total)
 
 
 def test_true_signals_in_place_of_estimates_remove_their_share_of_the_error(response, reference):
     rows = block_errors("step-2.0", response, MODEL, reference)
     worst = {(r["driven_by"], r["axis"]): r for r in rows}
-    estimate_rows = validate("step-2.0", response, MODEL, reference=reference).rows
+    estimate_rows = validate(response, MODEL, reference=reference).rows
     for k, axis in enumerate(AXES):
         as_is, both = worst["temperatures", axis], worst["both", axis]
         assert as_is["total_error_um"] == pytest.approx(
@@ -513,8 +513,8 @@ def test_noise_is_seeded_has_no_offset_and_the_stated_range():
 def test_noise_on_the_joint_sensors_is_attenuated_by_the_deformation(response, reference):
     noise = sensor_noise(TIMES, 0.12, seed=7, channels=2)
     noisy = {"T1": noise[:, 0], "T2": noise[:, 1]}
-    quiet = validate("step-2.0", response, MODEL).estimate
-    judged = validate("noise", response, MODEL, reference=reference, noise=noisy)
+    quiet = validate(response, MODEL).estimate
+    judged = validate(response, MODEL, reference=reference, noise=noisy)
     rows, loud = judged.rows, judged.estimate
     in_sources = np.abs(loud.sources - quiet.sources).max()
     in_displacement = np.abs(loud.nonlinear - quiet.nonlinear).max(axis=0)
@@ -552,4 +552,4 @@ def test_an_unknown_probe_role_or_axis_is_named(response):
     with pytest.raises(InputError, match="no sensor role named 'T3'"):
         readings(response, tuple(MODEL.linear.direct), noise={"T3": np.zeros(TIMES.size)})
     with pytest.raises(InputError, match="no axis named 'y'"):
-        validate("case", response.isel(axis=[0]), MODEL)
+        validate(response.isel(axis=[0]), MODEL)

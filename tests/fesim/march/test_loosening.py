@@ -119,7 +119,7 @@ FRICTIONLESS = [(("joints", name, "friction_coefficient"), 0.0) for name in ("fi
 def test_a_rod_between_frictionless_joints_is_refused_before_anything_is_factorised(
     rods, monkeypatch
 ):
-    monkeypatch.setattr("fesim.setup.machine.heat_operators", None)
+    monkeypatch.setattr("fesim.setup.discretised.heat_operators", None)
     with pytest.raises(InputError, match="body 'middle' from moving along y and z and from turnin"):
         simulate(case_of(rods, *FRICTIONLESS))
 

@@ -20,6 +20,7 @@ from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     TEMPERATURE_ERROR,
+    outputs_of,
     project_elasticity,
     project_heat,
     thermal_modes,
@@ -28,12 +29,13 @@ from fesim.march.settling import initial_state
 from fesim.march.state_file import load_state, save_state
 from fesim.march.stepping import iterated, march, march_along, plainly_staggered, staggered
 from fesim.march.track import joined
-from fesim.setup.machine import reference_springs, set_up
+from fesim.setup.elastic import reference_springs
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
 from fesim.solid import reduction
 from fesim.solid.condensation import condense_elasticity, condense_heat
-from fesim.solid.heat import HeatSource, heat_operators
+from fesim.solid.heat import HeatSource, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import probe_rows
 from meshes.pairing import pair_joint
@@ -312,13 +314,16 @@ def test_two_joints_of_different_laws():
     operators = joint_operators(joints, spaces)
     materials = {"left": IRON, "right": IRON}
     heat = heat_operators(
-        structure, spaces.heat, materials, {"bottom": 50.0}, [HeatSource(1.0, "left_top")]
+        structure,
+        spaces.heat,
+        materials,
+        ThermalLoads({"bottom": 50.0}, [HeatSource(1.0, "left_top")]),
     )
     springs = reference_springs(structure, materials, joints)
     elastic, _ = condense_elasticity(bars.elastic, operators, springs, bars.probes)
     laws = [(surface_law(0.05, preload=1e6), 4), (surface_law(0.6), 4)]
     rows = probe_rows(spaces.heat, structure, structure.probes)
-    modes = thermal_modes(heat, operators, elastic, rows, 2.0)
+    modes = thermal_modes(heat, operators, outputs_of(elastic, rows), 2.0)
     thermal = condense_heat(heat, operators, 2.0)
     full = heated(CondensedMachine(thermal, ContactProblem(elastic, laws)), 100)
     reduced = heated(

@@ -14,7 +14,7 @@ from fesim.setup.structure import body_materials
 from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import probe_cells
-from fesim.solid.stress import stress_at, stress_tensors
+from fesim.solid.stress import stress_at, stress_rows, stress_tensors
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
@@ -118,15 +118,16 @@ def test_the_full_field_ends_where_the_condensed_displacement_does(marched):
     own = setup.spaces.elastic.nodal_dofs[0, top[0]]
     np.testing.assert_allclose(field[own], response["displacement"][-1], atol=1e-12)
     probes = {"P": structure.probes["P"]}
-    found = stress_at(
+    rows = stress_rows(
         structure,
         setup.spaces,
         body_materials(case, structure),
-        setup.deformation(steps[-1]),
-        setup.nodal_temperature(steps[-1].state),
         np.array([probes["P"].position]).T,
         probe_cells(structure, probes),
-    )[0]
+    )
+    found = stress_at(rows, setup.deformation(steps[-1]), setup.nodal_temperature(steps[-1].state))[
+        0
+    ]
     row = response["stress"].sel(stress_probe="P")[-1].to_numpy()
     np.testing.assert_allclose(stress_tensors(row), found, atol=1e-7 * np.abs(found).max())
 

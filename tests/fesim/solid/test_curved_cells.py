@@ -7,7 +7,7 @@ from skfem import FacetBasis, Functional, LinearForm, MeshHex, MeshHex2, MeshTet
 from skfem.io.meshio import to_meshio
 
 from fesim.solid.elasticity import elastic_operators
-from fesim.solid.heat import heat_operators
+from fesim.solid.heat import ThermalLoads, heat_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.exchange import read_structure, write_structure
@@ -110,7 +110,9 @@ def test_heat_crosses_a_ring_by_the_logarithm(kind, tmp_path):
     for count in (2, 4):
         structure = through_a_file(kind, count, tmp_path)
         basis = make_spaces(structure.mesh).heat
-        heat = heat_operators(structure, basis, {"ring": IRON}, {}, [], held=["inside", "outside"])
+        heat = heat_operators(
+            structure, basis, {"ring": IRON}, ThermalLoads(held={"inside": None, "outside": None})
+        )
         matrix = heat.conduction.toarray()
         given = heat.held_inputs @ np.array([0.0, 1.0, 0.0])
         temperature = np.zeros(basis.N)

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from skfem import FacetBasis, MeshHex, MeshTet
 
 from fesim.march.heat_step import heat_balance, heat_step
-from fesim.solid.heat import HeatSource, flux_form, heat_operators
+from fesim.solid.heat import HeatSource, ThermalLoads, flux_form, heat_operators
 from fesim.solid.spaces import make_spaces
 from meshes.structure import Structure
 
@@ -48,7 +48,7 @@ def block(kind):
 def test_linear_temperatures_are_exact_on_distorted_elements(kind):
     structure, inside = block(kind)
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"left": IRON, "right": IRON}, {}, [])
+    heat = heat_operators(structure, basis, {"left": IRON, "right": IRON}, ThermalLoads())
     x, y, z = basis.doflocs
     forces = heat.conduction @ (3.0 + 2.0 * x - 5.0 * y + 0.5 * z)
     np.testing.assert_allclose(forces[inside], 0.0, atol=1e-12 * IRON.conductivity)
@@ -59,7 +59,7 @@ def test_two_conductivities_in_series_share_the_flux(kind):
     """A temperature with a kink at the interface, in balance with the flux through the ends."""
     structure, _ = block(kind)
     basis = make_spaces(structure.mesh).heat
-    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, [])
+    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, ThermalLoads())
     flux = 1000.0
     x = basis.doflocs[0]
     temperature = flux * (
@@ -82,7 +82,9 @@ def test_operators_hold_the_energy(kind):
     structure, _ = block(kind)
     basis = make_spaces(structure.mesh).heat
     films, source = {"all": 6.0, "hot": 4.0}, HeatSource(90.0, surface="cold")
-    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, films, [source])
+    heat = heat_operators(
+        structure, basis, {"left": IRON, "right": STEEL}, ThermalLoads(films, [source])
+    )
     np.testing.assert_allclose(heat.conduction.sum(axis=0), 0.0, atol=1e-12 * IRON.conductivity)
     stored = [m.density * m.heat_capacity for m in (IRON, STEEL)]
     assert heat.capacity.sum() == pytest.approx(0.5 * sum(stored), rel=1e-12)
@@ -261,7 +263,9 @@ def test_heat_through_held_surfaces_is_in_the_balance():
 def test_heat_in_a_volume_raises_the_whole_body_evenly_at_first():
     source = HeatSource(12.0, body="left")
     structure, basis = MESHES["matching"], make_spaces(MESHES["matching"].mesh).heat
-    heat = heat_operators(structure, basis, {"left": IRON, "right": STEEL}, {}, [source])
+    heat = heat_operators(
+        structure, basis, {"left": IRON, "right": STEEL}, ThermalLoads(sources=[source])
+    )
     assert heat.inputs[:, 0].sum() == pytest.approx(12.0, rel=1e-12)
     rate = heat.inputs[:, 0] / heat.capacity.diagonal()
     body = np.unique(structure.mesh.t[:, structure.bodies["left"]])

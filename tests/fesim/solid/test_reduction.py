@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from fesim.march.reduced import TEMPERATURE_ERROR, thermal_modes
+from fesim.march.reduced import TEMPERATURE_ERROR, outputs_of, thermal_modes
 from fesim.solid import reduction
-from fesim.solid.reduction import ReducedHeat, reduce_heat
+from fesim.solid.reduction import HeatSystem, ReducedHeat, reduce_heat
 from fesim.solid.spaces import probe_rows
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -29,9 +29,11 @@ class Problem:
     outputs: np.ndarray
 
     def reduce(self, looser: float = 1.0) -> ReducedHeat:
-        return reduce_heat(
-            self.capacity, self.conduction, self.drives, self.outputs / looser, SHORTEST, LONGEST
+        at_rest = np.empty((len(self.capacity), 0))
+        system = HeatSystem(
+            self.capacity, self.conduction, self.drives, self.outputs / looser, at_rest
         )
+        return reduce_heat(system, SHORTEST, LONGEST)
 
     def march(self, step, levels):
         """Outputs (steps, q) of the full model; levels (steps, p) of the drives."""
@@ -187,7 +189,9 @@ def test_four_times_the_contact_elements_take_far_less_than_four_times_the_modes
         )
         parts = bars.parts
         rows = probe_rows(parts.spaces.heat, structure, structure.probes)
-        modes = thermal_modes(parts.heat, parts.operators, bars.machine.contact.elastic, rows, 2.0)
+        modes = thermal_modes(
+            parts.heat, parts.operators, outputs_of(bars.machine.contact.elastic, rows), 2.0
+        )
         assert modes.error <= 1.0
         ranks.append(modes.rates.size)
     assert ranks[1] < 2.6 * ranks[0]

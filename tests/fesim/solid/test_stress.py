@@ -7,7 +7,7 @@ from skfem import MeshHex, MeshTet
 from fesim.snapshots import point_means, points_of_bodies
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
-from fesim.solid.stress import corner_stresses, stress_at, stress_tensors
+from fesim.solid.stress import corner_stresses, stress_at, stress_rows, stress_tensors
 from meshes.structure import Structure
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
@@ -28,15 +28,14 @@ def stresses(halves, displacement, temperature):
     """Stress at the middle of every cell; left of iron, right of steel."""
     structure, spaces = halves
     mesh = structure.mesh
-    return stress_at(
+    rows = stress_rows(
         structure,
         spaces,
         {"left": IRON, "right": STEEL},
-        displacement,
-        temperature,
         mesh.p[:, mesh.t].mean(axis=1),
         np.arange(mesh.nelements),
     )
+    return stress_at(rows, displacement, temperature)
 
 
 def test_a_heated_body_that_cannot_move_is_pressed_from_all_sides(halves):
@@ -60,15 +59,10 @@ def test_at_a_shared_face_each_cell_has_the_stress_of_its_own_body(halves):
     for body, material in (("left", IRON), ("right", STEEL)):
         cells = structure.bodies[body]
         near = np.linalg.norm(mesh.p[:, mesh.t[:, cells]].mean(axis=1) - point, axis=0)
-        stress = stress_at(
-            structure,
-            spaces,
-            {"left": IRON, "right": STEEL},
-            displacement,
-            np.zeros(spaces.heat.N),
-            point,
-            cells[[np.argmin(near)]],
+        rows = stress_rows(
+            structure, spaces, {"left": IRON, "right": STEEL}, point, cells[[np.argmin(near)]]
         )
+        stress = stress_at(rows, displacement, np.zeros(spaces.heat.N))
         lam, mu = material.lame
         assert stress[0, 0, 0] == pytest.approx((lam + 2.0 * mu) * strain, rel=1e-10)
         assert stress[0, 1, 1] == pytest.approx(lam * strain, rel=1e-10)

@@ -199,7 +199,7 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
     beside = read_baselines(results / "baselines.json")
     found = {
         with_them is not None: judge.validate_model(
-            model, responses["step-1.0"], given, baselines=with_them
+            model, responses["step-1.0"], given, beside=judge.Beside(with_them)
         )
         for with_them in (None, beside)
     }
@@ -208,7 +208,7 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
     assert names[False] == {"none", "linear", "fchs"}
     short = replace(beside, arx={"y": beside.arx["y"]})
     with pytest.raises(InputError, match="no axis named 'x'"):
-        judge.validate_model(model, None, given, baselines=short)
+        judge.validate_model(model, None, given, beside=judge.Beside(short))
 
 
 def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, responses):

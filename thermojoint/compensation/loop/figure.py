@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estimator.joint_aware.observer_model import ObserverModel
-from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
 from thermojoint.compensation.loop.linear import (
-    Complex,
     channels_of,
     disturbed,
     open_loop,
@@ -49,7 +47,10 @@ def bode_figure(design: Design, delay: float) -> Figure:
             "its estimate, µm/kW": 1e9 * responses.heater.estimate,
         }.items()
     ):
-        _bode(gain, phase, w, values, name, _SHADES[k], "--" if k == 2 else "-")
+        line: dict[str, Any] = {"label": name, "color": _SHADES[k], "linewidth": 1.2}
+        line["linestyle"] = "--" if k == 2 else "-"
+        gain.loglog(w, np.abs(values), **line)
+        phase.semilogx(w, np.degrees(np.unwrap(np.angle(values))), **line)
     gain.axhline(1.0, color="0.4", linewidth=0.8)
     phase.axhline(-180.0, color="0.4", linewidth=0.8)
     for panel in (gain, phase):
@@ -120,14 +121,6 @@ def runs_figure(closed: Closed) -> Figure:
         panels[-1].set_ylabel("heater (W)")
     panels[-1].set_xlabel("time (min)")
     return _finished(figure)
-
-
-def _bode(
-    gain: Axes, phase: Axes, w: Array, values: Complex, name: str, shade: str, style: str
-) -> None:
-    gain.loglog(w, np.abs(values), style, label=name, color=shade, linewidth=1.2)
-    turned = np.degrees(np.unwrap(np.angle(values)))
-    phase.semilogx(w, turned, style, label=name, color=shade, linewidth=1.2)
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:

@@ -1,0 +1,126 @@
+"""A case as finite elements, before anything is condensed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from fesim.case.schema import Case
+from fesim.setup.elastic import reference_springs
+from fesim.setup.initial_temperature import initial_temperature
+from fesim.setup.loads import heat_sources, held_profiles, mechanical_loads
+from fesim.setup.parts import Parts
+from fesim.setup.structure import body_materials, measured_points
+from fesim.setup.temperature_dependence import reference_coefficients, reference_materials
+from fesim.solid.bolts import stretch_rows, temperature_rows
+from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.forces import nodal_forces
+from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
+from fesim.solid.joint_operators import JointOperators, joint_operators
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces, make_spaces, probe_rows
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True)
+class Discretised:
+    """A case as finite elements, before anything is condensed.
+
+    Attributes
+    ----------
+    case : Case
+        Where it comes from.
+    parts : Parts
+        Structure, joints, bolts, probes.
+    materials : dict of str to Material
+        Of every body.
+    spaces : Spaces
+        Finite-element spaces.
+    operators : JointOperators
+        Of the joints.
+    heat : HeatOperators
+        Of the structure.
+    warm : ndarray, shape (n,), or None
+        Temperatures at the start, if these are not the ambient's.
+    springs : ndarray, shape (3 m,)
+        Reference springs, Pa/m.
+    stretch, ends : scipy.sparse.csr_array
+        Of the bolts: rows of their stretch, and of the temperatures at their ends.
+    rows : scipy.sparse.csr_array
+        Of the temperature probes.
+    """
+
+    case: Case
+    parts: Parts
+    materials: dict[str, Material]
+    spaces: Spaces
+    operators: JointOperators
+    heat: HeatOperators
+    warm: Array | None
+    springs: Array
+    stretch: csr_array
+    ends: csr_array
+    rows: csr_array
+
+
+def discretised(case: Case, parts: Parts) -> Discretised:
+    """Make spaces and operators of a case whose parts are checked."""
+    structure, joints = parts.structure, parts.joints
+    materials = body_materials(case, structure)
+    spaces = make_spaces(structure.mesh)
+    return Discretised(
+        case=case,
+        parts=parts,
+        materials=materials,
+        spaces=spaces,
+        operators=joint_operators(joints, spaces),
+        heat=heat_operators(
+            structure,
+            spaces.heat,
+            reference_materials(case, materials),
+            ThermalLoads(
+                reference_coefficients(case), heat_sources(case, structure), held_profiles(case)
+            ),
+            joints,
+        ),
+        warm=initial_temperature(case, structure, spaces.heat),
+        springs=reference_springs(structure, materials, joints),
+        stretch=stretch_rows(spaces.displacement, parts.bolts),
+        ends=temperature_rows(spaces.heat, parts.bolts),
+        rows=probe_rows(spaces.heat, structure, parts.probes),
+    )
+
+
+def relative_rows(whole: Discretised) -> csr_array:
+    """Rows of the displacement probes, then of the bolts' stretch."""
+    probes = _relative_rows(whole.case, whole.parts.structure, whole.spaces)
+    return csr_array(vstack([probes, whole.stretch]))
+
+
+def load_forces(whole: Discretised) -> Array:
+    """Nodal forces of the mechanical loads at factor one, then of the bolts per N: (n, l + b)."""
+    structure, loads = whole.parts.structure, mechanical_loads(whole.case, whole.parts.structure)
+    acting = nodal_forces(structure, whole.spaces, whole.materials, loads)
+    return np.hstack([acting, -whole.stretch.toarray().T])
+
+
+def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
+    names = measured_points(case)
+    rows = probe_rows(
+        spaces.displacement, structure, {name: structure.probes[name] for name in names}
+    )
+    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
+    at = relative.tocoo()
+    shape = (1, spaces.displacement_size)
+    return csr_array(
+        vstack(
+            [
+                csr_array((at.data, (np.zeros(at.nnz, dtype=int), 3 * at.col + i)), shape=shape)
+                for i in range(len(DIRECTIONS))
+            ],
+            format="csr",
+        )
+    )
