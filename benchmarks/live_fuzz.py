@@ -23,6 +23,7 @@ from typing import Any
 
 from asyncua import ua
 
+from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
@@ -131,14 +132,12 @@ def mqtt_door(draw: random.Random, model: Served, now: float, well: bool) -> lis
 
 def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
     """One line of a pipe."""
-    pipe = csv_pipe.Pipe(
-        MACHINE, Path("-"), model.intake.names, model.intake.wanted, 0.0, follow=True
-    )
-    header = csv_pipe.header_of(
-        ",".join(("time_s", *model.intake.names[: model.intake.wanted])), pipe
-    )
+    names = {name: name for name in model.intake.names}
+    pipe = csv_pipe.Pipe(MACHINE, Path("-"), names, model.intake.wanted, 0.0, follow=True)
     cells = [repr(now), *map(repr, good_readings(model, int(now - START)))]
     line = ",".join(cells).encode()
+    first = ",".join(("time_s", *model.intake.names[: model.intake.wanted]))
+    header = csv_pipe.header_of([first, line.decode()], pipe)
     if not well:
         kind = draw.randrange(5)
         if kind == 0:
@@ -152,7 +151,7 @@ def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list
         else:
             cells[0] = '"' + "9" * 400
         line = line if kind == 0 else ",".join(cells).encode("utf-8", "replace")
-    return [csv_pipe._told(pipe, header, line, None)]
+    return csv_pipe.told_in(pipe, header, line, Hands())[0]
 
 
 def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:

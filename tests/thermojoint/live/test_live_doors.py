@@ -1,17 +1,23 @@
 """What comes in by the doors of the service: thousands of malformed readings change nothing."""
 
+import asyncio
 import json
 import math
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from asyncua import ua
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from log_dialects import DIALECTS, logs
 
 from benchmarks.live_fuzz import DOORS, check
 from estimator.quality import Quality
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.opcua_values import status_of
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
@@ -64,12 +70,84 @@ def test_any_topic_is_of_a_machine_or_a_note(topic):
     assert isinstance(found, Arrival) == (topic == "hall/mill")
 
 
+def pipe_of(path, *names, **called):
+    """A pipe that ends with its file."""
+    named = {name: name for name in names} | called
+    return csv_pipe.Pipe("mill", path, named, len(names), 0.0, follow=False)
+
+
+def read(pipe, position=None):
+    """What a stream says: arrivals, and notes."""
+
+    async def whole():
+        return [one async for some in csv_pipe.read_pipe(pipe, position) for one in some]
+
+    found = asyncio.run(whole())
+    arrivals = [one for one in found if isinstance(one, Arrival)]
+    return arrivals, [one for one in found if isinstance(one, Note)]
+
+
 @given(st.binary(max_size=200))
 def test_any_line_is_a_row_or_a_note(line):
-    pipe = csv_pipe.Pipe("mill", None, NAMES, 2, 0.0, follow=True)
-    header = csv_pipe.header_of("T2_degC,time_s,T1_degC,other", pipe)
-    found = csv_pipe._told(pipe, header, line.replace(b"\n", b""), None)
-    assert isinstance(found, Arrival | Note)
+    pipe = pipe_of(Path("-"), *NAMES)
+    header = csv_pipe.header_of(["T2_degC,time_s,T1_degC,other", "20,1,20,a"], pipe)
+    found, _ = csv_pipe.told_in(pipe, header, line.replace(b"\n", b""), Hands())
+    assert all(isinstance(one, Arrival | Note) for one in found)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@settings(max_examples=10, deadline=None)
+@given(samples=logs(), cut=st.integers(0, 11))
+def test_a_stream_in_any_dialect_gives_the_samples_of_the_file(
+    tmp_path_factory, dialect, samples, cut
+):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    path.write_bytes(dialect(samples, "utf-8"))
+    pipe = pipe_of(path, "T1_degC", "x_um", "n_rpm")
+    log, (arrivals, notes) = read_log([path]), read(pipe)
+    assert [one.kind for one in notes] == ["source-read"]
+    np.testing.assert_array_equal([one.time for one in arrivals], log.times)
+    for column, told in zip(log.columns, np.array([one.told for one in arrivals]).T, strict=True):
+        np.testing.assert_array_equal(column.to_si(told), log.at(column.name))
+    # Read on from any kept sample it is the rest.
+    cut %= len(samples)
+    rest, _ = read(pipe, json.loads(json.dumps(arrivals[cut].position)))
+    assert [(one.time, one.told) for one in rest] == [
+        (one.time, one.told) for one in arrivals[cut + 1 :]
+    ]
+
+
+def test_a_stream_has_the_units_clocks_and_missing_readings_of_every_table(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Halle 4;2\nUhrzeit;T1 [°F];T2 [°C];Ende\n23:59:50;68,0;20,5;\nkein;68;20;\n"
+        "23:59:58;---;9999;\n\nUhrzeit;T1 [°F];T2 [°C];Ende\n00:00:05;OL;1_0;\n"
+        "00:00:10;77;-9999,0;a\n",
+        "utf-8",
+    )
+    arrivals, notes = read(pipe_of(path, *NAMES))
+    assert [one.time for one in arrivals] == [86390.0, 86398.0, 86410.0]
+    expected = [[20.0, 20.5], [np.nan, np.nan], [25.0, np.nan]]
+    np.testing.assert_allclose([one.told for one in arrivals], expected, rtol=1e-14)
+    assert [one.kind for one in notes] == ["source-read", "malformed", "malformed", "clock"]
+    assert "T1 [°F] (temperature, degF), T2 [°C]" in notes[0].text
+    assert "'kein' is no time like that of the first row" in notes[1].text
+    assert "'1_0' is no number" in notes[2].text
+    assert "midnight passed" in notes[3].text
+    # The clock goes on where it stood.
+    [last], _ = read(pipe_of(path, *NAMES), arrivals[1].position)
+    assert last.time == 86410.0
+
+
+def test_columns_and_the_clock_may_have_names_of_their_own(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("Schritt;Fühler 1;Fühler 2\nnichts\n1,5;20,5;21\n", "utf-8")
+    names = {"T1_degC": "Fühler 1", "T2_degC": "Fühler 2", "time_s": "Schritt"}
+    [arrival], notes = read(pipe_of(path, *NAMES, **names))
+    assert (arrival.time, arrival.told) == (1.5, [20.5, 21.0])
+    assert [one.kind for one in notes] == ["source-read", "malformed"]
+    with pytest.raises(InputError, match="no T3_degC; add it, or name it under columns"):
+        read(pipe_of(path, *NAMES, "T3_degC", **names))
 
 
 def test_a_message_says_one_time_and_one_or_all_readings():
@@ -152,16 +230,3 @@ def test_every_doubt_has_a_status_code_of_opcuas_own(quality, number, status, co
     said = Said()
     said.quality, said.number, said.status = quality, number, status
     assert ua.StatusCode(status_of(said)).name == code
-
-
-def test_a_line_of_the_pipe_has_the_numbers_and_missing_readings_of_every_table():
-    pipe = csv_pipe.Pipe("mill", Path("-"), ("a_degC", "b_degC"), 2, 0.0, follow=True)
-    header = csv_pipe.header_of("time_s,a_degC,b_degC", pipe)
-    assert csv_pipe.row_of("10,20.5,21", header, 0.0) == (10.0, [20.5, 21.0])
-    time, (a, b) = csv_pipe.row_of("11,---,OL", header, 0.0)
-    assert time == 11.0
-    assert math.isnan(a)
-    assert math.isnan(b)
-    for line in ("12,1_0,20", "1_3,20,20", ",20,20"):
-        with pytest.raises(ValueError, match=r"no number|time is missing"):
-            csv_pipe.row_of(line, header, 0.0)

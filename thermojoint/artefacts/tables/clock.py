@@ -249,6 +249,8 @@ def zone_named(text: str) -> tzinfo | None:
     offset = re.fullmatch(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?(\d{2}))?", text)
     if offset:
         size = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
+        if size >= timedelta(days=1):
+            return None
         return timezone(-size if offset[1] == "-" else size)
     if "/" not in text:
         return None

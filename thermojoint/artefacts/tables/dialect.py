@@ -123,22 +123,34 @@ def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]
     InputError
         A row has another number of cells than the header.
     """
-    header = dialect.given
-    count = len(header)
     for number, row in cells_of(lines, dialect.separator, where):
         line = number + dialect.first
-        if len(row) == count and row[0][:1] in _DIGITS:
-            yield Row(line, row)
-            continue
-        if not is_row(row):
-            continue
-        cells = trimmed(row, count)
-        if len(cells) != count:
-            raise InputError(
-                f"{where}, line {line}: {len(cells)} cells, expected {count}; mend or drop the row"
-            )
-        if tuple(map(str.strip, cells)) not in (header, dialect.units):
+        try:
+            cells = values_of(row, dialect)
+        except InputError as error:
+            raise InputError(f"{where}, line {line}: {error}") from None
+        if cells is not None:
             yield Row(line, cells)
+
+
+def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
+    """Return the cells of a row of values; None for an empty row, a comment, or a header again.
+
+    Raises
+    ------
+    InputError
+        They are more or fewer than those of the header.
+    """
+    count = len(dialect.given)
+    if len(row) == count and row[0][:1] in _DIGITS:
+        return row
+    if not is_row(row):
+        return None
+    cells = trimmed(row, count)
+    if len(cells) != count:
+        raise InputError(f"{len(cells)} cells, expected {count}; mend or drop the row")
+    header = tuple(map(str.strip, cells)) in (dialect.given, dialect.units)
+    return None if header else cells
 
 
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
@@ -166,9 +178,10 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     told = next((_SEP_LINE.match(line) for line in lines[:1]), None)
     candidates = (told[1],) if told else SEPARATORS
     found = [one for sep in candidates if (one := _tried(lines, sep)) and len(one.header) > 1]
-    rows = [one for one in found if one.rows]
+    rows = [one for one in found if any(map(is_data, one.rows))]
     if not rows and not whole:
         return None
+    rows = rows or [one for one in found if one.rows]
     if not found:
         raise InputError(
             f"{where}: no header; give a first line that names the columns, e.g. "
@@ -218,7 +231,7 @@ def _tried(lines: Sequence[str], separator: str) -> _Try | None:
         for one in cells_of(lines, separator, ""):
             table.append(one)
     full = [(number, row) for number, row in table if is_row(row) and not _SEP_LINE.match(row[0])]
-    data = [_is_data(row) for _, row in full]
+    data = [is_data(row) for _, row in full]
     at = _header_at([row for _, row in full], data)
     if at is not None:
         number, header = full[at]
@@ -267,7 +280,7 @@ def _in_comment(
     return None
 
 
-def _is_data(row: Sequence[str]) -> bool:
+def is_data(row: Sequence[str]) -> bool:
     """Whether a row holds values: a number or a moment, and as many of them as words."""
     kinds = Counter(
         "empty"

@@ -12,6 +12,7 @@ from thermojoint.artefacts.tables.dialect import (
     Dialect,
     cells_of,
     dialect_of,
+    is_data,
     is_row,
     trimmed,
 )
@@ -94,6 +95,7 @@ def layout_of(
         for number, row in cells_of(lines, dialect.separator, where)
         if number > dialect.first and is_row(row)
     ]
+    rows = list(filter(is_data, rows)) or rows
     chosen = [
         k
         for k, (given, name) in enumerate(zip(dialect.names, names, strict=True))

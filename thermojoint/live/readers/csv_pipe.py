@@ -1,29 +1,32 @@
-"""Lines of CSV: a file that grows, a FIFO, or standard input; read on from the last kept sample.
+"""Lines of a table: a file that grows, a FIFO, standard input; read on from the last kept sample.
 
-The first line names the columns: a time (``time_s``, or ``timestamp`` in ISO 8601) and readings. An
-empty cell, ``---``, ``OL`` and the like are missing readings, as in every table. Of a file the
-position is kept, so nothing is lost or read twice whenever the service ends; of a pipe it cannot
-be.
+They are read by the rules of every table (docs/tables.md), one row at a time: the first lines say
+how cells are divided, which columns tell the time and the readings, and in which units. A row that
+is none is noted, and the stream goes on behind it. Of a file the position is kept, so nothing is
+lost or read twice whenever the service ends; of a pipe it cannot be.
 """
 
 from __future__ import annotations
 
 import asyncio
-import csv
 import math
 import os
 import stat
 import sys
 import time as clock
-from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.tables.cells import is_missing, number_in
+from thermojoint.artefacts.log_record import Record, begun
+from thermojoint.artefacts.quantities import Place, place_of
+from thermojoint.artefacts.tables.clock import Hands
+from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
+from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
+from thermojoint.artefacts.tables.stream import told_by
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.times import seconds_of
 
 #: A line that is longer is none.
 LONGEST_LINE = 65_536
@@ -32,6 +35,8 @@ _LOOK_S = 0.1
 _BLOCK = 1 << 16
 #: Rows handed on at once.
 _ROWS = 256
+#: So many lines in the place of the first row may be none.
+_PATIENCE = 8
 
 
 @dataclass(frozen=True)
@@ -43,87 +48,125 @@ class Pipe:
     machine : str
     path : Path
         ``-`` for standard input.
-    names : tuple of str
-        Readings, as the header calls them.
+    names : mapping of str to str
+        Readings with their units, in the estimator's order, to what the header calls them;
+        ``time_s`` for the clock, if the header gives it a name of its own.
     wanted : int
         The first so many must be in the header.
     starts : float
-        Added to ``time_s``, s.
+        Added to the times of a clock that does not tell the date, s.
     follow : bool
         The end of the file is not the end: more will come.
     """
 
     machine: str
     path: Path
-    names: tuple[str, ...]
+    names: Mapping[str, str]
     wanted: int
     starts: float
     follow: bool
 
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """With their units, in the estimator's order."""
+        return tuple(name for name in self.names if name != _CLOCK)
+
+
+_CLOCK = "time_s"
+
 
 @dataclass(frozen=True)
 class Header:
-    """Where time and readings stand in a line."""
+    """How the lines are to be read, and where each reading stands; None for one that is not there.
 
-    time: int
-    iso: bool
-    at: tuple[int, ...]
-    width: int
+    Its layout's dialect says how many lines stand before the first row.
+    """
+
+    layout: Layout
+    places: tuple[Place | None, ...]
 
 
-def header_of(line: str, pipe: Pipe) -> Header:
-    """Read the first line.
+def header_of(lines: Sequence[str], pipe: Pipe, whole: bool = False) -> Header | None:
+    """Return how a table is to be read, by its first lines; None where more are needed.
 
     Raises
     ------
     InputError
-        A column is missing.
+        There is no header, no clock, or a reading is missing.
     """
-    columns = [one.strip() for one in next(csv.reader([line.lstrip("\ufeff")]), [])]
-    iso = "timestamp" in columns
-    lacking = [one for one in pipe.names[: pipe.wanted] if one not in columns]
-    if "time_s" not in columns and not iso:
-        lacking.insert(0, "time_s")
+    found = _layout(lines, pipe, whole)
+    return None if found is None else _header(found, pipe)
+
+
+def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
+    others = {theirs: ours for ours, theirs in pipe.names.items() if theirs != ours}
+    later = pipe.readings[pipe.wanted :]
+    renamed = {theirs: ours for theirs, ours in others.items() if ours not in later}
+    layout = layout_of(lines, str(pipe.path), renamed, whole)
+    there = {} if layout is None else {one: others[one] for one in layout.names if one in others}
+    return layout_of(lines, str(pipe.path), renamed | there, whole) if there else layout
+
+
+def _header(layout: Layout, pipe: Pipe) -> Header:
+    columns = [one.name for one in layout.columns]
+    places = tuple(place_of(one, columns) for one in pipe.readings)
+    lacking = [
+        name
+        for name, place in zip(pipe.readings[: pipe.wanted], places, strict=False)
+        if place is None
+    ]
     if lacking:
         raise InputError(
-            f"{pipe.path}: columns {', '.join(columns)[:200] or 'none'}; no {', '.join(lacking)}; "
-            "add it, or name it under columns"
+            f"{pipe.path}: columns {', '.join(layout.dialect.given)[:200]}; no "
+            f"{', '.join(lacking)}; add it, or name it under columns"
         )
-    return Header(
-        columns.index("timestamp" if iso else "time_s"),
-        iso,
-        tuple(columns.index(one) if one in columns else -1 for one in pipe.names),
-        len(columns),
-    )
+    return Header(layout, places)
 
 
-def row_of(line: str, header: Header, starts: float) -> tuple[float, list[float]]:
-    """Read one line: its time, s since 1970, and its readings, NaN for an empty cell.
+class _Beginning(NamedTuple):
+    """The first lines of a table, until they say how it is to be read.
 
-    Raises
-    ------
-    ValueError
-        It is no such line.
+    Attributes
+    ----------
+    lines : tuple of str
+        A line that is none is left empty.
+    refused : int
+        How many are.
     """
-    cells = line.split(",") if '"' not in line else next(csv.reader([line]), [])
-    if len(cells) != header.width:
-        raise ValueError(f"{len(cells)} values, expected {header.width}")
-    text = cells[header.time]
-    time = seconds_of(text.strip()) if header.iso else starts + _number(text)
-    if not math.isfinite(time):
-        raise ValueError("the time is missing")
-    return time, [_number(cells[k]) if k >= 0 else math.nan for k in header.at]
+
+    lines: tuple[str, ...] = ()
+    refused: int = 0
 
 
-def _number(cell: str) -> float:
-    if not cell or cell.isspace():
-        return math.nan
-    value = number_in(cell, ".")
-    if value is None:
-        if not is_missing(cell):
-            raise ValueError(f"{cell.strip()!r} is no number")
-        return math.nan
-    return value if math.isfinite(value) else math.nan
+def _with_line(
+    before: _Beginning, line: bytes, pipe: Pipe
+) -> tuple[_Beginning, Header | Note | None]:
+    """Return the beginning with one more line, and what it tells, if it tells anything."""
+    if not before.lines and encoding_of(line) != _ENCODING:
+        raise InputError(f"{pipe.path}: text in UTF-16; write it as UTF-8 where it is streamed")
+    lines = (*before.lines, _text(line))
+    try:
+        layout = _layout(lines, pipe, len(lines) >= HEAD)
+    except InputError as error:
+        if before.refused + 1 >= _PATIENCE:
+            raise
+        left = _Beginning((*before.lines, "\n"), before.refused + 1)
+        return left, Note("malformed", str(error), pipe.machine)
+    return before._replace(lines=lines), None if layout is None else _header(layout, pipe)
+
+
+_ENCODING = encoding_of(b"")
+
+
+def _text(line: bytes) -> str:
+    return line.decode(_ENCODING, OR_CP1252)
+
+
+def _said(pipe: Pipe, header: Header) -> Note:
+    """Say how a stream is read, as every command does."""
+    layout = header.layout
+    record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
+    return Note("source-read", "; ".join(one.strip() for one in begun(record)), pipe.machine)
 
 
 async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
@@ -171,14 +214,20 @@ async def _whole_lines(
     position: Any,  # noqa: ANN401
 ) -> AsyncIterator[list[Arrival | Note]]:
     """Yield what a file says until it ends, or until another one has its name."""
-    first = await _first_line(pipe, file)
-    if first is None:
+    header: Header | None = None
+    async for one in _begun(pipe, file):
+        if isinstance(one, Note):
+            yield [one]
+        else:
+            header = one
+    if header is None:
         return
-    header = header_of(first.decode("utf-8", "replace"), pipe)
-    at = file.tell()
+    yield [_said(pipe, header)]
+    first = _first_lines(file, header.layout.dialect.first)
+    at, hands = len(first), Hands()
     if _goes_on(position, first, os.fstat(file.fileno()).st_size):
-        at = int(position["offset"])
-        file.seek(at)
+        at, hands = int(position["offset"]), _hands_of(position)
+    file.seek(at)
     mark = {"first": len(first), "sum": _sum(first)}
     rest, dropping = b"", False
     while True:
@@ -186,7 +235,8 @@ async def _whole_lines(
         if not block:
             if not pipe.follow:
                 if rest and not dropping:
-                    yield [_told(pipe, header, rest, mark | {"offset": at + len(rest)})]
+                    told, hands = told_in(pipe, header, rest, hands)
+                    yield _placed(told, mark | {"offset": at + len(rest)}, header, hands)
                 return
             if _replaced(pipe.path, file, at + len(rest)):
                 yield [Note("source-replaced", f"{pipe.path}: another file", pipe.machine)]
@@ -200,8 +250,9 @@ async def _whole_lines(
             at += len(line) + 1
             if dropping:
                 dropping = False
-            elif line.strip():
-                found.append(_told(pipe, header, line, mark | {"offset": at}))
+            else:
+                told, hands = told_in(pipe, header, line, hands)
+                found += _placed(told, mark | {"offset": at}, header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
@@ -211,6 +262,32 @@ async def _whole_lines(
         for k in range(0, len(found), _ROWS):
             yield found[k : k + _ROWS]
         await asyncio.sleep(0)
+
+
+def _first_lines(file: BinaryIO, count: int) -> bytes:
+    file.seek(0)
+    return b"".join(file.readline(LONGEST_LINE) for _ in range(count))
+
+
+def _placed(
+    told: list[Arrival | Note],
+    position: dict[str, Any],
+    header: Header,
+    hands: Hands,
+) -> list[Arrival | Note]:
+    """Return what a line said with the position behind it, and where its clock stood."""
+    if header.layout.clock.form not in ("number", "excel"):
+        position = position | {"clock": [one if math.isfinite(one) else None for one in hands]}
+    return [replace(one, position=position) if isinstance(one, Arrival) else one for one in told]
+
+
+def _hands_of(position: Mapping[str, Any]) -> Hands:
+    """Where the clock stood; a position of an earlier version does not say it."""
+    kept = position.get("clock")
+    usual = Hands()
+    if not isinstance(kept, list) or len(kept) != len(usual):
+        return usual
+    return Hands(*(old if one is None else one for one, old in zip(kept, usual, strict=True)))
 
 
 def _sum(first: bytes) -> int:
@@ -227,17 +304,31 @@ def _goes_on(position: Any, first: bytes, size: int) -> bool:  # noqa: ANN401
     )
 
 
-async def _first_line(pipe: Pipe, file: BinaryIO) -> bytes | None:
-    """The first line, as soon as it is whole; None if it never is."""
+async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
+    """Yield how a file is to be read as soon as its first lines say it, and what they were not.
+
+    Nothing follows if they never do, or if another file takes its name before.
+    """
+    beginning = _Beginning()
     while True:
-        file.seek(0)
+        at = file.tell()
         line = file.readline(LONGEST_LINE)
-        if line.endswith(b"\n") or (line and not pipe.follow):
-            return line
-        if len(line) >= LONGEST_LINE:
+        if len(line) >= LONGEST_LINE and not line.endswith(b"\n"):
             raise InputError(f"{pipe.path}: the first line is no header; give a CSV")
+        if line.endswith(b"\n") or (line and not pipe.follow):
+            beginning, told = _with_line(beginning, line, pipe)
+            if told is not None:
+                yield told
+            if isinstance(told, Header):
+                return
+            continue
+        file.seek(at)
         if not pipe.follow:
-            return None
+            if beginning.lines and (header := header_of(beginning.lines, pipe, whole=True)):
+                yield header
+            return
+        if _replaced(pipe.path, file, at):
+            return
         await asyncio.sleep(_LOOK_S)
 
 
@@ -276,6 +367,7 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
             source,
         )
         header: Header | None = None
+        beginning, hands = _Beginning(), Hands()
         try:
             while True:
                 line = await _line_of(lines)
@@ -283,10 +375,19 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
                     break
                 if line is None:
                     yield [_too_long(pipe)]
-                elif header is None:
-                    header = header_of(line.decode("utf-8", "replace"), pipe)
-                elif line.strip():
-                    yield [_told(pipe, header, line, None)]
+                elif header is not None:
+                    told, hands = told_in(pipe, header, line, hands)
+                    yield told
+                else:
+                    beginning, found = _with_line(beginning, line, pipe)
+                    if isinstance(found, Note):
+                        yield [found]
+                    elif found is not None:
+                        header = found
+                        yield [_said(pipe, header)]
+                        for row in beginning.lines[header.layout.dialect.first :]:
+                            told, hands = told_in(pipe, header, row.encode(), hands)
+                            yield told
         finally:
             transport.close()
         if str(pipe.path) == "-" or not pipe.follow:
@@ -313,16 +414,25 @@ async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
             return None
 
 
-def _told(pipe: Pipe, header: Header, line: bytes, position: Any) -> Arrival | Note:  # noqa: ANN401
+def told_in(
+    pipe: Pipe, header: Header, line: bytes, hands: Hands
+) -> tuple[list[Arrival | Note], Hands]:
+    """Return what a line says, and where its clock stands."""
     try:
-        text = line.decode("utf-8").rstrip("\r\n")
-        time, readings = row_of(text, header, pipe.starts)
-    except (ValueError, csv.Error, OverflowError) as error:
-        return Note("malformed", f"{pipe.path}: a line is no row: {error}", pipe.machine)
+        row = told_by(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
+    except (InputError, ValueError, OverflowError) as error:
+        text = f"{pipe.path}: a line is no row: {error}"
+        return [Note("malformed", text, pipe.machine)], hands
+    if row is None:
+        return [], hands
     told: Sequence[float | None] = [
-        None if k >= pipe.wanted and math.isnan(one) else one for k, one in enumerate(readings)
+        None if k >= pipe.wanted and math.isnan(one) else one for k, one in enumerate(row.readings)
     ]
-    return Arrival(pipe.machine, time, told, clock.time(), position)
+    time = row.time + (0.0 if header.layout.clock.dated else pipe.starts)
+    arrival = Arrival(pipe.machine, time, told, clock.time())
+    if not row.note:
+        return [arrival], row.hands
+    return [Note("clock", f"{pipe.path}: {row.note}", pipe.machine), arrival], row.hands
 
 
 def _too_long(pipe: Pipe) -> Note:

@@ -67,13 +67,15 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
         }
         if not fed:
             continue
+        clock = {"time_s"} if isinstance(source, CsvSource) else set()
+        columns = {ours: one for ours, one in source.columns.items() if ours not in clock}
         names = {
-            machine: called(model, source.columns, f"sources.{name}.columns")
+            machine: called(model, columns, f"sources.{name}.columns")
             for machine, model in fed.items()
         }
         if isinstance(source, CsvSource):
             found += [
-                _csv(service, source, machine, model, names) for machine, model in fed.items()
+                _csv(source, machine, model, names[machine]) for machine, model in fed.items()
             ]
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
@@ -100,13 +102,7 @@ def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, 
     return tuple(columns.get(name, name) for name in model.intake.names)
 
 
-def _csv(
-    service: Service,
-    source: CsvSource,
-    machine: str,
-    model: Served,
-    names: Mapping[str, tuple[str, ...]],
-) -> CsvReader:
+def _csv(source: CsvSource, machine: str, model: Served, names: tuple[str, ...]) -> CsvReader:
     starts = 0.0
     if source.starts is not None:
         try:
@@ -120,9 +116,14 @@ def _csv(
         Pipe(
             machine,
             path,
-            names[machine],
+            dict(zip(model.intake.names, names, strict=True)) | _clock_of(source),
             model.intake.wanted,
             starts,
             source.follow,
         )
     )
+
+
+def _clock_of(source: CsvSource) -> dict[str, str]:
+    """What the header calls the clock, if ``columns`` says it."""
+    return {ours: theirs for ours, theirs in source.columns.items() if ours == "time_s"}
