@@ -62,10 +62,10 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str 
     if key is None:
         return make()
     name = f"{kind.__name__} {key} {also}"
-    found = load(name)
-    if found is not None:
+    arrays = load(name)
+    if arrays is not None:
         return kind(
-            **{field: array if array.ndim else array.item() for field, array in found.items()}
+            **{field: array if array.ndim else array.item() for field, array in arrays.items()}
         )
     made = make()
     store(name, {field: np.asarray(value) for field, value in vars(made).items()})
@@ -114,12 +114,12 @@ def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
 @cache
 def program() -> str:
     """Return a digest of what computes: this program's source, and its libraries' versions."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in _LIBRARIES:
-        found.update(f"{name} {version(name)}\n".encode())
+        digest.update(f"{name} {version(name)}\n".encode())
     for package in _SOURCES:
-        found.update(source_digest(package).encode())
-    return found.hexdigest()
+        digest.update(source_digest(package).encode())
+    return digest.hexdigest()
 
 
 def _path(place: Path, key: str) -> Path:

@@ -48,8 +48,8 @@ def outputs_of(setup: Setup, step: Step) -> Array:
     if setup.outputs is None:
         return pulls
     strained = setup.machine.strained(step.state.temperature)
-    found = setup.outputs.of(strained, step.remainder, acting)
-    return np.concatenate([pulls, found])
+    outputs = setup.outputs.of(strained, step.remainder, acting)
+    return np.concatenate([pulls, outputs])
 
 
 def _bolt_count(setup: Setup) -> int:

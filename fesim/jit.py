@@ -65,10 +65,10 @@ def _source(package: str) -> str:
 
 
 def _drop_unused(place: Path) -> None:
-    for one in place.glob(f"{_NAME}*"):
+    for folder in place.glob(f"{_NAME}*"):
         with suppress(OSError):
-            if time.time() - one.stat().st_mtime > UNUSED:
-                rmtree(one)
+            if time.time() - folder.stat().st_mtime > UNUSED:
+                rmtree(folder)
 
 
 @contextmanager

@@ -51,10 +51,10 @@ def contacts_of(setup: Setup) -> Triangles:
     count, first = 0, 0
     for joint in setup.joints:
         for corners, element in zip(joint.pieces, joint.piece_element, strict=True):
-            found = triangles_of(count + np.arange(len(corners))[None, :])
+            fan = triangles_of(count + np.arange(len(corners))[None, :])
             points.append(corners)
-            triangles.append(found)
-            contacts.append(np.full(len(found), first + int(element)))
+            triangles.append(fan)
+            contacts.append(np.full(len(fan), first + int(element)))
             count += len(corners)
         first += len(joint.area)
     return Triangles(np.concatenate(points), np.concatenate(triangles), np.concatenate(contacts))

@@ -84,7 +84,7 @@ def learn(
         data = log_from_frame(data)
     if isinstance(data, Log):
         return learning.learn([data], names, max_sensors, kind, ignored)
-    paths = [Path(data)] if isinstance(data, str | Path) else [Path(one) for one in data]
+    paths = [Path(data)] if isinstance(data, str | Path) else [Path(path) for path in data]
     model = learning.learn([read_log(paths)], names, max_sensors, kind, ignored)
     return learning.with_origin(model, [path.name for path in paths])
 
@@ -120,8 +120,8 @@ def estimate(
     start = estimator.initial_state() if state is None else state
     text = io.StringIO()
     text.write(",".join(estimate_table.header(estimator)) + "\n")
-    for _, one in follow(estimator, samples, start):
-        cells = estimate_table.row(estimator, one)
+    for _, sample in follow(estimator, samples, start):
+        cells = estimate_table.row(estimator, sample)
         text.write(",".join(f'"{cell}"' if "," in cell else cell for cell in cells) + "\n")
     text.seek(0)
     return pd.read_csv(text)
@@ -217,11 +217,13 @@ def _judged_by_frame(estimator: OpenedEstimator, frame: pd.DataFrame) -> pd.Data
     log = log_from_frame(frame)
     axes = [axis_name(axis) for axis in estimator.axes]
     truth = MEGA * np.array([log.at(axis) for axis in axes]).T
-    found = estimate(estimator, frame)
-    if len(found) != len(truth):
-        raise InputError(f"{_FRAME}: {len(found)} estimates of {len(truth)} rows; drop the others")
+    estimates = estimate(estimator, frame)
+    if len(estimates) != len(truth):
+        raise InputError(
+            f"{_FRAME}: {len(estimates)} estimates of {len(truth)} rows; drop the others"
+        )
     values, bands = (
-        found[[f"{axis}{ending}" for axis in axes]].to_numpy(dtype=float)
+        estimates[[f"{axis}{ending}" for axis in axes]].to_numpy(dtype=float)
         for ending in ("_um", "_band_um")
     )
     counted = np.isfinite(truth).all(axis=1)

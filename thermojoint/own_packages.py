@@ -25,16 +25,16 @@ def check_not_hidden() -> None:
 def _hiding(name: str) -> str:
     """Path of what an import of `name` finds in place of ours; empty if it finds ours."""
     if (loaded := sys.modules.get(name)) is not None:
-        found = getattr(loaded, "__file__", None)
+        place = getattr(loaded, "__file__", None)
     elif (spec := PathFinder.find_spec(name)) is not None:
         # A folder without `__init__.py` has places and no origin.
-        found = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
+        place = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
     else:  # an editable installation is found after the path
         return ""
-    if found is None or found == f"{__file__.rpartition('thermojoint')[0]}{name}/__init__.py":
+    if place is None or place == f"{__file__.rpartition('thermojoint')[0]}{name}/__init__.py":
         return ""
     # Here, not above: it takes most of the time of this check, and is rarely needed.
     from pathlib import Path
 
     ours = Path(__file__).parents[1] / name / "__init__.py"
-    return "" if Path(found).resolve() == ours.resolve() else str(found)
+    return "" if Path(place).resolve() == ours.resolve() else str(place)

@@ -240,14 +240,14 @@ def implausible(place: str, value: float, quantity: Quantity) -> list[str]:
     unit = f" {quantity.unit}" if quantity.unit else ""
     said = f"{place} = {value:g} is implausible, usual is {quantity.low:g} to {quantity.high:g}"
     meant = [(slip, slip.factor * value + slip.offset) for slip in quantity.slips]
-    found = [
+    slips = [
         (_away(true, quantity.typical), slip, true)
         for slip, true in meant
         if _plausible(true, quantity)
     ]
-    if not found:
+    if not slips:
         return [f"{said}{unit}"]
-    _, slip, true = min(found, key=lambda one: one[0])
+    _, slip, true = min(slips, key=lambda slip: slip[0])
     into = f" {slip.into}" if slip.into else unit
     return [f"{said}{unit}; {value:g} {slip.name} would be {true:.5g}{into}"]
 

@@ -64,7 +64,7 @@ def open_dataset(path: Path, study: Study) -> Dataset:
     """Open the dataset of a study; create it if there is none, or one of another study."""
     labels = dimension_labels(study)
     layout = _layout_digest(study, labels)
-    row = {one.id: number for number, one in enumerate(study.cases)}
+    row = {case.id: number for number, case in enumerate(study.cases)}
     if (path / ".zgroup").is_file():
         group = zarr.open_group(path, mode="r+", zarr_format=2)
         if group.attrs.get("layout") == layout:
@@ -76,7 +76,7 @@ def open_dataset(path: Path, study: Study) -> Dataset:
 def dimension_labels(study: Study) -> dict[str, Labels]:
     """Return the labels of every dimension but ``case``: the union of those of its cases."""
     shapes = study.shapes.values()
-    cases = [one.case for one in study.cases]
+    cases = [case.case for case in study.cases]
     forces = [case for case in cases if case.output.forces]
     asked = {
         "load": _union(case.loads for case in cases),
@@ -89,7 +89,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
         asked |= {"component": np.array(COMPONENT_NAMES), "order": np.array(ORDER_NAMES)}
     return {
         "time": np.unique(np.concatenate([_times(length, step) for length, step in _runs(study)])),
-        "source": _union(one.case.sources for one in study.cases),
+        "source": _union(case.case.sources for case in study.cases),
         "probe": _union(shape.probes for shape in shapes),
         "axis": np.array(["x", "y", "z"]),
         "space": np.array(["x", "y", "z"]),

@@ -60,7 +60,11 @@ class LocalCrew:
 
     def gather(self, timeout: float) -> list[Report]:
         """Wait for outcomes and lost workers, `timeout` seconds at most."""
-        ends = [end for one in self._workers.values() for end in (one.pipe, one.process.sentinel)]
+        ends = [
+            end
+            for worker in self._workers.values()
+            for end in (worker.pipe, worker.process.sentinel)
+        ]
         ready = set(wait(ends, timeout))
         reports = []
         for name, worker in list(self._workers.items()):

@@ -107,10 +107,10 @@ def run_batch(
     """
     with on_disk.locked(folder):
         keeper = _Keeper(study, folder)
-        for one in keeper.damaged:
-            tell(one, "its response in the folder is damaged; it runs again")
-        found = len(keeper.records)
-        left = [one for one in study.cases if one.id not in keeper.records]
+        for damaged in keeper.damaged:
+            tell(damaged, "its response in the folder is damaged; it runs again")
+        kept = len(keeper.records)
+        left = [case for case in study.cases if case.id not in keeper.records]
         try:
             if left:
                 with recruit() as crew:
@@ -118,7 +118,7 @@ def run_batch(
         finally:
             table = keeper.write_tables()
     missing = len(study.cases) - len(keeper.records)
-    return Finished(table, found, len(keeper.records) - found, missing > 0)
+    return Finished(table, kept, len(keeper.records) - kept, missing > 0)
 
 
 class _Keeper:
@@ -201,13 +201,13 @@ def _work_off(
     tell: Callable[[StudyCase, str], None],
     stopped: Callable[[], bool],
 ) -> None:
-    cases = {one.id: one for one in left}
+    cases = {case.id: case for case in left}
     queue = Queue(
-        Task(one.id, one.key, one.case.model_dump_json(), keeper.study.keep) for one in left
+        Task(case.id, case.key, case.case.model_dump_json(), keeper.study.keep) for case in left
     )
     working: dict[str, Task] = {}
     losses: Counter[str] = Counter()
-    found = len(keeper.records)
+    kept = len(keeper.records)
     counts = Counter(str(record["status"]) for record in keeper.records.values())
 
     def hand_out() -> int:
@@ -224,7 +224,7 @@ def _work_off(
 
     def show(workers: int) -> None:
         at_work = {worker: task.id for worker, task in working.items()}
-        watch(Progress(found, dict(counts), at_work, workers))
+        watch(Progress(kept, dict(counts), at_work, workers))
 
     def settle(report: Report) -> None:
         case, worker = report.task.id, report.worker

@@ -202,17 +202,19 @@ def read_study(path: Path) -> Study:
         case = case_from_data(with_values(data, values), where, source.parent)
         load = case.model_dump_json(include=LOADS)
         try:
-            one = StudyCase(case_id(case, digest), condensation_key(case, digest), values, case)
+            study_case = StudyCase(
+                case_id(case, digest), condensation_key(case, digest), values, case
+            )
             if load not in loads:
                 thermal_inputs(case)
-            if one.key not in shapes:
+            if study_case.key not in shapes:
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)
-                shapes[one.key] = Shape(tuple(parts.probes), contacts)
+                shapes[study_case.key] = Shape(tuple(parts.probes), contacts)
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
         loads.add(load)
-        cases_by_id.setdefault(one.id, one)
+        cases_by_id.setdefault(study_case.id, study_case)
     return Study(
         given.title or base.title,
         tuple(varied_paths(given)),
@@ -227,7 +229,7 @@ def varied_paths(given: StudyFile) -> list[str]:
     grids = [section.path for section in given.grid]
     lists = [path for section in given.list_ for path in section.paths]
     cube = given.latin_hypercube
-    return grids + lists + ([one.path for one in cube.ranges] if cube else [])
+    return grids + lists + ([span.path for span in cube.ranges] if cube else [])
 
 
 def combinations(given: StudyFile) -> Iterator[Values]:
@@ -256,17 +258,17 @@ def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
     ranges = section.ranges
     unit = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(section.seed))
     low, high = (
-        np.array([np.log(end) if one.scale == "log" else end for one, end in ends])
+        np.array([np.log(end) if span.scale == "log" else end for span, end in ends])
         for ends in (
-            [(one, one.low) for one in ranges],
-            [(one, one.high) for one in ranges],
+            [(span, span.low) for span in ranges],
+            [(span, span.high) for span in ranges],
         )
     )
     scaled = low + (high - low) * unit.random(section.samples)
     return [
         {
-            one.path: float(np.exp(value) if one.scale == "log" else value)
-            for one, value in zip(ranges, row, strict=True)
+            span.path: float(np.exp(value) if span.scale == "log" else value)
+            for span, value in zip(ranges, row, strict=True)
         }
         for row in scaled
     ]
@@ -295,6 +297,8 @@ def plain(value: Any) -> str | float | int | bool:  # noqa: ANN401 - any TOML va
 
 def _count(given: StudyFile) -> int:
     count = given.latin_hypercube.samples if given.latin_hypercube else 1
-    for size in [len(one.values) for one in given.grid] + [len(one.rows) for one in given.list_]:
+    for size in [len(section.values) for section in given.grid] + [
+        len(section.rows) for section in given.list_
+    ]:
         count *= size
     return count

@@ -147,8 +147,8 @@ def _files_as_read(task: Task, case: Case) -> Iterator[None]:
         _compare(case_id(case), task.id)
 
 
-def _compare(found: str, expected: str) -> None:
-    if found != expected:
+def _compare(present: str, expected: str) -> None:
+    if present != expected:
         raise UnreadableError(
             "a file of the case is not the one that the study was read with; give every worker "
             "the same files and start the batch again"

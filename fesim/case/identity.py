@@ -188,7 +188,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     # Lists of pairs where the order is that of the condensed rows and columns.
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
     sources = data["sources"].values()
-    data["sources"] = {number: _without(one, _STRENGTH) for number, one in enumerate(sources)}
+    data["sources"] = {number: _without(source, _STRENGTH) for number, source in enumerate(sources)}
     data["held_temperatures"] = {
         name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
     }

@@ -171,7 +171,7 @@ class InitialTemperatureSection(Section):
     @model_validator(mode="after")
     def _one_field(self) -> InitialTemperatureSection:
         given = (self.rise_K, self.expression_K, self.file)
-        if sum(one is not None for one in given) != 1:
+        if sum(field is not None for field in given) != 1:
             raise ValueError("give one of 'rise_K', 'expression_K' and 'file'")
         if self.expression_K is not None:
             formula(self.expression_K)

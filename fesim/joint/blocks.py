@@ -177,8 +177,8 @@ def side_by_side(
 def _alone(links: Flags, ties: Flags, joint: int) -> bool:
     """Whether nothing but a joint keeps what it touches together."""
     others = np.delete(links, joint, axis=0)
-    found = _hanging(np.vstack([others, ties]))[links[joint]]
-    return bool(found.size > 1 and np.unique(found).size == found.size)
+    pieces = _hanging(np.vstack([others, ties]))[links[joint]]
+    return bool(pieces.size > 1 and np.unique(pieces).size == pieces.size)
 
 
 def _hanging(links: Flags) -> NDArray[np.int64]:

@@ -316,23 +316,23 @@ def _newton_step(
         normal, along, across = lacking(springs, tangent, rows[k])
         e = rows[k] % count
         right_side[k] = normal * step[e] + along * step[count + e] + across * step[2 * count + e]
-    found = np.linalg.solve(matrix, right_side)
+    solved = np.linalg.solve(matrix, right_side)
     for i in range(3 * count):
         total = 0.0
         for k in range(size):
-            total += compliance[i, rows[k]] * found[k]
+            total += compliance[i, rows[k]] * solved[k]
         step[i] += total
 
 
 @compiled
 def largest(values: Array) -> float:
     """The largest magnitude; NaN if there is one, which must not look like convergence."""
-    found = 0.0
+    maximum = 0.0
     for value in values.flat:
         if math.isnan(value):
             return math.nan
-        found = max(found, abs(value))
-    return found
+        maximum = max(maximum, abs(value))
+    return maximum
 
 
 @compiled

@@ -56,16 +56,16 @@ def cut(
         end = min(reached + length, 1.0)
         between = start + end * (thermal_gap - start) if end < 1.0 else thermal_gap
         try:
-            found, steps = _piece(problem, between, slip, gap, tolerance)
+            settled, steps = _piece(problem, between, slip, gap, tolerance)
         except ConvergenceError:
             length *= 0.5
             if length < SHORTEST:
                 raise
             continue
-        gap, slip = found.gap, found.traction.slip
-        taken, iterations = taken + steps + 1, iterations + found.iterations
+        gap, slip = settled.gap, settled.traction.slip
+        taken, iterations = taken + steps + 1, iterations + settled.iterations
         if end == 1.0:
-            return replace(found, iterations=iterations), taken
+            return replace(settled, iterations=iterations), taken
         reached, length = end, 2.0 * length
 
 

@@ -126,7 +126,7 @@ def block_tangent(anchors: FrozenTangents, block: int) -> FrozenTangent:
 
 
 @compiled
-def put_tangents(anchors: FrozenTangents, found: Array) -> None:
+def put_tangents(anchors: FrozenTangents, into: Array) -> None:
     """Put the tangents of the anchors that are made into `found` (6, m), zero for the others."""
     elements = anchors.blocks.elements
     for block in range(anchors.begins.shape[1] - 1):
@@ -134,7 +134,7 @@ def put_tangents(anchors: FrozenTangents, found: Array) -> None:
         at, made = 6 * first, anchors.every.about[block, MADE] == 1
         for i in range(6):
             for k in range(first, last):
-                found[i, elements[k]] = anchors.every.tangent[at] if made else 0.0
+                into[i, elements[k]] = anchors.every.tangent[at] if made else 0.0
                 at += 1
 
 
@@ -185,39 +185,41 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
 
     Four rows at a time: what they add to is read and written once for them.
     """
-    size, found, rows = total.size, 0, np.empty(4, dtype=np.int64)
+    size, count, rows = total.size, 0, np.empty(4, dtype=np.int64)
     for j in range(factors.size):
         if factors[j] == 0.0:
             continue
-        rows[found] = j
-        found += 1
-        if found == 4:
-            found = 0
+        rows[count] = j
+        count += 1
+        if count == 4:
+            count = 0
             p, q, r, s = factors[rows[0]], factors[rows[1]], factors[rows[2]], factors[rows[3]]
             a, b, c, d = columns[rows[0]], columns[rows[1]], columns[rows[2]], columns[rows[3]]
             for i in range(size):
                 total[i] += p * a[i] + q * b[i] + r * c[i] + s * d[i]
-    for k in range(found):
+    for k in range(count):
         factor, row = factors[rows[k]], columns[rows[k]]
         for i in range(size):
             total[i] += factor * row[i]
 
 
 @compiled
-def _solve_frozen(anchor: FrozenTangent, right_side: Array, found: Array) -> None:
+def _solve_frozen(anchor: FrozenTangent, right_side: Array, solution: Array) -> None:
     """The rows of the inverse times `right_side`, and zero elsewhere, into `found` (3 m,)."""
     size = anchor.about[ROWS]
     own = np.empty(size)
     for k in range(size):
         own[k] = right_side[anchor.rows[k]]
     solved = np.dot(anchor.inverse[: size * size].reshape(size, size), own)
-    found[:] = 0.0
+    solution[:] = 0.0
     for k in range(size):
-        found[anchor.rows[k]] = solved[k]
+        solution[anchor.rows[k]] = solved[k]
 
 
 @compiled
-def _changed(anchor: FrozenTangent, springs: Array, now: Lacking, found: NDArray[np.int64]) -> int:
+def _changed(
+    anchor: FrozenTangent, springs: Array, now: Lacking, changed: NDArray[np.int64]
+) -> int:
     """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
     tangent, lack, least = now.tangent, now.lack, now.least
     count, number = tangent.shape[1], 0
@@ -231,9 +233,9 @@ def _changed(anchor: FrozenTangent, springs: Array, now: Lacking, found: NDArray
             scale = CHANGED * (springs[e] if k < ALONG else springs[first])
             differs = differs or abs(tangent[k, e] - anchor.tangent[k, e]) > scale
         if differs:
-            if number == found.size:
+            if number == changed.size:
                 return -1
-            found[number] = e
+            changed[number] = e
             number += 1
     return number
 

@@ -187,12 +187,12 @@ def _loose(holds: Constraints, motions: Array) -> ConvergenceError:
 def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[np.int64]) -> bool:
     """Whether every group of contact elements surely holds all that it holds at rest."""
     count, groups = table.shape[0], needed.size
-    found = np.zeros(groups, dtype=np.int64)
+    corner_count = np.zeros(groups, dtype=np.int64)
     whole = np.ones(groups, dtype=np.bool_)
     corners = np.empty((groups, 2), dtype=np.int64)
     for e in range(count):
         k = int(table[e, _GROUP])
-        if found[k] >= needed[k]:
+        if corner_count[k] >= needed[k]:
             continue
         stiffness = table[e, _STIFFNESS]
         if pressure[e] <= table[e, _LEAST]:
@@ -200,14 +200,14 @@ def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[n
         elif stiffness > 0.0:
             if tangent[1, 1, e] != -stiffness or tangent[1, 2, e] != 0.0:
                 whole[k] = False
-            elif found[k] < 2:
-                corners[k, found[k]] = e
-                found[k] += 1
+            elif corner_count[k] < 2:
+                corners[k, corner_count[k]] = e
+                corner_count[k] += 1
             else:
-                found[k] += _off_line(table, corners[k, 0], corners[k, 1], e)
+                corner_count[k] += _off_line(table, corners[k, 0], corners[k, 1], e)
     held = True
     for k in range(groups):
-        held = held and (found[k] >= needed[k] or whole[k])
+        held = held and (corner_count[k] >= needed[k] or whole[k])
     return held
 
 

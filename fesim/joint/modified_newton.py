@@ -108,10 +108,12 @@ def _sweep(
                     + along * shift[count + e]
                     + across * shift[2 * count + e]
                 )
-        found = _correct_or_move(block_tangent(anchors, k), block, own_now, stale, may_move, own)
-        if found == _FAILED:
+        outcome_of = _correct_or_move(
+            block_tangent(anchors, k), block, own_now, stale, may_move, own
+        )
+        if outcome_of == _FAILED:
             return _FAILED
-        outcome = max(outcome, found)
+        outcome = max(outcome, outcome_of)
         part = np.zeros(3 * count)
         for i in range(3):
             for j in range(size):
@@ -130,10 +132,10 @@ def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
         for e in range(count):
             at = i * count + e
             lack[at] = value[i, e] + springs[at] * gap[i, e] - force[at]
-            one = abs(lack[at]) / springs[at]
-            if not one <= 1e300:
+            length = abs(lack[at]) / springs[at]
+            if not length <= 1e300:
                 return math.inf
-            size = max(size, one)
+            size = max(size, length)
     return size
 
 
@@ -162,7 +164,7 @@ def settle_near(
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     now = Lacking(trial.tangent, lack, least)
-    one, first = anchors.blocks.starts.size == 2, block_tangent(anchors, 0)
+    single, first = anchors.blocks.starts.size == 2, block_tangent(anchors, 0)
     whole = part_of(anchors.blocks, 0)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)
@@ -179,7 +181,7 @@ def settle_near(
                     anchors.every.about[:, MADE] = 0
                 return True, residual, iteration
         may_move = moves < MAX_ANCHORS
-        if one:
+        if single:
             stale = size > SLOW * before
             outcome = _correct_or_move(first, whole, now, stale, may_move, correction)
         else:

@@ -75,23 +75,23 @@ def relax(
     for steps in range(1, MAX_STEPS + 1):
         if damping <= WEAK:
             try:
-                found = solve_gap(problem, thermal_gap, slip, gap, tolerance)
+                settled = solve_gap(problem, thermal_gap, slip, gap, tolerance)
             except ConvergenceError:
                 pass
             else:
-                return replace(found, iterations=iterations + found.iterations), steps
+                return replace(settled, iterations=iterations + settled.iterations), steps
         size = float(np.abs(problem.residual(gap, problem.law(gap, slip), thermal_gap)).max())
         if not WEAKEST < damping < STIFFEST:
             raise unconverged(size, tolerance, iterations)
         damped = replace(problem, law=partial(_damped, problem, damping, gap))
         roughly = max(tolerance, ROUGHLY * size)
         try:
-            found = solve_gap(damped, thermal_gap, slip, gap, roughly, MAX_ITERATIONS)
+            settled = solve_gap(damped, thermal_gap, slip, gap, roughly, MAX_ITERATIONS)
         except ConvergenceError:
             damping *= SHORTER
             continue
-        moved = float(np.abs(found.gap - gap).max())
-        gap, iterations = found.gap, iterations + found.iterations
+        moved = float(np.abs(settled.gap - gap).max())
+        gap, iterations = settled.gap, iterations + settled.iterations
         damping *= LONGER
         if np.abs(gap).max() > ADRIFT:
             raise loose(f"the joint moves by more than {ADRIFT:g} m")

@@ -63,10 +63,10 @@ def tightened(
     contact = replace(loose.contact, loads=None)
     free = replace(loose, contact=contact, start=None)
     try:
-        found, _ = settle_along(contact, initial_state(free), loads.gap[:, given:] @ forces)
+        settled, _ = settle_along(contact, initial_state(free), loads.gap[:, given:] @ forces)
     except ConvergenceError as error:
         raise ConvergenceError(f"tightening the bolts: {error}") from error
-    remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+    remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
     start = elastic.probe_compliance @ (elastic.area * remainder)
     start = start + loads.probes[:, given:] @ forces
     bolted, influence, force = fastened(elastic, loads, springs, start)
@@ -75,9 +75,9 @@ def tightened(
         loose,
         contact=replace(loose.contact, elastic=bolted, loads=influence),
         assembly=Assembly(
-            gap=found.gap,
-            slip=found.traction.slip,
-            pressure=contact.preload + found.traction.value[0],
+            gap=settled.gap,
+            slip=settled.traction.slip,
+            pressure=contact.preload + settled.traction.value[0],
             remainder=remainder,
             factors=factors,
         ),

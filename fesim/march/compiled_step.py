@@ -204,13 +204,13 @@ def settle_by_newton(
 @compiled
 def take(joint: JointKernel, trial: Trial, now: JointState, remainder: Array) -> None:
     """Put a joint that has settled in the place of what it was, and z + k g into `remainder`."""
-    found, value, gap, change = trial.gap, trial.value, now.gap, now.change
+    opening, value, gap, change = trial.gap, trial.value, now.gap, now.change
     count = now.pressure.size
     for i in range(3):
         for e in range(count):
-            change[i, e] = found[i, e] - gap[i, e]
-            gap[i, e] = found[i, e]
-            remainder[i * count + e] = value[i, e] + joint.reference[i * count + e] * found[i, e]
+            change[i, e] = opening[i, e] - gap[i, e]
+            gap[i, e] = opening[i, e]
+            remainder[i * count + e] = value[i, e] + joint.reference[i * count + e] * opening[i, e]
     now.slip[:] = trial.moved
     for e in range(count):
         now.pressure[e] = joint.preload[e] + value[0, e]

@@ -54,12 +54,12 @@ def march_many(
         raise InputError(
             f"march_many: {len(laws)} laws for {len(inputs)} inputs; give one for each"
         )
-    found = np.empty((*inputs.shape[:2], len(machine.contact.elastic.probe_thermal)))
+    displacements = np.empty((*inputs.shape[:2], len(machine.contact.elastic.probe_thermal)))
     with one_thread():
-        for own, driven, displacement in zip(laws, inputs, found, strict=True):
-            one = machine.with_laws(own)
-            rest = at_rest(one, driven[0])
+        for own, driven, displacement in zip(laws, inputs, displacements, strict=True):
+            own_machine = machine.with_laws(own)
+            rest = at_rest(own_machine, driven[0])
             displacement[0] = rest.displacement
-            for track in march_along(one, driven[1:], advance, rest.state):
+            for track in march_along(own_machine, driven[1:], advance, rest.state):
                 displacement[track.index] = track.displacement
-    return found
+    return displacements

@@ -70,8 +70,8 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
     if matrix.ndim == 2 and not matrix.shape[0]:  # Nothing is held: no rows need to be aligned.
         return np.zeros((len(rows), 0))
     if isinstance(matrix, np.ndarray):
-        found = np.matmul(_aligned(np.atleast_2d(matrix)), _aligned(rows)[:, :, None])[:, :, 0]
-        return np.asarray(found[:, 0] if matrix.ndim == 1 else found)
+        product = np.matmul(_aligned(np.atleast_2d(matrix)), _aligned(rows)[:, :, None])[:, :, 0]
+        return np.asarray(product[:, 0] if matrix.ndim == 1 else product)
     return np.asarray((matrix @ rows.T).T)
 
 
@@ -81,9 +81,9 @@ def _aligned(rows: Array) -> Array:
     width = -(-size // LINE) * LINE
     storage = np.zeros(count * width + LINE)
     first = (-storage.ctypes.data % (8 * LINE)) // 8
-    found = storage[first : first + count * width].reshape(count, width)
-    found[:, :size] = rows
-    return found
+    aligned = storage[first : first + count * width].reshape(count, width)
+    aligned[:, :size] = rows
+    return aligned
 
 
 def heat_balance(

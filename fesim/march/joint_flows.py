@@ -131,11 +131,11 @@ def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
 
 
 @compiled
-def _apply(equations: Equations, flow: Array, found: Array) -> None:
+def _apply(equations: Equations, flow: Array, into: Array) -> None:
     """(I + diag(c) S) j into `found` (m,)."""
-    np.dot(equations.joint_influence, flow, found)
+    np.dot(equations.joint_influence, flow, into)
     for e in range(flow.size):
-        found[e] = flow[e] + equations.beyond[e] * found[e]
+        into[e] = flow[e] + equations.beyond[e] * into[e]
 
 
 @compiled
@@ -151,15 +151,15 @@ def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> in
         basis[0, e] /= left[0]
     taken = 0
     while taken < most and abs(left[taken]) > 0.5 * enough:
-        k, found = taken, basis[taken + 1]
+        k, vector = taken, basis[taken + 1]
         np.dot(flows.inverse, basis[k], along[k])
-        _apply(equations, along[k], found)
+        _apply(equations, along[k], vector)
         for i in range(k + 1):
-            part = np.dot(found, basis[i])
+            part = np.dot(vector, basis[i])
             triangle[i, k] = part
             for e in range(count):
-                found[e] -= part * basis[i, e]
-        size = math.sqrt(np.dot(found, found))
+                vector[e] -= part * basis[i, e]
+        size = math.sqrt(np.dot(vector, vector))
         for i in range(k):
             upper, lower = triangle[i, k], triangle[i + 1, k]
             triangle[i, k] = turn[0, i] * upper + turn[1, i] * lower
@@ -175,7 +175,7 @@ def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> in
         if size == 0.0:
             break
         for e in range(count):
-            found[e] /= size
+            vector[e] /= size
     for k in range(taken - 1, -1, -1):
         for j in range(k + 1, taken):
             left[k] -= triangle[k, j] * left[j]

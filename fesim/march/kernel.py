@@ -79,14 +79,14 @@ class StepKernel:
         if not np.array_equal(_anchor(kept), state.anchor):
             self._make(kept, state.anchor)
         temperature, *joint = (
-            np.array(one, dtype=np.float64, order="C")
-            for one in (state.temperature, state.gap, state.slip, state.pressure, state.change)
+            np.array(array, dtype=np.float64, order="C")
+            for array in (state.temperature, state.gap, state.slip, state.pressure, state.change)
         )
         now = Moving(temperature, JointState(*joint))
         record = new_record(len(inputs), now, len(self.machine.joint.free))
         driven = np.ascontiguousarray(inputs, dtype=np.float64)
         taken, why = march_steps(self.machine, kept, driven, now, record)
-        return Record._make(one[:taken] for one in record), taken, why == LOOSE
+        return Record._make(column[:taken] for column in record), taken, why == LOOSE
 
     def _make(self, kept: Kept, anchor: Array) -> None:
         """Make what is kept from an anchor (7, m), as in `State`: it follows from that alone."""
@@ -106,10 +106,10 @@ class StepKernel:
 
 def _anchor(kept: Kept) -> Array:
     """The anchor (7, m) of what is kept, as in `State`."""
-    found = np.empty((7, kept.flows.conducted.size))
-    put_tangents(kept.anchors, found[ANCHOR_TANGENT])
-    found[ANCHOR_CONDUCTED] = kept.flows.conducted
-    return found
+    stored = np.empty((7, kept.flows.conducted.size))
+    put_tangents(kept.anchors, stored[ANCHOR_TANGENT])
+    stored[ANCHOR_CONDUCTED] = kept.flows.conducted
+    return stored
 
 
 def new_kept(blocks: Blocks) -> Kept:
@@ -212,13 +212,13 @@ def _conductance_table(laws: Sequence[tuple[JointLaw, int]], area: Array) -> Arr
     """Rows of `JointKernel.conductance`, or None if one is neither a power law nor fixed."""
     rows, start = [np.empty((0, 3))], 0
     for law, count in laws:
-        one, table = law.conductance, np.empty((count, 3))
+        power, table = law.conductance, np.empty((count, 3))
         if law.gap is not None:
             return None
-        if isinstance(one, PowerLawConductance):
-            table[:, 0], table[:, 1:] = one.factor, (one.hardness, one.exponent)
-        elif isinstance(one, FixedConductance):
-            table[:, 0], table[:, 1:] = one.value, (1.0, 0.0)
+        if isinstance(power, PowerLawConductance):
+            table[:, 0], table[:, 1:] = power.factor, (power.hardness, power.exponent)
+        elif isinstance(power, FixedConductance):
+            table[:, 0], table[:, 1:] = power.value, (1.0, 0.0)
         else:
             return None
         table[:, 0] *= area[start : start + count]

@@ -106,11 +106,11 @@ def thermal_modes(
         np.empty((free.size, 0)) if start is None else _usual_field(start[free]),
     )
     with one_dense_thread() if len(joints.area) <= FEW else nullcontext():
-        found = reduce_heat(reduced, shortest(step), LONGEST, solver)
-    basis = np.zeros((size, found.rates.size + surfaces.shape[1]))
-    basis[free, : found.rates.size] = found.basis
-    basis[:, found.rates.size :] = surfaces
-    return ThermalModes(basis, found.rates, found.error)
+        reduction = reduce_heat(reduced, shortest(step), LONGEST, solver)
+    basis = np.zeros((size, reduction.rates.size + surfaces.shape[1]))
+    basis[free, : reduction.rates.size] = reduction.basis
+    basis[:, reduction.rates.size :] = surfaces
+    return ThermalModes(basis, reduction.rates, reduction.error)
 
 
 def outputs_of(elastic: ElasticCondensation, probes: csr_array) -> Array:

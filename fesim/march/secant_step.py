@@ -106,5 +106,5 @@ def _next(guesses: list[Array], changes: list[Array]) -> Array:
     moves = np.diff(np.array(guesses), axis=0).T
     turns = np.diff(np.array(changes), axis=0).T
     weights = np.linalg.lstsq(turns, changes[-1], rcond=1e-10)[0]
-    found: Array = step - (moves + turns) @ weights
-    return found
+    accelerated: Array = step - (moves + turns) @ weights
+    return accelerated

@@ -76,9 +76,9 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         return state
     # A joint without preload is at rest by itself only where it is open.
     grown = machine.contact.elastic.thermal_gap @ machine.strained(state.temperature)
-    found, _ = settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
-    pressure = machine.contact.preload + found.traction.value[0]
-    return replace(state, gap=found.gap, slip=found.traction.slip, pressure=pressure)
+    settled, _ = settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
+    pressure = machine.contact.preload + settled.traction.value[0]
+    return replace(state, gap=settled.gap, slip=settled.traction.slip, pressure=pressure)
 
 
 def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:

@@ -30,8 +30,8 @@ class StartField:
 
     def temperature(self, inputs: Array) -> Array:
         """Return the unknowns (n,) under the inputs (k or more) of time zero."""
-        found: Array = self.free + self.held @ inputs[: self.held.shape[1]]
-        return found
+        field: Array = self.free + self.held @ inputs[: self.held.shape[1]]
+        return field
 
 
 def start_field(

@@ -214,7 +214,7 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
     """Pressures; or conductances, where openings or temperatures are in them as well."""
     if machine.contact.conducts_by_pressure:
         pressures = machine.contact.reference_pressure
-        return _Carried(lambda found: found.pressure, machine.contact.conductance, pressures)
+        return _Carried(lambda settled: settled.pressure, machine.contact.conductance, pressures)
     given = machine.conductance_in(state)
     scale = np.where(given > 0.0, given, 1.0)
     return _Carried(machine.conductance_in, lambda values: values, scale)
@@ -246,11 +246,11 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     heat = step_heat(machine.thermal, machine.variable, state.temperature, thermal, joint)
     strained = machine.strained(heat.temperature)
     thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
-    found, cuts = settle_along(machine.contact, state, thermal_gap)
-    pressure = machine.contact.preload + found.traction.value[0]
+    settled, cuts = settle_along(machine.contact, state, thermal_gap)
+    pressure = machine.contact.preload + settled.traction.value[0]
     if machine.contact.watch is not None:
-        machine.contact.watch.check(pressure, found.traction.tangent)
-    remainder = found.traction.value.ravel() + elastic.reference * found.gap.ravel()
+        machine.contact.watch.check(pressure, settled.traction.tangent)
+    remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
     displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
         elastic.area * remainder
     )
@@ -260,10 +260,10 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         state=State(
             index=state.index + 1,
             temperature=heat.temperature,
-            gap=found.gap,
-            slip=found.traction.slip,
+            gap=settled.gap,
+            slip=settled.traction.slip,
             pressure=pressure,
-            change=found.gap - state.gap,
+            change=settled.gap - state.gap,
             model=machine.thermal.model,
             anchor=np.zeros_like(state.anchor),
         ),
@@ -272,8 +272,8 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
         heat_flow=heat.heat_flow,
         displacement=displacement,
         remainder=remainder,
-        residual=found.residual,
-        iterations=found.iterations,
+        residual=settled.residual,
+        iterations=settled.iterations,
         cuts=cuts,
         heat_balance=heat.balance,
         secant_residual=heat.residual,

@@ -106,8 +106,8 @@ def track_of(step: Step) -> Track:
 
 def joined(tracks: Sequence[Track]) -> Track:
     """Return tracks that follow each other as one."""
-    names = [one.name for one in fields(Track) if one.name != "model"]
-    arrays = {name: np.concatenate([getattr(one, name) for one in tracks]) for name in names}
+    names = [field.name for field in fields(Track) if field.name != "model"]
+    arrays = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in names}
     return Track(**arrays, model=tracks[0].model)
 
 
@@ -134,7 +134,7 @@ def _kernel_track(
     record, taken, loose = kernel.run(kept, state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
         # Its error is that of the plain step; those before it are good.
-        record, taken = type(record)._make(one[:-1] for one in record), taken - 1
+        record, taken = type(record)._make(column[:-1] for column in record), taken - 1
     if not taken:
         return None
     thermal, inputs = machine.thermal, inputs[:taken]

@@ -84,13 +84,13 @@ def check_covered_once(structure: Structure, joints: Sequence[PairedJoint]) -> N
     ]
     facets = np.flatnonzero(np.any(covered, axis=0)) if covered else np.empty(0, dtype=int)
     area = np.linalg.norm(outward_areas(structure.mesh, facets), axis=1)
-    for (one, a), (other, b) in combinations(zip(joints, covered, strict=True), 2):
+    for (first, a), (other, b) in combinations(zip(joints, covered, strict=True), 2):
         both = (a[facets] > 0.0) & (b[facets] > 0.0)
         twice = np.maximum(a[facets] + b[facets] - (1.0 + EXCESS) * area, 0.0)[both].sum()
         if twice > 0.0:
             raise InputError(
-                f"joints: {one.name!r} and {other.name!r} cover the same {1e4 * twice:.4g} cm2 of "
-                "their faces, where both would count; remove one, or divide the surfaces"
+                f"joints: {first.name!r} and {other.name!r} cover the same {1e4 * twice:.4g} cm2 "
+                "of their faces, where both would count; remove one, or divide the surfaces"
             )
 
 
@@ -108,11 +108,11 @@ def check_closed(joint: PairedJoint) -> None:
 
 def check_apart(structure: Structure, names: Iterable[str], where: str) -> None:
     """Refuse surfaces that share facets where what they say of a facet would add up."""
-    for one, other in combinations(names, 2):
-        shared = np.intersect1d(structure.surface(one, where), structure.surface(other, where))
+    for surface, other in combinations(names, 2):
+        shared = np.intersect1d(structure.surface(surface, where), structure.surface(other, where))
         if shared.size:
             area = 1e4 * area_of(structure, shared)
             raise InputError(
-                f"{where}: surfaces {one!r} and {other!r} share {area:.4g} cm2, where both would "
-                f"count; leave {as_key(one)} or {as_key(other)} out, or divide the surfaces"
+                f"{where}: surfaces {surface!r} and {other!r} share {area:.4g} cm2, where both "
+                f"would count; omit {as_key(surface)} or {as_key(other)}, or divide the surfaces"
             )

@@ -220,9 +220,9 @@ def _transfer_error(exact: Array, reduced: _Reduced, shift: float) -> float:
     return _largest(exact, (outputs / (rates + shift)) @ np.hstack([drives, shift * fields]))
 
 
-def _largest(exact: Array, found: Array) -> float:
+def _largest(exact: Array, reduced: Array) -> float:
     """Largest error in units of its tolerance, or of `SOLVED` where outputs are huge."""
-    return float(np.abs(exact - found).max() / (1.0 + SOLVED * np.abs(exact).max()))
+    return float(np.abs(exact - reduced).max() / (1.0 + SOLVED * np.abs(exact).max()))
 
 
 def _orthonormal(block: Array, basis: Array, cut: float) -> Array:

@@ -282,11 +282,11 @@ def _check_one_body(structure: Structure, names: list[str], points: NDArray[np.f
     at = {body: cells_at(structure.mesh, points, cells) for body, cells in structure.bodies.items()}
     for i, name in enumerate(names):
         held = {body: structure.mesh.t[:, cells[i]] for body, cells in at.items() if cells[i] >= 0}
-        for (one, a), (other, b) in combinations(held.items(), 2):
+        for (first, a), (other, b) in combinations(held.items(), 2):
             if not np.intersect1d(a, b).size:
                 raise InputError(
-                    f"probe {name!r} at {shown_point(points[i])} m lies in {one!r} and in "
-                    f"{other!r}, which a joint separates; say which is meant: body = {one!r}"
+                    f"probe {name!r} at {shown_point(points[i])} m lies in {first!r} and in "
+                    f"{other!r}, which a joint separates; say which is meant: body = {first!r}"
                 )
 
 

@@ -272,35 +272,35 @@ def condense_ties(
     thermal = np.zeros((ties + probes.shape[0], temperatures))
     last = gap.shape[0]
     while influences:
-        one = influences.pop(0)
-        own = np.concatenate([one.gaps, last + np.arange(one.anchors.size)])
-        last += one.anchors.size
-        rows = np.concatenate([own, ties + one.probes])
-        compliance[np.ix_(rows, own)] += one.compliance[:, : own.size]
-        thermal[np.ix_(rows, one.heated)] += one.thermal
+        piece = influences.pop(0)
+        own = np.concatenate([piece.gaps, last + np.arange(piece.anchors.size)])
+        last += piece.anchors.size
+        rows = np.concatenate([own, ties + piece.probes])
+        compliance[np.ix_(rows, own)] += piece.compliance[:, : own.size]
+        thermal[np.ix_(rows, piece.heated)] += piece.thermal
     return _tied(springs, compliance, thermal)
 
 
-def _influence(one: Substructure, gap: csr_array, probes: csr_array) -> _Influence:
-    own_gap, own_probes = (csr_array(rows[:, one.unknowns]) for rows in (gap, probes))
+def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influence:
+    own_gap, own_probes = (csr_array(rows[:, piece.unknowns]) for rows in (gap, probes))
     gaps, probed = (np.flatnonzero(np.diff(rows.indptr)) for rows in (own_gap, own_probes))
-    at = np.searchsorted(one.unknowns, one.anchored)
+    at = np.searchsorted(piece.unknowns, piece.anchored)
     ends = np.arange(at.size + 1)
-    anchors = csr_array((np.ones(at.size), at, ends), shape=(at.size, one.unknowns.size))
+    anchors = csr_array((np.ones(at.size), at, ends), shape=(at.size, piece.unknowns.size))
     rows = csr_array(vstack([own_gap[gaps], anchors, own_probes[probed]], format="csr"))
-    heated = np.unique(one.thermal_load.indices)
-    load = one.thermal_load[:, heated]
+    heated = np.unique(piece.thermal_load.indices)
+    load = piece.thermal_load[:, heated]
     compliance = np.empty((rows.shape[0], rows.shape[0]))
     thermal = np.empty((rows.shape[0], heated.size))
-    width = max(1, AT_ONCE // one.unknowns.size)
+    width = max(1, AT_ONCE // piece.unknowns.size)
     for start in range(0, rows.shape[0], width):
         part = slice(start, start + width)
-        solved = checked_solve(one.factor, rows[part].toarray().T, "elastic condensation")
+        solved = checked_solve(piece.factor, rows[part].toarray().T, "elastic condensation")
         compliance[:, part] = rows @ solved
         thermal[part] = (load.T @ solved).T
     return _Influence(
         gaps,
-        np.full(at.size, one.anchor),
+        np.full(at.size, piece.anchor),
         probed,
         heated,
         # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.

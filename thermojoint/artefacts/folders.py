@@ -103,7 +103,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
                 new = work / "new"
                 new.mkdir()
                 yield new
-                names = [one.relative_to(new).as_posix() for one in new.rglob("*") if one.is_file()]
+                names = [
+                    file.relative_to(new).as_posix() for file in new.rglob("*") if file.is_file()
+                ]
                 listed = {"schema": SCHEMA, "schema_version": 1, "files": sorted(names)}
                 write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
                 _put_in_place(path, place, work)
@@ -128,8 +130,8 @@ def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:
 def _contents(folder: Path) -> set[str] | None:
     """Return which files of a folder this program wrote; None if it wrote none."""
     try:
-        found = json.loads((folder / CONTENTS).read_text(encoding="utf-8"))
-        return {CONTENTS, *found["files"]} if found["schema"] == SCHEMA else None
+        contents = json.loads((folder / CONTENTS).read_text(encoding="utf-8"))
+        return {CONTENTS, *contents["files"]} if contents["schema"] == SCHEMA else None
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -157,8 +159,8 @@ def _carry_over(old: Path, new: Path) -> None:
     for above, folders, files in os.walk(old):
         links = [name for name in folders if (Path(above) / name).is_symlink()]
         for name in [*files, *links]:
-            one = Path(above) / name
-            relative = one.relative_to(old)
+            source = Path(above) / name
+            relative = source.relative_to(old)
             if relative.as_posix() in ours:
                 continue
             at = new / relative
@@ -166,9 +168,9 @@ def _carry_over(old: Path, new: Path) -> None:
                 at = at.with_name(at.name + ".old")
             at.parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(one, at, follow_symlinks=False)
+                os.link(source, at, follow_symlinks=False)
             except OSError:
-                shutil.copy2(one, at, follow_symlinks=False)
+                shutil.copy2(source, at, follow_symlinks=False)
         if not folders and not files:
             (new / Path(above).relative_to(old)).mkdir(parents=True, exist_ok=True)
 
@@ -181,16 +183,16 @@ def _swap(place: Path, work: Path) -> None:
         (work / "new").rename(place)
 
 
-def _exchange(one: Path, other: Path) -> None:
+def _exchange(old: Path, new: Path) -> None:
     """Swap two folders at one stroke; OSError where the system cannot."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, TypeError) as error:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from error
-    paths = os.fsencode(one), os.fsencode(other)
+    paths = os.fsencode(old), os.fsencode(new)
     if rename(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], ctypes.c_uint(_RENAME_EXCHANGE)):
         number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), str(one))
+        raise OSError(number, os.strerror(number), str(old))
 
 
 def _settle(work: Path, place: Path) -> None:

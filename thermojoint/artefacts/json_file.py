@@ -120,6 +120,6 @@ def validated(
         return kind.validate_json(json.dumps(content))
     except ValidationError as error:
         # What is missing may only be misspelt: the unknown key says more.
-        first = min(error.errors(), key=lambda found: found["type"] == "missing")
+        first = min(error.errors(), key=lambda mistake: mistake["type"] == "missing")
         place = ".".join(part for part in map(str, first["loc"]) if part not in members)
         raise InputError(f"{where}: {place}: {first['msg']}; {remedy}") from error

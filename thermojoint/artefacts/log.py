@@ -43,7 +43,7 @@ class Log(Described):
     records: tuple[Record, ...] = ()
 
     def _facts(self) -> dict[str, str]:
-        hours = sum(np.ptp(one.times) for one in self.runs()) / 3600.0
+        hours = sum(np.ptp(run.times) for run in self.runs()) / 3600.0
         return {
             "samples": str(len(self.times)),
             "runs": f"{len(self.starts)}, {hours:.3g} h in all",
@@ -140,9 +140,9 @@ def joined(pieces: Iterable[Log]) -> Log:
     if not kept:
         raise InputError("log: no samples; give a CSV with a header and rows")
     return Log(
-        np.concatenate([one.times for one in kept]),
+        np.concatenate([part.times for part in kept]),
         kept[0].columns,
-        np.concatenate([one.values for one in kept]),
+        np.concatenate([part.values for part in kept]),
         tuple(starts),
-        merged(record for one in kept for record in one.records),
+        merged(record for part in kept for record in part.records),
     )

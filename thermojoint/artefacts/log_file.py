@@ -29,16 +29,16 @@ def read_mapping(path: Path) -> dict[str, str]:
         It is no such file.
     """
     content = parse(read_text(path, "mapping"), str(path))
-    found = content.get("columns")
-    if set(content) != {"columns"} or not isinstance(found, dict):
+    columns = content.get("columns")
+    if set(content) != {"columns"} or not isinstance(columns, dict):
         raise InputError(f"{path}: give one table [columns] with lines like 'Temp 1' = 'T1_degC'")
-    for theirs, ours in found.items():
+    for theirs, ours in columns.items():
         if not isinstance(ours, str) or column_named(ours) is None:
             raise InputError(
                 f"{path}: columns.{theirs}: {ours!r} ends in no unit known here; end it in one of "
                 f"{', '.join(f'_{unit}' for unit in UNITS)}"
             )
-    return {str(theirs): str(ours) for theirs, ours in found.items()}
+    return {str(theirs): str(ours) for theirs, ours in columns.items()}
 
 
 def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) -> Log:
@@ -80,7 +80,9 @@ def log_pieces(
     for path, note in _in_order(paths, renamed):
         for k, piece in enumerate(_pieces_in_file(path, renamed, rows)):
             said = (note,) if note and not k else ()
-            records = tuple(replace(one, notes=(*one.notes, *said)) for one in piece.records)
+            records = tuple(
+                replace(record, notes=(*record.notes, *said)) for record in piece.records
+            )
             yield replace(piece, records=records)
 
 

@@ -101,24 +101,24 @@ def with_times(record: Record, times: Array, last: float) -> Record:
 
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:
     """Return one record for each file, of those of its parts in the order of reading."""
-    found: dict[str, Record] = {}
-    for one in records:
-        known = found.get(one.where)
-        found[one.where] = one if known is None else _both(known, one)
-    return tuple(found.values())
+    records_by_file: dict[str, Record] = {}
+    for record in records:
+        known = records_by_file.get(record.where)
+        records_by_file[record.where] = record if known is None else _both(known, record)
+    return tuple(records_by_file.values())
 
 
-def _both(one: Record, more: Record) -> Record:
+def _both(record: Record, more: Record) -> Record:
     return replace(
-        one,
-        rows=one.rows + more.rows,
-        first=one.first if one.rows else more.first,
-        last=more.last if more.rows else one.last,
-        interval=one.interval if one.interval > 0.0 else more.interval,
-        pauses=one.pauses + more.pauses,
-        missing=Counter(one.missing) + Counter(more.missing),
-        twice=one.twice + more.twice,
-        notes=tuple(dict.fromkeys((*one.notes, *more.notes))),
+        record,
+        rows=record.rows + more.rows,
+        first=record.first if record.rows else more.first,
+        last=more.last if more.rows else record.last,
+        interval=record.interval if record.interval > 0.0 else more.interval,
+        pauses=record.pauses + more.pauses,
+        missing=Counter(record.missing) + Counter(more.missing),
+        twice=record.twice + more.twice,
+        notes=tuple(dict.fromkeys((*record.notes, *more.notes))),
     )
 
 
@@ -126,12 +126,12 @@ def described(records: Sequence[Record]) -> list[str]:
     """Return what was read and what was ignored, line by line, as every command says it."""
     return [
         line
-        for one in records
+        for record in records
         for line in (
-            f"{one.where}: {one.rows} rows, {_span(one)}; {one.form}",
-            *_columns(one),
-            *_found(one),
-            *_notes(one),
+            f"{record.where}: {record.rows} rows, {_span(record)}; {record.form}",
+            *_columns(record),
+            *_found(record),
+            *_notes(record),
         )
     ]
 
@@ -166,8 +166,8 @@ def _notes(record: Record) -> list[str]:
 
 def _columns(record: Record) -> list[str]:
     columns = ", ".join(
-        f"{one.name} ({one.quantity}{'' if one.name.endswith(one.unit) else f', {one.unit}'})"
-        for one in record.columns[:_NAMES_SHOWN]
+        f"{c.name} ({c.quantity}{'' if c.name.endswith(c.unit) else f', {c.unit}'})"
+        for c in record.columns[:_NAMES_SHOWN]
     )
     more = len(record.columns) - _NAMES_SHOWN
     lines = [f"  columns: {columns}{f' and {more} more' if more > 0 else ''}"]

@@ -54,10 +54,10 @@ def _usable(folder: Path) -> bool:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         # Not what a link leads to: in the temporary folder anybody can put one.
-        found, above = folder.lstat(), folder.parent.stat()
-        if not stat.S_ISDIR(found.st_mode) or not found.st_uid == above.st_uid == user:
+        status, above = folder.lstat(), folder.parent.stat()
+        if not stat.S_ISDIR(status.st_mode) or not status.st_uid == above.st_uid == user:
             return False
-        if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             return False
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(_LEAST_ROOM))

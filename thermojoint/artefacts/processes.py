@@ -77,7 +77,7 @@ def end_with_parent() -> None:
 
 def _kill_children() -> None:
     children = active_children()
-    for one in children:
-        one.kill()
-    for one in children:
-        one.join()
+    for child in children:
+        child.kill()
+    for child in children:
+        child.join()

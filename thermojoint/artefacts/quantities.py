@@ -132,19 +132,19 @@ def unit_named(text: str) -> str | None:
 
 def column_named(name: str) -> Column | None:
     """Return what the name of a column says, or None if it ends in no unit known here."""
-    found = _ENDING.match(_plain(name))
-    if found is None:
+    match = _ENDING.match(_plain(name))
+    if match is None:
         return None
-    unit = found["unit"]
-    return Column(name, found["base"].strip(), _ALIASES.get(unit, unit))
+    unit = match["unit"]
+    return Column(name, match["base"].strip(), _ALIASES.get(unit, unit))
 
 
 def column_assumed(name: str) -> Column | None:
     """Return what a column without a unit usually holds: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
-    found = _USUAL.match(_plain(name).strip().lower())
-    if found is None or found.lastgroup is None:
+    match = _USUAL.match(_plain(name).strip().lower())
+    if match is None or match.lastgroup is None:
         return None
-    return Column(name, name.strip(), found.lastgroup)
+    return Column(name, name.strip(), match.lastgroup)
 
 
 class Place(NamedTuple):

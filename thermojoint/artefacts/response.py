@@ -93,8 +93,8 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
         if variable.dims != dims:
             raise InputError(f"{where}: {name!r} has dimensions {variable.dims}, expected {dims}")
         if unit and variable.attrs.get("units") != unit:
-            found = variable.attrs.get("units", "no unit")
-            raise InputError(f"{where}: {name!r} is in {found!r}, expected {unit!r}; convert it")
+            given = variable.attrs.get("units", "no unit")
+            raise InputError(f"{where}: {name!r} is in {given!r}, expected {unit!r}; convert it")
         if variable.dtype.kind == "f" and not bool(np.isfinite(variable.values).all()):
             raise InputError(f"{where}: {name!r} has values that are not finite; remove them")
     time = _checked_time(response, where)
@@ -117,8 +117,8 @@ def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
     # Of dates and durations xarray makes other types, and keeps their unit elsewhere.
     unit = time.attrs.get("units", time.encoding.get("units", "no unit"))
     if unit != "s" or time.dtype.kind not in "fi":
-        found = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
-        raise InputError(f"{where}: 'time' is in {found}, expected 's' as numbers; convert it")
+        given = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
+        raise InputError(f"{where}: 'time' is in {given}, expected 's' as numbers; convert it")
     if not bool(np.isfinite(time).all()):
         raise InputError(f"{where}: 'time' has values that are not finite; remove them")
     return time.to_numpy()
@@ -213,10 +213,10 @@ def read_response(path: Path | str) -> xr.Dataset:
         raise InputError(
             f"{path}: not a readable NetCDF file, perhaps truncated; simulate it again"
         ) from error
-    found = [_plain(response.attrs.get(name)) for name in ("schema", "schema_version")]
-    if found != [SCHEMA, SCHEMA_VERSION]:
+    given = [_plain(response.attrs.get(name)) for name in ("schema", "schema_version")]
+    if given != [SCHEMA, SCHEMA_VERSION]:
         raise InputError(
-            f"{path}: schema {found[0]!r} version {found[1]!r}, expected {SCHEMA!r} version "
+            f"{path}: schema {given[0]!r} version {given[1]!r}, expected {SCHEMA!r} version "
             f"{SCHEMA_VERSION}; write it again with this version"
         )
     return check_response(response, str(path))

@@ -21,12 +21,12 @@ def source_digest(package: str) -> str:
     ModuleNotFoundError
         If there is no such package: a digest of nothing would be the same for every source.
     """
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     modules = sorted(root.joinpath(*package.split(".")).rglob("*.py"))
     if not modules:
         raise ModuleNotFoundError(f"no package {package} in {root}", name=package)
     for path in modules:
-        found.update(f"{path.relative_to(root).as_posix()}\n".encode())
-        found.update(path.read_bytes())
-    return found.hexdigest()
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -84,6 +84,6 @@ def _every_command(
 ) -> None:
     """Options before the command."""
     # What overflows does not converge or is not finite, and is refused there, in one line.
-    for found in ("overflow", "invalid value", "divide by zero"):
-        warnings.filterwarnings("ignore", f"{found} encountered", RuntimeWarning)
+    for kind in ("overflow", "invalid value", "divide by zero"):
+        warnings.filterwarnings("ignore", f"{kind} encountered", RuntimeWarning)
     fonts.find_place()

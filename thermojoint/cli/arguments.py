@@ -54,7 +54,7 @@ def check_outputs(
         An output is a folder or cannot be written, is an input (by whatever name or link) or
         another output, exists and is of another kind, or has the ending of one.
     """
-    taken = [("an input", one) for one in inputs if one is not None and _named(one)]
+    taken = [("an input", path) for path in inputs if path is not None and _named(path)]
     for option, (path, kind) in outputs.items():
         if path is None or not _named(path):
             continue
@@ -86,11 +86,11 @@ def _named(path: Path | None) -> bool:
     return path is not None and str(path) != "-"
 
 
-def _same(one: Path, other: Path) -> bool:
+def _same(path: Path, other: Path) -> bool:
     """Say whether two names are, or would be, one file: by links of either kind, too."""
-    if one.exists() and other.exists():
-        return one.samefile(other)
-    return one.resolve() == other.resolve()
+    if path.exists() and other.exists():
+        return path.samefile(other)
+    return path.resolve() == other.resolve()
 
 
 def _check_place(path: Path, folder: Path) -> None:

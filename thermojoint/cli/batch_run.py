@@ -39,7 +39,7 @@ def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run
     """Run a study file's batch and show how it goes."""
     study = read_study(path)
     require("batch", "batch", "zarr", "pyarrow")
-    warn(of_cases((one.case for one in study.cases), str(path)))
+    warn(of_cases((case.case for case in study.cases), str(path)))
     # Here, not above: what is wrong with a study is said before Zarr and Arrow are loaded.
     from fesim.batch import run
 
@@ -92,7 +92,7 @@ def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, 
     Without a terminal no progress is shown, only a line for each failure.
     """
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
-    values = {one.id: brief(one.values) for one in study.cases}
+    values = {case.id: brief(case.values) for case in study.cases}
     bar = Progress(
         TextColumn("cases"),
         BarColumn(),

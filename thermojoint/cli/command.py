@@ -30,8 +30,8 @@ def help_text(doc: str | None) -> str:
 
 
 def _paragraph(text: str) -> str:
-    if found := _EXAMPLE.fullmatch(text):
-        lines = command_lines(" ".join(found[1].split()), _WIDTH)
+    if match := _EXAMPLE.fullmatch(text):
+        lines = command_lines(" ".join(match[1].split()), _WIDTH)
         return "\n".join(["Example:", *(f"[bold]{line}[/bold]" for line in lines)])
     return " ".join(text.split())
 
@@ -73,6 +73,8 @@ def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
         for name, kind in (("quiet", Quiet), ("verbose", Verbose))
     ]
     signature = own.replace(parameters=[*own.parameters.values(), *both])
-    run.__annotations__ = {one.name: one.annotation for one in signature.parameters.values()}
+    run.__annotations__ = {
+        parameter.name: parameter.annotation for parameter in signature.parameters.values()
+    }
     vars(run)["__signature__"] = signature
     return run

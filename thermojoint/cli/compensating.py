@@ -49,7 +49,7 @@ def compensate(
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
             writer.writerow(header(wanted))
-            writer.writerows(row_of(wanted, one) for one in preview(wanted, axes, rows))
+            writer.writerows(row_of(wanted, cycle) for cycle in preview(wanted, axes, rows))
     console.wrote(out)
 
 

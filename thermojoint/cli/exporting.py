@@ -159,13 +159,15 @@ def _show(program: Program) -> None:
     out.print(f"constants  {program.constants} bytes")
     out.print(f"state      {program.state} bytes")
     out.print(f"self-test  {program.samples} samples")
-    for label, one in zip(program.labels, (program.usual, program.worst), strict=True):
-        out.print(f"{label}: {_counted(one)}")
+    for label, operations in zip(program.labels, (program.usual, program.worst), strict=True):
+        out.print(f"{label}: {_counted(operations)}")
 
 
-def _counted(one: Operations) -> str:
+def _counted(operations: Operations) -> str:
     text = (
-        f"{one.multiplications} multiplications, {one.additions} additions, "
-        f"{one.divisions} divisions"
+        f"{operations.multiplications} multiplications, {operations.additions} additions, "
+        f"{operations.divisions} divisions"
     )
-    return text + (f", {one.functions} functions such as exp" if one.functions else "")
+    return text + (
+        f", {operations.functions} functions such as exp" if operations.functions else ""
+    )

@@ -55,10 +55,10 @@ def _json(*keys: str) -> Callable[[Path], bool]:
     """A JSON object that has some keys."""
 
     def holds(path: Path) -> bool:
-        found: Any = None
+        content: Any = None
         with suppress(ValueError, RecursionError):
-            found = json.loads(path.read_bytes())
-        return isinstance(found, dict) and found.keys() >= {*keys}
+            content = json.loads(path.read_bytes())
+        return isinstance(content, dict) and content.keys() >= {*keys}
 
     return holds
 

@@ -19,28 +19,34 @@ Row = tuple[str, ...]
 Rows = tuple[Row, list[Row]]
 
 
-def show(console: Console, name: str, found: Inspection) -> None:
+def show(console: Console, name: str, inspection: Inspection) -> None:
     """Print what is in the mesh and what looks wrong."""
-    size = " x ".join(f"{1e3 * length:.4g}" for length in found.extent)
+    size = " x ".join(f"{1e3 * length:.4g}" for length in inspection.extent)
     console.print(
-        f"{name}: {found.cells} {found.kind}, {found.nodes} nodes, {size} mm", soft_wrap=True
+        f"{name}: {inspection.cells} {inspection.kind}, {inspection.nodes} nodes, {size} mm",
+        soft_wrap=True,
     )
-    quality = ", ".join(f"{what} {value:.2f}" for what, value in found.quality.items())
-    at = ", ".join(f"{1e3 * x:.4g}" for x in found.worst_cell)
+    quality = ", ".join(f"{what} {value:.2f}" for what, value in inspection.quality.items())
+    at = ", ".join(f"{1e3 * x:.4g}" for x in inspection.worst_cell)
     console.print(
         f"quality of the cells (1 is best): {quality}; worst at ({at}) mm", soft_wrap=True
     )
-    for header, rows in (_bodies(found), _surfaces(found), _joints(found), _probes(found)):
+    for header, rows in (
+        _bodies(inspection),
+        _surfaces(inspection),
+        _joints(inspection),
+        _probes(inspection),
+    ):
         if rows:
             _print(console, header, rows)
-    if found.unnamed_area > 0.0:
+    if inspection.unnamed_area > 0.0:
         console.print(
-            f"{1e4 * found.unnamed_area:.4g} cm2 of the boundary have no name: nothing convects "
-            "there"
+            f"{1e4 * inspection.unnamed_area:.4g} cm2 of the boundary have no name: "
+            "nothing convects there"
         )
-    for warning in found.warnings:
+    for warning in inspection.warnings:
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-    if not found.warnings:
+    if not inspection.warnings:
         console.print("nothing looks wrong")
 
 
@@ -63,15 +69,15 @@ _JOINT = (
 )
 
 
-def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
+def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> str:
     """Return the text of a file `case` that names everything in `mesh`, to be completed.
 
     A case file names other files as they are seen from its own folder.
     """
     seen = os.path.relpath(mesh.parent.resolve() / mesh.name, case.parent.resolve())
-    sides = {side for name in found.joints for side in (f"{name}.a", f"{name}.b")}
-    free = [name for name in found.surfaces if name not in sides]
-    place = next(iter(found.probes), None)
+    sides = {side for name in inspection.joints for side in (f"{name}.a", f"{name}.b")}
+    free = [name for name in inspection.surfaces if name not in sides]
+    place = next(iter(inspection.probes), None)
     lines = [
         'title = "..."',
         "",
@@ -89,9 +95,9 @@ def case_skeleton(mesh: Path, case: Path, unit: str, found: Inspection) -> str:
         "expansion_1_K = 13.7e-6",
         "",
         "[bodies]",
-        *(f'{as_key(name)} = "cast_iron"' for name in found.bodies),
-        *(line for name in found.joints for line in ("", f"[joints.{as_key(name)}]", *_JOINT)),
-        *([] if found.joints else ["", "[joints]"]),
+        *(f'{as_key(name)} = "cast_iron"' for name in inspection.bodies),
+        *(line for name in inspection.joints for line in ("", f"[joints.{as_key(name)}]", *_JOINT)),
+        *([] if inspection.joints else ["", "[joints]"]),
         "",
         "# A rigid wall before a surface, for a joint to press on; give it a material in [bodies].",
         "# [walls.wall]",
@@ -175,7 +181,7 @@ def _print(console: Console, header: Row, rows: Sequence[Row]) -> None:
         console.print(f"  {'; '.join(facts)}", soft_wrap=True)
 
 
-def _bodies(found: Inspection) -> Rows:
+def _bodies(inspection: Inspection) -> Rows:
     return ("body", "cells", "volume (cm3)", "extent (mm)"), [
         (
             name,
@@ -183,11 +189,11 @@ def _bodies(found: Inspection) -> Rows:
             f"{1e6 * body.volume:.4g}",
             " x ".join(f"{1e3 * length:.4g}" for length in body.extent),
         )
-        for name, body in found.bodies.items()
+        for name, body in inspection.bodies.items()
     ]
 
 
-def _surfaces(found: Inspection) -> Rows:
+def _surfaces(inspection: Inspection) -> Rows:
     return ("surface", "facets", "area (cm2)", "mean normal", "of body"), [
         (
             name,
@@ -196,11 +202,11 @@ def _surfaces(found: Inspection) -> Rows:
             ", ".join(f"{x:.2f}" for x in surface.normal),
             ", ".join(surface.bodies),
         )
-        for name, surface in found.surfaces.items()
+        for name, surface in inspection.surfaces.items()
     ]
 
 
-def _joints(found: Inspection) -> Rows:
+def _joints(inspection: Inspection) -> Rows:
     header = (
         *("joint", "side a (cm2)", "side b (cm2)", "shared (cm2)"),
         *("gap (mm)", "angle (°)", "normals", "meshes"),
@@ -214,12 +220,12 @@ def _joints(found: Inspection) -> Rows:
             str(joint.parts),
             "match" if joint.matching else "do not match",
         )
-        for name, joint in found.joints.items()
+        for name, joint in inspection.joints.items()
     ]
 
 
-def _probes(found: Inspection) -> Rows:
+def _probes(inspection: Inspection) -> Rows:
     return ("point", "position (mm)", "body"), [
         (name, ", ".join(f"{1e3 * x:.4g}" for x in position), body or "")
-        for name, (position, body) in found.probes.items()
+        for name, (position, body) in inspection.probes.items()
     ]

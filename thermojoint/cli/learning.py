@@ -109,15 +109,17 @@ def _show(model: LearnedModel) -> None:
     )
     table = Table(title="rms error on blocks of time held out, um")
     table.add_column("kind")
-    for one in model.channels:
-        table.add_column(one.name, justify="right")
+    for channel in model.channels:
+        table.add_column(channel.name, justify="right")
     for kind, errors in told.errors_um.items():
         table.add_row(kind, *(f"{value:.2f}" for value in errors))
     printer.print(table)
     own = told.errors_um[model.kind]
     for kind, errors in told.errors_um.items():
         better = [
-            one.name for one, a, b in zip(model.channels, errors, own, strict=True) if a < 0.9 * b
+            channel.name
+            for channel, a, b in zip(model.channels, errors, own, strict=True)
+            if a < 0.9 * b
         ]
         if better:
             printer.print(

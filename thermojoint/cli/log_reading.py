@@ -32,15 +32,15 @@ def renamed_by(column: Sequence[str] | None, mapping: Path | None) -> dict[str, 
     from thermojoint.artefacts.log_file import read_mapping
     from thermojoint.artefacts.quantities import column_named
 
-    found = read_mapping(mapping) if mapping else {}
+    renamed = read_mapping(mapping) if mapping else {}
     for text in column or ():
         theirs, _, ours = text.rpartition("=")
         if not theirs or column_named(ours) is None:
             raise InputError(
                 f"--column {text}: write THEIRS=OURS with a unit at the end, e.g. 'Temp 1=T1_degC'"
             )
-        found[theirs] = ours
-    return found
+        renamed[theirs] = ours
+    return renamed
 
 
 def over(known: Mapping[str, str], renamed: Mapping[str, str]) -> dict[str, str]:
@@ -105,7 +105,7 @@ def said_live(pieces: Iterable[Log]) -> Iterator[Log]:
                 console.say(line)
         records = merged((*records, *piece.records))
         yield piece
-    for line in (line for one in records for line in ended(one)):
+    for line in (line for record in records for line in ended(record)):
         console.say(line)
 
 

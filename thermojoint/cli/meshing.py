@@ -60,8 +60,8 @@ def mesh(
     points = read_names(names) if names else None
     with console.working("meshing"):
         mesh_cad(part, out, 1e-3 * size, order, points)
-        found = look_over(read_structure(out))
-    inspection_report.show(console.out(), str(out), found)
+        inspection = look_over(read_structure(out))
+    inspection_report.show(console.out(), str(out), inspection)
     console.wrote(out)
 
 
@@ -111,15 +111,17 @@ def inspect(
         with console.working("inspecting"):
             structure = build_structure(case)
             check_names(case, structure)
-            found = _with_loose_bodies(look_over(structure), case, structure)
+            inspection = _with_loose_bodies(look_over(structure), case, structure)
     else:
         with console.working("inspecting"):
             structure = read_structure(source, UNITS[unit.value])
-            found = look_over(structure)
-    inspection_report.show(console.out(as_json), str(source), found)
-    arguments.write_json(as_json, asdict(found))
+            inspection = look_over(structure)
+    inspection_report.show(console.out(as_json), str(source), inspection)
+    arguments.write_json(as_json, asdict(inspection))
     if skeleton:
-        write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, found))
+        write_text(
+            skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, inspection)
+        )
     if out:
         from thermojoint.pictures.stills import write_pictures
         from thermojoint.pictures.view import bare_structure, whole_structure
@@ -129,7 +131,7 @@ def inspect(
     console.wrote(as_json, skeleton, out)
 
 
-def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> Inspection:
+def _with_loose_bodies(inspection: Inspection, case: Case, structure: Structure) -> Inspection:
     """Add to the warnings what the supports and joints of a case do not hold."""
     from fesim.setup.constraints import checked_constraints
     from fesim.setup.parts import paired_joints
@@ -137,9 +139,9 @@ def _with_loose_bodies(found: Inspection, case: Case, structure: Structure) -> I
     try:
         checked_constraints(case, structure, paired_joints(case, structure))
     except InputError as error:
-        if str(error) not in found.warnings:
-            return replace(found, warnings=(*found.warnings, str(error)))
-    return found
+        if str(error) not in inspection.warnings:
+            return replace(inspection, warnings=(*inspection.warnings, str(error)))
+    return inspection
 
 
 def view(
@@ -152,7 +154,7 @@ def view(
         Show | None,
         typer.Option(
             metavar="WHAT",
-            help=f"{', '.join(one.value for one in Show)}; default: the structure of a case, a "
+            help=f"{', '.join(view.value for view in Show)}; default: the structure of a case, a "
             "response's curves, all fields of a film.",
         ),
     ] = None,

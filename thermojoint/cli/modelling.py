@@ -400,7 +400,7 @@ def validate(
     given = kind.read(model)
     if kind.judge is None:
         beside = {"--reference": reference, "--noise-pp": noise_pp, "--baselines": baselines}
-        arguments.check_taken(kind.name, {name: (one, False) for name, one in beside.items()})
+        arguments.check_taken(kind.name, {name: (value, False) for name, value in beside.items()})
         if kind.judge_logs is None:
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
         renamed = over(kind.renamed(given), renamed_by(column, mapping))

@@ -62,19 +62,19 @@ def place(
     with console.working("reducing"):
         reduced = fewer_modes(reduce_machine(machine, setup, names))
     with console.progress_bars() as report:
-        found = place_sensors(reduced, count, kept, report=report)
-    write_text(out, written(found, machine, setup.probes))
-    results.show_placement(console.out(), found, reduced.axes)
+        placement = place_sensors(reduced, count, kept, report=report)
+    write_text(out, written(placement, machine, setup.probes))
+    results.show_placement(console.out(), placement, reduced.axes)
     console.wrote(out)
 
 
-def written(found: Placement, case: Case, probes: dict[str, Probe]) -> str:
+def written(placement: Placement, case: Case, probes: dict[str, Probe]) -> str:
     """Return the chosen probes that a case does not have yet, as its sections."""
     lines = ["# Sensors placed by 'thermojoint place'."]
-    there = [name for name in found.chosen.names if name in case.probes]
+    there = [name for name in placement.chosen.names if name in case.probes]
     if there:
         lines.append(f"# The case has already: {', '.join(there)}.")
-    for name in found.chosen.names:
+    for name in placement.chosen.names:
         if name in case.probes:
             continue
         probe = probes[name]

@@ -38,11 +38,11 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
         margins = Table()
         for name in ("delay (s)", "gain margin (dB)", "phase margin (°)", "more delay (s)"):
             margins.add_column(name, justify="right")
-        for delay, found in {"as it is": design["margins"], **design["late"]}.items():
-            gain = "unstable" if found["phase_margin_deg"] < 0.0 else "no limit"
-            if gain != "unstable" and found["gain_margin_dB"] is not None:
-                gain = number(found["gain_margin_dB"], 3)
-            rest = (found["phase_margin_deg"], found["delay_margin_s"])
+        for delay, late in {"as it is": design["margins"], **design["late"]}.items():
+            gain = "unstable" if late["phase_margin_deg"] < 0.0 else "no limit"
+            if gain != "unstable" and late["gain_margin_dB"] is not None:
+                gain = number(late["gain_margin_dB"], 3)
+            rest = (late["phase_margin_deg"], late["delay_margin_s"])
             margins.add_row(delay, gain, *(number(value, 3) for value in rest))
         titled(
             console,
@@ -62,10 +62,10 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
     for name in ("moves (µm)", "with offsets (µm)", "estimate's error (µm)"):
         table.add_column(name, justify="right")
     for run in content["runs"]:
-        for axis, found in run["axes"].items():
-            left = found.get("with_offsets", {"largest_um": None})
-            values = (found["displacement"], left, found["estimate_error"])
-            shown = (number(one["largest_um"], 3) for one in values)
+        for axis, axis_run in run["axes"].items():
+            left = axis_run.get("with_offsets", {"largest_um": None})
+            values = (axis_run["displacement"], left, axis_run["estimate_error"])
+            shown = (number(value["largest_um"], 3) for value in values)
             table.add_row(run["run"], axis, *shown)
     titled(console, content["title"], table)
     for run in content["runs"]:
@@ -75,15 +75,15 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
 
 def show_placement(console: Console, placement: Placement, axes: Sequence[str]) -> None:
     """Print the band for one sensor, two and so on, along the axes that move."""
-    largest = max(float(value) for one in placement.steps for value in one.band)
+    largest = max(float(value) for step in placement.steps for value in step.band)
     moving = [k for k in range(len(axes)) if placement.steps[0].band[k] > STILL * largest]
     table = Table()
     for name in ("sensors", "one more", *(f"band {axes[k]}" for k in moving)):
         table.add_column(name, justify="left" if name == "one more" else "right")
-    rows = [(one.names[-1], one) for one in placement.steps]
-    for name, one in [*rows, ("after exchanges", placement.chosen)]:
-        bands = [number(1e6 * float(one.band[k]), 3) for k in moving]
-        table.add_row(str(len(one.names)), name, *bands)
+    rows = [(step.names[-1], step) for step in placement.steps]
+    for name, choice in [*rows, ("after exchanges", placement.chosen)]:
+        bands = [number(1e6 * float(choice.band[k]), 3) for k in moving]
+        table.add_row(str(len(choice.names)), name, *bands)
     titled(console, "Half band of 95 % (µm)", table)
     console.print(f"Chosen: {', '.join(placement.chosen.names)}")
 
@@ -93,20 +93,20 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
     table = Table()
     for name in ("parameter", "factor on the case", "uncertainty", "before"):
         table.add_column(name, justify="left" if name == "parameter" else "right")
-    for one in report["parameters"]:
+    for parameter in report["parameters"]:
         table.add_row(
-            one["parameter"],
-            number(one["factor"], 3),
-            f"{100.0 * one['std']:.1f} %",
-            f"{100.0 * one['prior_std']:.1f} %",
+            parameter["parameter"],
+            number(parameter["factor"], 3),
+            f"{100.0 * parameter['std']:.1f} %",
+            f"{100.0 * parameter['prior_std']:.1f} %",
         )
     titled(console, "The machine's physics", table)
     known = Table()
     for name in ("singular value", "decided by", "direction"):
         known.add_column(name, justify="right" if name == "singular value" else "left")
-    for one in report["directions"]:
-        parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in one["of"].items())
-        known.add_row(number(one["singular_value"], 3), one["decided_by"], parts)
+    for direction in report["directions"]:
+        parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in direction["of"].items())
+        known.add_row(number(direction["singular_value"], 3), direction["decided_by"], parts)
     titled(console, "What the responses determine (in units of the priors)", known)
 
 

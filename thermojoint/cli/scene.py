@@ -32,7 +32,7 @@ def scene(
     from thermojoint.live.surface import surface_of, write_surface
     from thermojoint.pictures.scenes import up_direction
 
-    found = read_observer(model)
+    observer = read_observer(model)
     given = read_case(case)
     march = given.march.model_copy(update={"thermal": "reduced"})
     given = given.model_copy(update={"march": march})
@@ -40,5 +40,5 @@ def scene(
         setup = set_up(given)
         held = (*given.supports.fixed, *given.supports.springs)
         up = np.array(up_direction(setup.structure, held))
-        write_surface(surface_of(given, setup, found, up), out)
+        write_surface(surface_of(given, setup, observer, up), out)
     console.wrote(out)

@@ -25,7 +25,7 @@ def iso230_3(
         Protocol,
         typer.Option(
             metavar="TEST",
-            help=f"Which was recorded: {', '.join(one.value for one in Protocol)}.",
+            help=f"Which was recorded: {', '.join(protocol.value for protocol in Protocol)}.",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
@@ -96,13 +96,15 @@ def iso230_3(
         facts.append(("second point", second.name))
     if distance is not None:
         record = records.with_tilts(record, pairs, 1e-3 * distance)
-        facts += [(f"tilt {name}", f"({one} - {two}) / l") for name, (one, two) in pairs.items()]
+        facts += [
+            (f"tilt {name}", f"({first} - {second}) / l") for name, (first, second) in pairs.items()
+        ]
         facts.append(("distance l", f"{distance:g} mm"))
-    ends = [None if one is None else 60.0 * one for one in (begin, end)]
-    found = evaluate(test, record, *ends)
+    ends = [None if minutes is None else 60.0 * minutes for minutes in (begin, end)]
+    evaluation = evaluate(test, record, *ends)
     if out:
-        report.write_report(report.report_html(record, found, given.name, facts), out)
-    content = report.parameters_json(found, given.name)
+        report.write_report(report.report_html(record, evaluation, given.name, facts), out)
+    content = report.parameters_json(evaluation, given.name)
     arguments.write_json(parameters, content)
     say(read)
     results.show_test(console.out(parameters), test.heading, content)

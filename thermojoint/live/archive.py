@@ -113,8 +113,8 @@ class Archive:
                 if number % every == 0
             ]
             holes = tuple(
-                Hole(*one)
-                for one in store.execute(
+                Hole(*row)
+                for row in store.execute(
                     "SELECT machine, since, until, why FROM holes "
                     "WHERE machine = ? AND until >= ? AND since <= ? ORDER BY since",
                     (machine, since, until),
@@ -122,7 +122,7 @@ class Archive:
             )
         rows = np.concatenate([np.empty((0, layout.width)), *(rows for _, rows, _ in parts)])
         numbers = np.concatenate([np.empty(0, dtype=np.int64), *(number for number, _, _ in parts)])
-        words = [word for _, _, one in parts for word in one]
+        words = [word for _, _, run in parts for word in run]
         inside = np.flatnonzero((rows[:, 0] >= since) & (rows[:, 0] <= until))
         return History(
             layout,
@@ -171,13 +171,13 @@ class Archive:
     def events(self, machine: str | None, since: float, until: float, at_most: int) -> list[Event]:
         """Return events, newest first: of one machine and of the service, or all."""
         with self._reading() as store:
-            found = store.execute(
+            rows = store.execute(
                 "SELECT time, machine, kind, text FROM events WHERE time BETWEEN ? AND ? "
                 "AND (?3 IS NULL OR machine IS NULL OR machine = ?3) ORDER BY time DESC, id DESC "
                 "LIMIT ?4",
                 (since, until, machine, max(1, min(at_most, MOST_ROWS))),
             )
-            return [Event(*one) for one in found]
+            return [Event(*row) for row in rows]
 
     def model(self, machine: str) -> Model:
         """Return which model a machine runs with, and since when.
@@ -211,13 +211,13 @@ def _unknown(machine: str) -> InputError:
 
 def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
     """Eras of a machine whose samples have the columns of the last, oldest first."""
-    found = store.execute(
+    eras = store.execute(
         "SELECT id, layout FROM eras WHERE machine = ? ORDER BY id", (machine,)
     ).fetchall()
-    if not found:
+    if not eras:
         raise _unknown(machine)
-    last = found[-1][1]
-    return [era for era, layout in found if layout == last], layout_from(last)
+    last = eras[-1][1]
+    return [era for era, layout in eras if layout == last], layout_from(last)
 
 
 def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, bytes, str]]:

@@ -53,20 +53,22 @@ def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
     InputError
         The key is open to others, or the certificate is not readable or has expired.
     """
-    found = Identity(folder / "certificate.pem", folder / "key.pem")
-    if not found.certificate.exists() and not found.key.exists():
+    identity = Identity(folder / "certificate.pem", folder / "key.pem")
+    if not identity.certificate.exists() and not identity.key.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        _make(found, ["localhost", "127.0.0.1", *host_names])
-    refuse_open_to_others(found.key, "key of the service")
+        _make(identity, ["localhost", "127.0.0.1", *host_names])
+    refuse_open_to_others(identity.key, "key of the service")
     try:
-        certificate = x509.load_pem_x509_certificate(found.certificate.read_bytes())
+        certificate = x509.load_pem_x509_certificate(identity.certificate.read_bytes())
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{found.certificate}: no certificate (PEM); remove it and its key for a new one"
+            f"{identity.certificate}: no certificate (PEM); remove it and its key for a new one"
         ) from error
     if certificate.not_valid_after_utc < datetime.now(UTC):
-        raise InputError(f"{found.certificate}: has expired; remove it and its key for a new one")
-    return found
+        raise InputError(
+            f"{identity.certificate}: has expired; remove it and its key for a new one"
+        )
+    return identity
 
 
 def _make(identity: Identity, host_names: Sequence[str]) -> None:
@@ -86,7 +88,7 @@ def _make(identity: Identity, host_names: Sequence[str]) -> None:
             x509.SubjectAlternativeName(
                 [
                     x509.UniformResourceIdentifier(APPLICATION),
-                    *(_general_name(one) for one in dict.fromkeys(host_names)),
+                    *(_general_name(name) for name in dict.fromkeys(host_names)),
                 ]
             ),
             critical=False,
@@ -144,11 +146,11 @@ def certificates_in(folder: Path) -> frozenset[bytes]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; make it, and put trusted certificates there")
-    found = set()
+    certificates = set()
     for path in sorted(folder.iterdir()):
         if path.is_file() and not path.name.startswith("."):
-            found.add(certificate_der(path))
-    return frozenset(found)
+            certificates.add(certificate_der(path))
+    return frozenset(certificates)
 
 
 def certificate_der(path: Path) -> bytes:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Open the doors that estimates go out by; what is returned is to be run."""
-    service, found = running.service, []
+    service, doors = running.service, []
     if service.given.mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
         from thermojoint.live.writers.mqtt import write_topics
@@ -30,12 +30,12 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
         out = service.given.mqtt
         address = address_of(out, "mqtt")
         log = running.floor.log
-        found.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
+        doors.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
     if service.given.opcua is not None:
-        found.append(await _opcua_server(running, service.given.opcua))
+        doors.append(await _opcua_server(running, service.given.opcua))
     if service.given.http is not None:
-        found.append(_http_server(running, service.given.http))
-    return found
+        doors.append(_http_server(running, service.given.http))
+    return doors
 
 
 def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:
@@ -73,14 +73,14 @@ def _scenes(running: Running) -> dict[str, Scene]:
     """The machines whose models have a scene."""
     from thermojoint.live.scene import scene_of
 
-    service, found = running.service, {}
+    service, scenes = running.service, {}
     for name, section in service.machines.items():
         file = service.given.models[section.model].scene
         if file is not None:
             place = running.floor.places[name]
             state = partial(_state_of, place)
-            found[name] = scene_of(file, place.served.estimator, state)
-    return found
+            scenes[name] = scene_of(file, place.served.estimator, state)
+    return scenes
 
 
 def _residuals_of(place: Place) -> dict[str, float | None] | None:

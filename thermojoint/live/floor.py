@@ -140,26 +140,26 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
         The service's own clock, which no one sets, s.
     """
     outcome = Outcome()
-    for one in arrivals:
-        place = floor.places.get(one.machine)
+    for arrival in arrivals:
+        place = floor.places.get(arrival.machine)
         if place is None:
             continue
         rule = place.served.rule
-        step = arrived(rule, place.machine.waiting, one.time, one.told, now + floor.ahead)
+        step = arrived(rule, place.machine.waiting, arrival.time, arrival.told, now + floor.ahead)
         floor.metrics.arrivals.labels(step.verdict).inc()
-        place.position = one.position
+        place.position = arrival.position
         if step.verdict != "taken":
-            _refused(floor, one, step.verdict, now)
-            if one.kept:
-                outcome.kept.append(one.kept)
+            _refused(floor, arrival, step.verdict, now)
+            if arrival.kept:
+                outcome.kept.append(arrival.kept)
             continue
         place.machine = with_waiting(place.machine, step.waiting)
-        if one.kept:
-            place.unkept.append(one.kept)
+        if arrival.kept:
+            place.unkept.append(arrival.kept)
         for sample in step.samples:
             _sample(floor, place, sample, Times(now, clock), outcome)
         if step.samples:
-            outcome.came.append(one.came)
+            outcome.came.append(arrival.came)
             outcome.kept += place.unkept
             place.unkept = []
             last = outcome.taken[-1]
@@ -207,13 +207,14 @@ def _sample(
     floor.metrics.samples.labels(place.served.file).inc()
 
 
-def _refused(floor: Floor, one: Arrival, verdict: str, now: float) -> None:
+def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
     told = {
-        "late": f"a reading of {one.time:.3f} s came after its sample was closed",
-        "ahead": f"a reading's time {one.time:.3f} s is {one.time - now:.0f} s ahead of the clock",
-        "no-time": f"{one.time!r} is no time",
+        "late": f"a reading of {arrival.time:.3f} s came after its sample was closed",
+        "ahead": f"a reading's time {arrival.time:.3f} s is {arrival.time - now:.0f} s ahead of "
+        "the clock",
+        "no-time": f"{arrival.time!r} is no time",
     }
-    floor.log.say(now, verdict, told[verdict], one.machine)
+    floor.log.say(now, verdict, told[verdict], arrival.machine)
 
 
 def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
@@ -224,8 +225,8 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
 def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
     """Return what the controls of some machines receive, to be kept before they do."""
     places = (floor.places[name] for name in machines)
-    found = (received_of(place.served, place.machine, now) for place in places)
-    return [one for one in found if one is not None]
+    messages = (received_of(place.served, place.machine, now) for place in places)
+    return [message for message in messages if message is not None]
 
 
 def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
@@ -276,10 +277,10 @@ def checkpoint_of(place: Place) -> Checkpoint:
 
 def count_qualities(floor: Floor) -> None:
     """Count the machines by quality."""
-    found = dict.fromkeys(Quality, 0)
+    counts = dict.fromkeys(Quality, 0)
     for place in floor.places.values():
-        found[place.told[0]] += 1
-    for quality, count in found.items():
+        counts[place.told[0]] += 1
+    for quality, count in counts.items():
         floor.metrics.quality.labels(quality.word).set(count)
 
 

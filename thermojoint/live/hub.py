@@ -55,8 +55,8 @@ class Hub:
 
     def publish(self, publications: Sequence[Publication]) -> None:
         """Replace the newest of some machines, and tell those who wait."""
-        self.newest.update((one.machine, one) for one in publications)
-        machines = [one.machine for one in publications]
+        self.newest.update((publication.machine, publication) for publication in publications)
+        machines = [publication.machine for publication in publications]
         for follower in self._followers:
             follower.tell(machines)
 

@@ -63,8 +63,8 @@ class EventLog:
 
     def fetched(self) -> list[Event]:
         """Return what is to be stored, and forget it."""
-        found, self.pending = self.pending, []
-        return found
+        lines, self.pending = self.pending, []
+        return lines
 
 
 def line_of(kind: str, text: str, machine: str | None = None) -> str:
@@ -76,7 +76,7 @@ def line_of(kind: str, text: str, machine: str | None = None) -> str:
 def _quoted(value: str) -> str:
     if _PLAIN.fullmatch(value):
         return value
-    printable = "".join(one if one.isprintable() else "?" for one in value)
+    printable = "".join(character if character.isprintable() else "?" for character in value)
     escaped = printable.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'
 

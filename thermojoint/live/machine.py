@@ -307,18 +307,18 @@ def restored(
     """
     machine = replace(at_rest(name, served, times.now), output=None)
     if kept.state is not None and last is not None:
-        found = from_bytes(kept.state, served.digest, name)
-        if found.size != machine.state.size + 1:
+        numbers = from_bytes(kept.state, served.digest, name)
+        if numbers.size != machine.state.size + 1:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
         machine = replace(
             machine,
-            cold=float(found[0]),
-            state=found[1:],
+            cold=float(numbers[0]),
+            state=numbers[1:],
             said=_laid_out(last, served.layout),
             usable=_laid_out(last, served.layout),
         )
-    for one in kept.later:
-        row = from_row(name, one.number, kept.layout, np.frombuffer(one.row), one.status)
+    for later in kept.later:
+        row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
         machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.later[-1].rest if kept.later else kept.rest)

@@ -133,9 +133,9 @@ def publish(client: aiomqtt.Client, topic: str, payload: bytes) -> None:
     MqttError
         The connection is gone.
     """
-    found = client._client.publish(topic, payload, qos=0, retain=True)
-    if found.rc != 0:
-        raise aiomqtt.MqttError(f"not published ({found.rc})")
+    sent = client._client.publish(topic, payload, qos=0, retain=True)
+    if sent.rc != 0:
+        raise aiomqtt.MqttError(f"not published ({sent.rc})")
 
 
 def is_behind(client: aiomqtt.Client) -> bool:

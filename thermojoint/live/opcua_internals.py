@@ -52,7 +52,8 @@ def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
 
     async def create_capped(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
         there = sum(
-            len(one.monitored_item_srv._monitored_items) for one in service.subscriptions.values()
+            len(subscription.monitored_item_srv._monitored_items)
+            for subscription in service.subscriptions.values()
         )
         if there + len(params.ItemsToCreate) > most:
             raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)

@@ -235,18 +235,18 @@ def from_row(
     machine: str, number: int, layout: Layout, row: Sequence[float] | Array, status: str
 ) -> Publication:
     """Return the publication that `as_row` made a row of."""
-    one = columns_of(layout, np.asarray(row, dtype=float)[None, :])
+    columns = columns_of(layout, np.asarray(row, dtype=float)[None, :])
     return Publication(
         machine,
         number,
-        float(one.times[0]),
-        float(one.published[0]),
-        Quality(int(one.quality[0])),
+        float(columns.times[0]),
+        float(columns.published[0]),
+        Quality(int(columns.quality[0])),
         layout,
-        one.displacement[0],
-        one.band[0],
-        one.offsets[0],
-        one.details[0],
-        one.readings[0],
+        columns.displacement[0],
+        columns.band[0],
+        columns.offsets[0],
+        columns.details[0],
+        columns.readings[0],
         status,
     )

@@ -26,8 +26,8 @@ def residuals_of(served: Served, machine: Machine) -> dict[str, float | None] | 
     if residuals is None or said.number == 0:
         return None
     values, _ = served.intake.convert(tuple(said.readings.tolist()), machine.cold)
-    found = residuals(served.estimator, machine.state, np.array(values)).tolist()
+    differences = residuals(served.estimator, machine.state, np.array(values)).tolist()
     return {
         name: round(value, 4) if np.isfinite(value) else None
-        for name, value in zip(served.layout.readings, found, strict=False)
+        for name, value in zip(served.layout.readings, differences, strict=False)
     }

@@ -145,7 +145,7 @@ def restored_floor(
     places = _places(service, models, store, log, times)
     floor = Floor(places, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
     # First what silence has done: no control receives an offset of before it.
-    silent = {one.machine: one for one in floors.watch(floor, *times)}
+    silent = {publication.machine: publication for publication in floors.watch(floor, *times)}
     commit(store, Batch(received=floors.received(floor, places, times.now)))
     return floor, [silent.get(name) or shown(place.machine) for name, place in places.items()]
 
@@ -160,11 +160,13 @@ def _places(
     now, archive = times.now, Archive(service.folder / "history.sqlite")
     of, received = single(models, service), received_last(store)
     store.execute("BEGIN IMMEDIATE")
-    eras = {name: era_of(store, name, one.digest, one.layout, now) for name, one in of.items()}
+    eras = {
+        name: era_of(store, name, served.digest, served.layout, now) for name, served in of.items()
+    }
     store.execute("COMMIT")
     before = {name: era_before(store, era) for name, era in eras.items()}
-    every = kept_of(store, [*eras.values(), *(one for one in before.values() if one)])
-    found: dict[str, Place] = {}
+    every = kept_of(store, [*eras.values(), *(era for era in before.values() if era)])
+    by_name: dict[str, Place] = {}
     moved: list[Checkpoint] = []
     for name, model in of.items():
         earlier, kept = before[name], every[eras[name]]
@@ -179,13 +181,13 @@ def _places(
             log.say(now, "moved", "other axes of the control; the estimator goes on", name)
         heard = floors.since_heard(machine.usable, model.rule, service.given.behind_s, times)
         # Those of another layout stay where they are kept.
-        rows = [(np.frombuffer(one.row), one.status) for one in every[eras[name]].later]
-        found[name] = Place(model, eras[name], machine, position, heard, rows=rows)
+        rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
+        by_name[name] = Place(model, eras[name], machine, position, heard, rows=rows)
         if machine.said.number:
             log.say(now, "restored", f"{machine.said.number} samples, {len(rows)} again", name)
     if moved:
         commit(store, Batch(checkpoints=moved))
-    return found
+    return by_name
 
 
 def _moved(
@@ -194,8 +196,8 @@ def _moved(
     """Return the end of an era, and the beginning of the one that goes on from it."""
     number, state = machine.said.number, state_bytes(model, machine)
     rest = rest_of(machine, position)
-    rows = np.array([np.frombuffer(one.row) for one in kept.later])
-    words = tuple(one.status for one in kept.later)
+    rows = np.array([np.frombuffer(taken.row) for taken in kept.later])
+    words = tuple(taken.status for taken in kept.later)
     none = np.empty((0, model.layout.width))
     return (
         Checkpoint(kept.era, number, state, rest, rows.reshape(-1, kept.layout.width), words),

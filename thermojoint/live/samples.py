@@ -129,7 +129,7 @@ def arrived(
     phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
     instant = instant_of(rule, phase, time)
     probed = waiting.probed
-    if all(one is None for one in told[: rule.wanted]):
+    if all(value is None for value in told[: rule.wanted]):
         if time <= probed:
             return Arrived(waiting, [], "late")
         probed = time
@@ -146,7 +146,7 @@ def arrived(
         cells = tuple(rest)
         if rule.hold > 0.0:
             values, held = _filled(rule, held, last, values)
-        samples.append((last, tuple(math.nan if one is None else one for one in values)))
+        samples.append((last, tuple(math.nan if value is None else value for value in values)))
     return Arrived(Waiting(last, newest, cells, held, phase, probed), samples, "taken")
 
 
@@ -158,14 +158,14 @@ def _merged(
     """The cells with what was told of one of them; what is told twice, the last time counts."""
     if not cells:
         return ((instant, told),)
-    found = dict(cells)
-    before = found.get(instant)
-    found[instant] = (
+    merged = dict(cells)
+    before = merged.get(instant)
+    merged[instant] = (
         told
         if before is None
         else tuple(b if a is None else a for a, b in zip(told, before, strict=True))
     )
-    return tuple(sorted(found.items()))
+    return tuple(sorted(merged.items()))
 
 
 def _closes(
@@ -195,10 +195,11 @@ def _filled(
     """Readings with those that still hold, and what holds after them."""
     before = held or ((-math.inf, math.nan),) * len(values)
     filled = tuple(
-        kept if one is None and k < rule.wanted and instant - since <= rule.hold else one
-        for k, (one, (since, kept)) in enumerate(zip(values, before, strict=True))
+        kept if value is None and k < rule.wanted and instant - since <= rule.hold else value
+        for k, (value, (since, kept)) in enumerate(zip(values, before, strict=True))
     )
     after = tuple(
-        old if one is None else (instant, one) for one, old in zip(values, before, strict=True)
+        old if value is None else (instant, value)
+        for value, old in zip(values, before, strict=True)
     )
     return filled, after

@@ -29,10 +29,10 @@ def read_secret(secret: Secret, where: str) -> str:
         There is none, or others can read it.
     """
     if secret.variable is not None:
-        found = os.environ.get(secret.variable, "")
-        if not found:
+        value = os.environ.get(secret.variable, "")
+        if not value:
             raise InputError(f"{where}: the variable {secret.variable} is not set; set it")
-        return _line(found, f"{where}: variable {secret.variable}")
+        return _line(value, f"{where}: variable {secret.variable}")
     path = _path_of(secret, where)
     if secret.file is not None:
         refuse_open_to_others(path, where)
@@ -77,7 +77,7 @@ def _path_of(secret: Secret, where: str) -> Path:
 
 
 def _line(text: str, where: str) -> str:
-    found = text.strip()
-    if not found or len(found) > LONGEST or "\n" in found:
+    secret = text.strip()
+    if not secret or len(secret) > LONGEST or "\n" in secret:
         raise InputError(f"{where}: a secret is one line, not empty; mend it")
-    return found
+    return secret

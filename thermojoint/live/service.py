@@ -56,15 +56,15 @@ async def run(
     gc.freeze()
     async with opened(service, models, stop) as running:
         failed: list[BaseException] = []
-        doors = [asyncio.create_task(one) for one in await open_doors(running)]
+        doors = [asyncio.create_task(door) for door in await open_doors(running)]
         floor = running.floor
-        sources = [asyncio.create_task(_read(running, one)) for one in readers]
+        sources = [asyncio.create_task(_read(running, reader)) for reader in readers]
         work = asyncio.create_task(_process(running))
         watch = asyncio.create_task(_watch(running))
         ended = asyncio.create_task(_ended(running, sources))
         tasks = [*doors, *sources, work, watch]
         for task in tasks:
-            task.add_done_callback(lambda one: _note_failure(one, failed, stop))
+            task.add_done_callback(lambda ended: _note_failure(ended, failed, stop))
         floor.log.say(time.time(), "ready", f"{len(floor.places)} machines")
         ready(running)
         tell_systemd("READY=1")
@@ -87,9 +87,9 @@ async def run(
 async def _read(running: Running, reader: Reader) -> None:
     """Hand on what a reader finds, until it ends."""
     positions = {name: running.floor.places[name].position for name in reader.machines}
-    async for found in reader.read(positions):
-        if found:
-            await running.arrivals.put(found)
+    async for block in reader.read(positions):
+        if block:
+            await running.arrivals.put(block)
 
 
 async def _ended(running: Running, sources: Sequence[asyncio.Task[None]]) -> None:
@@ -117,10 +117,12 @@ async def _process(running: Running) -> None:
             blocks.append(queue.get_nowait())
             size += len(blocks[-1])
         now = time.time()
-        for one in (one for block in blocks for one in block if isinstance(one, Note)):
-            floor.log.say(now, one.kind, one.text, one.machine)
-            running.metrics.events.labels(one.kind).inc()
-        arrivals = [one for block in blocks for one in block if isinstance(one, Arrival)]
+        for item in (item for block in blocks for item in block if isinstance(item, Note)):
+            floor.log.say(now, item.kind, item.text, item.machine)
+            running.metrics.events.labels(item.kind).inc()
+        arrivals = [
+            arrival for block in blocks for arrival in block if isinstance(arrival, Arrival)
+        ]
         outcome = floors.absorb(floor, arrivals, now, time.monotonic())
         events = floor.log.fetched()
         if outcome.taken or events:
@@ -167,7 +169,7 @@ async def _watch(running: Running) -> None:
 
 async def published(running: Running, changed: list[Publication]) -> None:
     """Publish what silence has changed, after the offsets are kept that the controls receive."""
-    names = [one.machine for one in changed]
+    names = [publication.machine for publication in changed]
     received = floors.received(running.floor, names, time.time())
     if received:
         await running.kept(commit, Batch(received=received))
@@ -190,7 +192,7 @@ async def _checkpoint_some(running: Running, every: float) -> None:
 
 
 async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
-    found = [floors.checkpoint_of(place) for place in floors.unwritten(places)]
+    checkpoints = [floors.checkpoint_of(place) for place in floors.unwritten(places)]
     events = running.floor.log.fetched()
-    if found or events:
-        await running.kept(commit, Batch(checkpoints=found, events=events))
+    if checkpoints or events:
+        await running.kept(commit, Batch(checkpoints=checkpoints, events=events))

@@ -260,9 +260,9 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:
     return [
-        (one, section)
+        (kind, section)
         for name, section in sections.items()
-        for one in (
+        for kind in (
             [name] if section.count is None else [f"{name}-{k + 1}" for k in range(section.count)]
         )
     ]
@@ -330,5 +330,5 @@ def is_loopback(host: str) -> bool:
 
 
 def _host_in(url: str) -> str:
-    found = re.match(r"opc\.tcp://(\[[^\]]*\]|[^:/]+)", url)
-    return found[1] if found else url
+    match = re.match(r"opc\.tcp://(\[[^\]]*\]|[^:/]+)", url)
+    return match[1] if match else url

@@ -201,18 +201,18 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         It is no store, or of another version.
     """
     try:
-        found = sqlite3.connect(
+        store = sqlite3.connect(
             path, isolation_level=None, check_same_thread=False, timeout=_PATIENCE_S
         )
-        found.execute("PRAGMA journal_mode = WAL")
-        found.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
+        store.execute("PRAGMA journal_mode = WAL")
+        store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
         # The service says when: a checkpoint of the WAL in the middle of a commit would delay it.
-        found.execute("PRAGMA wal_autocheckpoint = 0")
-        found.executescript(_TABLES)
-        found.execute(
+        store.execute("PRAGMA wal_autocheckpoint = 0")
+        store.executescript(_TABLES)
+        store.execute(
             "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)
         )
-        (version,) = found.execute(
+        (version,) = store.execute(
             "SELECT value FROM meta WHERE name = 'schema_version'"
         ).fetchone()
     except sqlite3.DatabaseError as error:
@@ -224,7 +224,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
             f"{path}: store of version {version}, expected {SCHEMA_VERSION}; give another folder"
         )
     path.chmod(0o640)
-    return found
+    return store
 
 
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
@@ -279,8 +279,8 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
         for era, number, state, rest in store.execute("SELECT era, number, state, rest FROM states")
     }
     later: dict[int, list[Taken]] = {}
-    for one in store.execute("SELECT era, number, row, status, rest FROM journal ORDER BY id"):
-        taken = Taken(*one)
+    for row in store.execute("SELECT era, number, row, status, rest FROM journal ORDER BY id"):
+        taken = Taken(*row)
         if taken.number > states.get(taken.era, (0,))[0]:
             later.setdefault(taken.era, []).append(taken)
     layouts = dict(store.execute("SELECT id, layout FROM eras"))
@@ -297,8 +297,8 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
 
 def received_last(store: sqlite3.Connection) -> dict[str, Received]:
     """Return what the control of each machine received last."""
-    found = store.execute("SELECT machine, at, content FROM received")
-    return {one[0]: Received(*one) for one in found}
+    rows = store.execute("SELECT machine, at, content FROM received")
+    return {row[0]: Received(*row) for row in rows}
 
 
 def commit(store: sqlite3.Connection, batch: Batch) -> int:
@@ -307,24 +307,30 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
     try:
         store.executemany(
             "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)",
-            [(one.era, one.number, one.row, one.status, one.rest) for one in batch.taken],
+            [
+                (taken.era, taken.number, taken.row, taken.status, taken.rest)
+                for taken in batch.taken
+            ],
         )
         store.executemany(
             "INSERT OR REPLACE INTO states VALUES (?, ?, ?, ?)",
-            [(one.era, one.number, one.state, one.rest) for one in batch.checkpoints],
+            [
+                (checkpoint.era, checkpoint.number, checkpoint.state, checkpoint.rest)
+                for checkpoint in batch.checkpoints
+            ],
         )
         store.executemany(
             "INSERT INTO chunks (era, first, last, number, count, rows, status) "
             "VALUES (?, ?, ?, ?, ?, ?, ?)",
-            [_chunk(one) for one in batch.checkpoints if len(one.rows)],
+            [_chunk(checkpoint) for checkpoint in batch.checkpoints if len(checkpoint.rows)],
         )
         store.executemany(
             "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)",
-            [(one.time, one.machine, one.kind, one.text) for one in batch.events],
+            [(event.time, event.machine, event.kind, event.text) for event in batch.events],
         )
         store.executemany(
             "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)",
-            [(one.machine, one.since, one.until, one.why) for one in batch.holes],
+            [(hole.machine, hole.since, hole.until, hole.why) for hole in batch.holes],
         )
         # Axes that the settings have no more keep what the control received of them last.
         store.executemany(
@@ -340,16 +346,16 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
     return int(last or 0)
 
 
-def _chunk(one: Checkpoint) -> tuple[object, ...]:
-    count = len(one.rows)
+def _chunk(checkpoint: Checkpoint) -> tuple[object, ...]:
+    count = len(checkpoint.rows)
     return (
-        one.era,
-        float(one.rows[0, 0]),
-        float(one.rows[-1, 0]),
-        one.number - count + 1,
+        checkpoint.era,
+        float(checkpoint.rows[0, 0]),
+        float(checkpoint.rows[-1, 0]),
+        checkpoint.number - count + 1,
         count,
-        np.ascontiguousarray(one.rows, dtype="<f8").tobytes(),
-        json.dumps(_runs(one.status)),
+        np.ascontiguousarray(checkpoint.rows, dtype="<f8").tobytes(),
+        json.dumps(_runs(checkpoint.status)),
     )
 
 
@@ -417,7 +423,7 @@ def cut_log(store: sqlite3.Connection) -> None:
 
 def layout_text(layout: Layout) -> str:
     """Return a layout as JSON."""
-    content = asdict(layout) | {"details": [list(one) for one in layout.details]}
+    content = asdict(layout) | {"details": [list(channel) for channel in layout.details]}
     return json.dumps(content, sort_keys=True)
 
 
@@ -427,6 +433,6 @@ def layout_from(text: str) -> Layout:
     return Layout(
         axes=tuple(content["axes"]),
         controls=tuple(content["controls"]),
-        details=tuple(Channel(*one) for one in content["details"]),
+        details=tuple(Channel(*channel) for channel in content["details"]),
         readings=tuple(content["readings"]),
     )

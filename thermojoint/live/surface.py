@@ -98,10 +98,10 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     machine = along(reduce_machine(case, setup, model.sensors), model.axes)
     fitted = with_factors(machine, {name: factor for name, (factor, _) in model.factors.items()})
     rates, turn = diagonal_basis(fitted, model.held)
-    found = on_basis(fitted, rates, turn)
-    if not _alike(found, model.modes):
+    modes = on_basis(fitted, rates, turn)
+    if not _alike(modes, model.modes):
         raise InputError("scene: the model was calibrated with another case or mesh; give its own")
-    turn = turn @ _alignment(found, model.modes)
+    turn = turn @ _alignment(modes, model.modes)
     if not np.allclose(
         fitted.sensors @ turn, model.modes.sensors, atol=SAME * np.abs(model.modes.sensors).max()
     ):
@@ -120,27 +120,29 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     )
 
 
-def _alike(found: Modes, model: Modes) -> bool:
+def _alike(modes: Modes, model: Modes) -> bool:
     """Whether modes have the shapes and the rates of a model's."""
     return (
-        found.rates.shape == model.rates.shape
-        and found.jump.shape == model.jump.shape
-        and bool(np.allclose(found.rates, model.rates, rtol=SAME, atol=SAME * model.rates.max()))
+        modes.rates.shape == model.rates.shape
+        and modes.jump.shape == model.jump.shape
+        and bool(np.allclose(modes.rates, model.rates, rtol=SAME, atol=SAME * model.rates.max()))
     )
 
 
-def _alignment(found: Modes, model: Modes) -> Array:
+def _alignment(modes: Modes, model: Modes) -> Array:
     """Turn modes among those of the same rate, at least in sign, to a model's, shape (r, r).
 
     The nearest orthogonal matrix (Procrustes) by what both say of sensors, joints and inputs.
     """
     seen, wanted = (
-        np.vstack([one / max(np.abs(one).max(), 1e-300) for one in (m.sensors, m.jump, m.drive.T)])
-        for m in (found, model)
+        np.vstack(
+            [rows / max(np.abs(rows).max(), 1e-300) for rows in (m.sensors, m.jump, m.drive.T)]
+        )
+        for m in (modes, model)
     )
-    begins = np.flatnonzero(np.diff(found.rates) > ALIKE * found.rates[1:]) + 1
-    turn = np.zeros((found.rates.size, found.rates.size))
-    for group in np.split(np.arange(found.rates.size), begins):
+    begins = np.flatnonzero(np.diff(modes.rates) > ALIKE * modes.rates[1:]) + 1
+    turn = np.zeros((modes.rates.size, modes.rates.size))
+    for group in np.split(np.arange(modes.rates.size), begins):
         left, _, right = np.linalg.svd(seen[:, group].T @ wanted[:, group])
         turn[np.ix_(group, group)] = left @ right
     return turn

@@ -56,18 +56,18 @@ def read_users(path: Path) -> dict[str, UserLine]:
         It is missing, open to others, or a line is none.
     """
     refuse_open_to_others(path, "users")
-    found: dict[str, UserLine] = {}
+    users: dict[str, UserLine] = {}
     for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         name, _, rest = line.partition(":")
         role, _, password = rest.partition(":")
-        if not _NAME.fullmatch(name) or role not in ("reads", "writes") or name in found:
+        if not _NAME.fullmatch(name) or role not in ("reads", "writes") or name in users:
             raise InputError(f"{path}, line {number}: no user; write it with --add-user")
         if not _HASH.fullmatch(password):
             raise InputError(f"{path}, line {number}: no hashed password; write it with --add-user")
-        found[name] = UserLine(role, password)  # type: ignore[arg-type]
-    return found
+        users[name] = UserLine(role, password)  # type: ignore[arg-type]
+    return users
 
 
 def hashed(password: str) -> str:
@@ -91,12 +91,12 @@ def _derived(password: str, salt: bytes, n: int, r: int, p: int) -> bytes:
 
 def is_password(password: str, kept: str) -> bool:
     """Say whether a password is the one that a hash was made of."""
-    found = _HASH.fullmatch(kept)
-    if found is None or len(password) > _LONGEST:
+    match = _HASH.fullmatch(kept)
+    if match is None or len(password) > _LONGEST:
         return False
-    n, r, p = (int(one) for one in found.groups()[:3])
-    key = _derived(password, bytes.fromhex(found[4]), n, r, p)
-    return hmac.compare_digest(key, bytes.fromhex(found[5]))
+    n, r, p = (int(number) for number in match.groups()[:3])
+    key = _derived(password, bytes.fromhex(match[4]), n, r, p)
+    return hmac.compare_digest(key, bytes.fromhex(match[5]))
 
 
 def add_user(path: Path, name: str, role: Role, password: str) -> None:
@@ -109,9 +109,9 @@ def add_user(path: Path, name: str, role: Role, password: str) -> None:
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"{name!r}: a user's name is up to 64 letters, digits, ., - and _")
-    found = read_users(path) if path.exists() else {}
-    found[name] = UserLine(role, hashed(password))
-    text = "".join(f"{one}:{line.role}:{line.password}\n" for one, line in found.items())
+    users = read_users(path) if path.exists() else {}
+    users[name] = UserLine(role, hashed(password))
+    text = "".join(f"{user}:{line.role}:{line.password}\n" for user, line in users.items())
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -148,7 +148,7 @@ class Gate:
         mark = hmac.digest(self._key, f"{name}\0{password}".encode(), "sha256")
         if user and hmac.compare_digest(self._right.get(name, b""), mark):
             return user.role
-        self._trials = [one for one in self._trials if clock - one < TRIALS_S]
+        self._trials = [trial for trial in self._trials if clock - trial < TRIALS_S]
         if len(self._trials) >= MOST_TRIALS:
             return None
         self._trials.append(clock)

@@ -121,11 +121,14 @@ def read_baselines(path: Path) -> Baselines:
     baselines = validated(_BASELINES, content, str(path), FILE.remedy)
     channels = len(ROLES)
     sizes = [
-        (len(weights), channels * (1 + len(one.time_constants)))
-        for one in (baselines.mlr, baselines.ridge)
-        for weights in one.weights.values()
-    ] + [(len(row), channels) for one in baselines.arx.values() for row in one.inputs]
-    same = all(set(one.weights) == set(baselines.arx) for one in (baselines.mlr, baselines.ridge))
+        (len(weights), channels * (1 + len(regression.time_constants)))
+        for regression in (baselines.mlr, baselines.ridge)
+        for weights in regression.weights.values()
+    ] + [(len(row), channels) for regression in baselines.arx.values() for row in regression.inputs]
+    same = all(
+        set(regression.weights) == set(baselines.arx)
+        for regression in (baselines.mlr, baselines.ridge)
+    )
     if not same or any(given != wanted for given, wanted in sizes):
         raise InputError(f"{path}: axes or numbers of weights do not fit together; {FILE.remedy}")
     if set(baselines.span.temperatures) != set(ROLES):

@@ -188,7 +188,7 @@ class LearnedModel(Described):
     def _facts(self) -> dict[str, str]:
         return {
             "kind": self.kind,
-            "estimates": ", ".join(one.name for one in self.channels),
+            "estimates": ", ".join(channel.name for channel in self.channels),
             "reads": ", ".join(self.columns),
             "learned from": ", ".join(self.learned_from.files) or "a log in memory",
         }

@@ -62,7 +62,7 @@ def show_validation(console: Console, rows: Sequence[Row]) -> None:
     """Print the errors of estimators of any kind, from temperatures alone: what their rows hold."""
     from thermojoint.paper.verdict import paper_claim
 
-    held = [one for one in _ERRORS if any(one[1] in row for row in rows)]
+    held = [column for column in _ERRORS if any(column[1] in row for row in rows)]
     claims = [paper_claim(row) for row in rows]
     table = Table()
     for name in ("case", "estimator", "axis"):

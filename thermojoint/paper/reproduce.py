@@ -93,7 +93,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         roles = {role: role for role in ROLES}
         if calibrated.placement is not None:
             roles = calibrated.placement.roles
-            responses = {name: with_roles(one, roles) for name, one in responses.items()}
+            responses = {name: with_roles(response, roles) for name, response in responses.items()}
             _write_responses(responses, folder)
         write_model(calibrated.model, folder / "model.json", provenance)
         known = {name: responses[name] for name in inputs.CALIBRATION}
@@ -107,7 +107,8 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         with observers_beside(case, sensors, known, folder, runs.effort) as calibrated_beside:
             lasting = simulate_long(case, runs, folder / "responses", setup, report)
             lasting = {
-                name: _kept(at_sensors(one, roles), folder, out) for name, one in lasting.items()
+                name: _kept(at_sensors(response, roles), folder, out)
+                for name, response in lasting.items()
             }
             _write_responses(lasting, folder)
             observers = calibrated_beside()
@@ -171,7 +172,7 @@ def _judged(
             noisy=[inputs.TRIANGLE],
             beside=cold,
         )
-        hours = [without_nonlinear(one.result()) for one in (long, warmed)]
+        hours = [without_nonlinear(run.result()) for run in (long, warmed)]
         return judge.joined([short.result(), *hours])
 
 

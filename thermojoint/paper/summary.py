@@ -226,8 +226,8 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
     return PressureShare(
         at_s,
         tuple(
-            ElementShare(int(number), one, end, one / end if moving else None)
-            for number, one, end, moving in zip(
+            ElementShare(int(number), change, end, change / end if moving else None)
+            for number, change, end, moving in zip(
                 response["contact"].to_numpy(), early.tolist(), final.tolist(), moves, strict=True
             )
         ),

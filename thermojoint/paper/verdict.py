@@ -73,7 +73,7 @@ def error_table(rows: Sequence[Row]) -> ErrorTable:
                 case,
                 axis,
                 tuple(largest_error(each[name]) for name in estimators),
-                next((claim for one in each.values() if (claim := paper_claim(one))), None),
+                next((claim for row in each.values() if (claim := paper_claim(row))), None),
             )
             for (case, axis), each in rows_by_key.items()
         ),

@@ -36,14 +36,14 @@ def write_log_picture(log: Log, path: Path) -> None:
     path : Path
         PNG, whole or not at all.
     """
-    quantities = [one for one in _LABELS if log.of(one)]
+    quantities = [quantity for quantity in _LABELS if log.of(quantity)]
     figure = Figure(figsize=(9.0, 1.0 + 2.2 * len(quantities)), layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     hours = _hours(log)
     step = max(1, len(hours) // _POINTS)
     for panel, quantity in zip(panels, quantities, strict=True):
         scale, zero = _SHOWN.get(quantity, (1.0, 0.0))
-        for column in (one for one in log.columns if one.quantity == quantity):
+        for column in (column for column in log.columns if column.quantity == quantity):
             absolute = quantity == "temperature" and column.unit != "K"
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
             panel.plot(hours[::step], values[::step], linewidth=1.0, label=column.name)

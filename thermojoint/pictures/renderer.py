@@ -124,7 +124,7 @@ def painted(panel: Panel, height: int) -> Pixels:
     axes.set_axis_off()
     # What can be seen through is painted first: sorted with the rest, it would veil it.
     for through in (True, False):
-        surfaces = [one for one in panel.surfaces if (one.opacity < 0.5) is through]
+        surfaces = [surface for surface in panel.surfaces if (surface.opacity < 0.5) is through]
         if surfaces:
             axes.add_collection(_polygons(surfaces, panel))
     for surface in panel.surfaces:
@@ -186,10 +186,10 @@ def creases(points: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     order = np.argsort(which.ravel(), kind="stable")
     first = np.concatenate([[0], np.cumsum(shared)[:-1]])
-    one = owner[order[first]]
+    face = owner[order[first]]
     other = owner[order[np.minimum(first + 1, len(order) - 1)]]
     # Faces may be turned either way round: only the angle between their planes counts.
-    bent = np.abs(np.einsum("ni,ni->n", normal[one], normal[other])) < np.cos(np.radians(_CREASE))
+    bent = np.abs(np.einsum("ni,ni->n", normal[face], normal[other])) < np.cos(np.radians(_CREASE))
     return np.asarray(unique[(shared != 2) | bent])
 
 

@@ -129,7 +129,7 @@ def finished(scenes: Sequence[Scene]) -> list[Scene]:
         drawn = _drawn(panel)
         if drawn:
             values.setdefault(panel.shows, []).append(np.concatenate(drawn))
-    scales = {shows: colour_scale(shows, found) for shows, found in values.items()}
+    scales = {shows: colour_scale(shows, shown) for shows, shown in values.items()}
     windows = [
         window_around(np.concatenate([_held(panel) for panel in panels]))
         for panels in zip(*(scene.panels for scene in scenes), strict=True)

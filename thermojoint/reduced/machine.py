@@ -119,10 +119,10 @@ def check_joints(case: Case) -> None:
             f'conductance.law = "{joint.conductance.law}"': joint.conductance.law
             in ("fixed", "table", "none"),
         }
-        for one, found in what.items():
-            if found:
+        for section, present in what.items():
+            if present:
                 raise InputError(
-                    f"joint-aware: joints.{name} has {one}, which the estimator does not know; "
+                    f"joint-aware: joints.{name} has {section}, which the estimator does not know; "
                     "estimate this machine by another method"
                 )
 

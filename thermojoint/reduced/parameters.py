@@ -79,12 +79,12 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
         absent |= {"friction", "tangential ratio"}
     if not machine.convection.any():
         absent.add("film")
-    return tuple(one for one in PARAMETERS if one.name not in absent)
+    return tuple(parameter for parameter in PARAMETERS if parameter.name not in absent)
 
 
 def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedMachine:
     """Return the machine with parameters multiplied by `factors` (name to factor, positive)."""
-    by = {one.name: 1.0 for one in PARAMETERS} | factors
+    by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
     elastic = machine.elastic
     return replace(
         machine,
@@ -108,13 +108,14 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
 def factors_of(parameters: tuple[Parameter, ...], logarithms: Array) -> dict[str, float]:
     """Return the factors (by name) of the logarithms, shape (parameters,)."""
     return {
-        one.name: float(value) for one, value in zip(parameters, np.exp(logarithms), strict=True)
+        parameter.name: float(value)
+        for parameter, value in zip(parameters, np.exp(logarithms), strict=True)
     }
 
 
 def joint_with_factors(joint: Joint, factors: dict[str, float]) -> Joint:
     """Return a joint with those of the `factors` (name to factor, positive) that are a joint's."""
-    by = {one.name: 1.0 for one in PARAMETERS} | factors
+    by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
     section = joint.section
     power_law = section.back_burdekin
     return Joint(

@@ -93,7 +93,8 @@ def heat_step(modes: Modes, length: float) -> HeatStep:
     """Return the step of some length (s); kept, as samples usually come evenly."""
     decay = 1.0 / (1.0 + length * modes.rates)
     drive, influence = (
-        np.ascontiguousarray(length * decay[:, None] * one) for one in (modes.drive, modes.jump.T)
+        np.ascontiguousarray(length * decay[:, None] * influence)
+        for influence in (modes.drive, modes.jump.T)
     )
     return HeatStep(decay, drive, influence, np.ascontiguousarray(modes.jump @ influence))
 

@@ -95,8 +95,8 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
     setup = set_up(case)
     last = simulate(case, setup=setup, on_step=steps.append).response.isel(time=-1)
     computed = last["principal_stress"].sel(stress_probe="P").to_numpy()
-    for (name, reference), one in zip(ring_stresses(AT).items(), computed, strict=True):
-        yield _check(f"thick ring, {name}", "stress", "MPa", 1e-6 * reference, 1e-6 * one, 5e-3)
+    for (name, reference), stress in zip(ring_stresses(AT).items(), computed, strict=True):
+        yield _check(f"thick ring, {name}", "stress", "MPa", 1e-6 * reference, 1e-6 * stress, 5e-3)
     yield from _field_checks(structure_snapshot(setup, steps[-1]))
     # The cut carries what the pressure pushes apart: p a on either side.
     held = float(last["reaction"].sel(support="x0", space="x"))

@@ -160,8 +160,8 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
         return next(march(machine, inputs, staggered)).state
 
     def lack(logarithm: float) -> float:
-        found = state(float(np.exp(logarithm)))
-        own = law.conducts(found.pressure, found.gap[0], np.zeros(1))
+        settled = state(float(np.exp(logarithm)))
+        own = law.conducts(settled.pressure, settled.gap[0], np.zeros(1))
         return float(np.log(own[0])) - logarithm
 
     middle = np.log(conductance)

@@ -114,11 +114,11 @@ class FiniteVolumes:
         walls = wall_temperatures(time, self.cold)
         _, flux = self.joint(temperature)
         first, second = np.split(temperature, 2)
-        one, other = (m.conductivity / size for size, m in zip(self.sizes, MATERIALS, strict=True))
+        left, right = (m.conductivity / size for size, m in zip(self.sizes, MATERIALS, strict=True))
         flows = (
-            np.concatenate([[2.0 * one * (walls[0] - first[0])], -one * np.diff(first), [flux]]),
+            np.concatenate([[2.0 * left * (walls[0] - first[0])], -left * np.diff(first), [flux]]),
             np.concatenate(
-                [[flux], -other * np.diff(second), [2.0 * other * (second[-1] - walls[1])]]
+                [[flux], -right * np.diff(second), [2.0 * right * (second[-1] - walls[1])]]
             ),
         )
         return np.concatenate(
@@ -178,9 +178,9 @@ def checks() -> Iterator[Check]:
     """Both sides of the joint and its pressure, at the time when they agree least."""
     built = rods(MATERIALS, LENGTHS, ELEMENTS, joint_law(), ["x0", "x1"])
     for name, cold in COLD.items():
-        expected, found = reference(cold), extrapolated(built, cold)
+        expected, values = reference(cold), extrapolated(built, cold)
         for (quantity, unit, factor), known, computed in zip(
-            QUANTITIES, expected, found, strict=True
+            QUANTITIES, expected, values, strict=True
         ):
             at = int(np.argmax(np.abs(computed - known)))
             yield Check(

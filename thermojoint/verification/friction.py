@@ -157,10 +157,10 @@ def drive_block(path: Array) -> Drive:
     each = np.repeat(path, block.contacts, axis=1)
     moves = each - (each * springs) @ block.condensed.compliance
     force, dissipated = [], []
-    for before, found in block.follow(moves):
-        shear = -found.traction.value[1:]
+    for before, after in block.follow(moves):
+        shear = -after.traction.value[1:]
         force.append(shear @ block.area)
-        dissipated.append((shear * (found.traction.slip - before)).sum(axis=0) * block.area)
+        dissipated.append((shear * (after.traction.slip - before)).sum(axis=0) * block.area)
     return Drive(np.array(force), np.array(dissipated))
 
 

@@ -230,7 +230,7 @@ def compared(
     modes : ThermalModes, optional
         Modes of the machine's temperatures, if it is reduced.
     """
-    found: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
+    series_of: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
     for theirs, step in zip(plain, march(made.machine, driven(made), staggered), strict=False):
         state = step.state
         temperature = state.temperature if modes is None else modes.basis @ state.temperature
@@ -246,8 +246,8 @@ def compared(
             (("gap", "m"), state.gap.ravel(), made.joints.gap @ theirs.displacement),
             (("slip", "m"), state.slip.ravel(), theirs.slip.ravel()),
         ):
-            found.setdefault(key, []).append((reference, ours))
-    for (quantity, unit), pairs in found.items():
+            series_of.setdefault(key, []).append((reference, ours))
+    for (quantity, unit), pairs in series_of.items():
         reference, ours = (np.array(side) for side in zip(*pairs, strict=True))
         at = np.unravel_index(int(np.argmax(np.abs(ours - reference))), ours.shape)
         scale = float(np.abs(reference).max())
@@ -274,10 +274,10 @@ def splitting_checks() -> Iterator[Check]:
     }
     for quantity, at in (("temperature", 0), ("pressure", 1)):
         loose, tight = ([end[at] for end in ends[advance]] for advance in (staggered, iterated))
-        apart = [np.abs(one - other).max() for one, other in zip(loose, tight, strict=True)]
+        apart = [np.abs(coarse - fine).max() for coarse, fine in zip(loose, tight, strict=True)]
         yield order(f"splitting, staggered less iterated: order of the {quantity}", apart)
         for how, series in (("staggered", loose), ("iterated", tight)):
-            steps = [np.abs(one - other).max() for one, other in pairwise(series)]
+            steps = [np.abs(coarse - fine).max() for coarse, fine in pairwise(series)]
             yield order(f"splitting, {how} march in dt: order of the {quantity}", steps)
 
 

@@ -101,7 +101,7 @@ def checks() -> Iterator[Check]:
     per_kelvin = strip.condensed.thermal_gap @ np.ones(strip.nodes)
     up = RISE / STEPS * np.arange(1, STEPS + 1)
     levels = np.concatenate([up, up[-2::-1], [0.0]])
-    states = [found for _, found in strip.follow(level * per_kelvin for level in levels)]
+    states = [state for _, state in strip.follow(level * per_kelvin for level in levels)]
 
     edges = np.linspace(0.0, LENGTH, CONTACTS + 1)
     last = 0.5 * float(edges[-2] + edges[-1])
@@ -121,8 +121,8 @@ def checks() -> Iterator[Check]:
             -1.0,
         ),
     ):
-        found = -state.traction.value[1]
-        slides = bound * found >= (1.0 - 1e-9) * COEFFICIENT * PRESSURE
+        computed_shear = -state.traction.value[1]
+        slides = bound * computed_shear >= (1.0 - 1e-9) * COEFFICIENT * PRESSURE
         slip_zone = slides.sum() * LENGTH / CONTACTS
         for quantity, unit, reference, computed, tolerance in (
             ("slip at the free end", "m", slip, state.traction.slip[0, -1], 1e-4),
@@ -138,13 +138,13 @@ def checks() -> Iterator[Check]:
                 tolerance,
                 "closed form",
             )
-        error = np.sqrt(((found - shear) ** 2).sum() / (shear**2).sum())
+        error = np.sqrt(((computed_shear - shear) ** 2).sum() / (shear**2).sum())
         yield Check(
             name=f"partial slip, {name}: shear traction, its mean; error rms",
             quantity="shear traction",
             unit="Pa",
             reference=float(shear.mean()),
-            computed=float(found.mean()),
+            computed=float(computed_shear.mean()),
             tolerance=1e-3,
             source="closed form",
             relative_error=float(error),

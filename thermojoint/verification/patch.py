@@ -197,19 +197,19 @@ def stress_inside(
 def worst(
     name: str,
     quantity: str,
-    found: Array,
+    computed: Array,
     exact: Array,
     source: str,
     scale: float = 0.0,
 ) -> Check:
     """Check the largest error of a field, relative to `scale` or to the largest exact value."""
-    at = np.unravel_index(int(np.argmax(np.abs(found - exact))), found.shape)
+    at = np.unravel_index(int(np.argmax(np.abs(computed - exact))), computed.shape)
     return Check(
         name=f"{name}: {quantity}",
         quantity=quantity,
         unit=UNITS[quantity],
         reference=float(exact[at]),
-        computed=float(found[at]),
+        computed=float(computed[at]),
         tolerance=TOLERANCE,
         source=source,
         scale=scale or float(np.abs(exact).max()),

@@ -254,9 +254,11 @@ def checks() -> Iterator[Check]:
         root = leading_root(case, opening)
         rate = rate_of(root)
         steady = steady_near(still, case, opening)
-        found, _ = departure(built, case, steady, root, 1.0)
+        computed, _ = departure(built, case, steady, root, 1.0)
         kind = "growth" if rate > 0.0 else "decay"
-        yield _rate_check(f"wall at {case.wall:.1f} K, {1e6 * opening:g} um: {kind}", rate, found)
+        yield _rate_check(
+            f"wall at {case.wall:.1f} K, {1e6 * opening:g} um: {kind}", rate, computed
+        )
     yield from bistable_checks(built, still)
 
 

@@ -39,57 +39,57 @@ def refusal(schema: type[BaseModel], error: ValidationError, where: str) -> Inpu
     where : str
         What the input is called.
     """
-    found = [_mistake(schema, details) for details in error.errors()]
-    meant = set(_meant(found))
+    mistakes = [_mistake(schema, details) for details in error.errors()]
+    meant = set(_meant(mistakes))
     lines: dict[Place, str] = {}
-    for one in found:
+    for mistake in mistakes:
         # Each member of a union says why it is not meant: the first is enough.
-        if one.place not in meant and one.place not in lines:
-            lines[one.place] = _line(one, where)
+        if mistake.place not in meant and mistake.place not in lines:
+            lines[mistake.place] = _line(mistake, where)
     return (InputError if len(lines) == 1 else InputErrors)("\n".join(lines.values()))
 
 
-def _meant(found: list[Mistake]) -> Iterator[Place]:
+def _meant(mistakes: list[Mistake]) -> Iterator[Place]:
     """Yield the missing keys that unknown ones stand for: misspelt, or a name with a dot."""
-    missing = [one.place for one in found if one.details["type"] == "missing"]
-    for one in found:
-        if one.details["type"] == "extra_forbidden":
-            *section, key = one.place
+    missing = [mistake.place for mistake in mistakes if mistake.details["type"] == "missing"]
+    for mistake in mistakes:
+        if mistake.details["type"] == "extra_forbidden":
+            *section, key = mistake.place
             beside = [place for place in missing if list(place[:-1]) == section]
-            if isinstance(one.details["input"], dict):
+            if isinstance(mistake.details["input"], dict):
                 yield from beside
             else:
-                near = get_close_matches(key, one.keys, n=1, cutoff=0.5)
+                near = get_close_matches(key, mistake.keys, n=1, cutoff=0.5)
                 yield from (place for place in beside if place[-1] in near)
 
 
-def _line(one: Mistake, where: str) -> str:
-    kind, given = one.details["type"], one.details["input"]
+def _line(mistake: Mistake, where: str) -> str:
+    kind, given = mistake.details["type"], mistake.details["input"]
     if kind == "extra_forbidden":
-        *section, key = one.place
-        line = str(unknown_name("key", key, one.keys, _at(where, section)))
+        *section, key = mistake.place
+        line = str(unknown_name("key", key, mistake.keys, _at(where, section)))
         if section and isinstance(given, dict):
             return f"{line}; {_quoting(f'{section[-1]}.{key}')}"
         return line
-    at = _at(where, one.place)
+    at = _at(where, mistake.place)
     if kind == "missing":
         return f"{at} is missing; add it"
-    message = one.details["msg"].removeprefix("Value error, ")
+    message = mistake.details["msg"].removeprefix("Value error, ")
     shown = f" (given: {given!r})" if isinstance(given, str | int | float) else ""
-    return f"{at}: {message[0].lower()}{message[1:]}{shown}; {_dotted_name(one) or 'change it'}"
+    return f"{at}: {message[0].lower()}{message[1:]}{shown}; {_dotted_name(mistake) or 'change it'}"
 
 
 def _at(where: str, place: Place | list[str]) -> str:
     return f"{where}: {'.'.join(place)}" if place else where
 
 
-def _dotted_name(one: Mistake) -> str | None:
+def _dotted_name(mistake: Mistake) -> str | None:
     """Return what to do about a table in place of a value: TOML makes one of a dotted name."""
-    given, kind = one.details["input"], one.details["type"]
+    given, kind = mistake.details["input"], mistake.details["type"]
     wrong_kind = kind.endswith("_type") or kind == "literal_error"
-    if not (wrong_kind and one.place and given and isinstance(given, dict)):
+    if not (wrong_kind and mistake.place and given and isinstance(given, dict)):
         return None
-    name = one.place[-1]
+    name = mistake.place[-1]
     while isinstance(given, dict) and given:
         key, given = next(iter(given.items()))
         name = f"{name}.{key}"
@@ -105,17 +105,19 @@ def _mistake(schema: type[BaseModel], details: ErrorDetails) -> Mistake:
     place: list[str] = []
     types = [schema]
     for part in details["loc"]:
-        sections = [one for one in types if isinstance(one, type) and issubclass(one, BaseModel)]
-        of_kind = [one for one in sections if len(sections) > 1 and part in _kinds(one)]
+        sections = [
+            kind for kind in types if isinstance(kind, type) and issubclass(kind, BaseModel)
+        ]
+        of_kind = [section for section in sections if len(sections) > 1 and part in _kinds(section)]
         if of_kind:
             types = of_kind
-        elif inner := [each for one in types for each in _inside(one, part)]:
+        elif inner := [each for kind in types for each in _inside(kind, part)]:
             place.append(str(part + 1 if isinstance(part, int) else part))
             types = inner
         elif details["type"] == "extra_forbidden":  # the last part
             place.append(str(part))
             return Mistake(
-                tuple(place), tuple(key for one in sections for key in _keys(one)), details
+                tuple(place), tuple(key for section in sections for key in _keys(section)), details
             )
     return Mistake(tuple(place), (), details)
 

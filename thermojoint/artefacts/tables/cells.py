@@ -170,5 +170,5 @@ def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[s
             wrong |= size > LARGEST_TEMPERATURE
     else:
         wrong |= np.isin(values, _NEVER)
-    found = Counter(f"{value:.6g}" for value in values[wrong].tolist())
-    return np.where(wrong, np.nan, values), found
+    counts = Counter(f"{value:.6g}" for value in values[wrong].tolist())
+    return np.where(wrong, np.nan, values), counts

@@ -158,7 +158,7 @@ def clock_of(
     What tells the date comes before what counts from a start, and that before a time of day.
     """
     named = list(chosen) or [k for k, name in enumerate(names) if clock_word(name)]
-    found: dict[str, list[tuple[int, Clock]]] = {}
+    clocks: dict[str, list[tuple[int, Clock]]] = {}
     bad = ""
     for k in named:
         cells = [row[k] for row in rows if k < len(row) and row[k].strip()]
@@ -167,19 +167,19 @@ def clock_of(
             cell = cells[0].strip() if cells else ""
             bad = bad or f"{names[k]} is {cell!r}, no time known here; write {FORMS}"
         else:
-            found.setdefault(clock.form, []).append((k, clock))
+            clocks.setdefault(clock.form, []).append((k, clock))
     for form in ("stamp", "excel"):
-        if form in found:
-            return found[form][0][1], ""
-    if "date" in found and "time of day" in found:
-        (first, date), (second, day) = found["date"][0], found["time of day"][0]
+        if form in clocks:
+            return clocks[form][0][1], ""
+    if "date" in clocks and "time of day" in clocks:
+        (first, date), (second, day) = clocks["date"][0], clocks["time of day"][0]
         return replace(date, columns=(first, second), form="stamp", zone=date.zone or day.zone), ""
     for form in ("number", "time of day"):
-        if form in found:
-            dated = [clock for _, clock in found[form] if clock.dated]
-            return (dated or [clock for _, clock in found[form]])[0], ""
-    if "date" in found:
-        bad = f"{names[found['date'][0][0]]} is a date without a time of day; write {FORMS}"
+        if form in clocks:
+            dated = [clock for _, clock in clocks[form] if clock.dated]
+            return (dated or [clock for _, clock in clocks[form]])[0], ""
+    if "date" in clocks:
+        bad = f"{names[clocks['date'][0][0]]} is a date without a time of day; write {FORMS}"
     return None, bad
 
 
@@ -200,14 +200,14 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
     if number_in(cells[0], decimal) is not None:
         return _plain_number(index, values)
     # What does not fit the first is refused where it stands.
-    parts = [one for cell in cells if (one := _STAMP.match(cell.strip()))]
+    parts = [match for cell in cells if (match := _STAMP.match(cell.strip()))]
     if not _STAMP.match(cells[0].strip()) or not (parts[0]["a"] or parts[0]["hour"]):
         return None
     inside = _BRACKETS.search(name)
     zone = zone_named(inside["inside"]) if inside else None
-    with_time = any(one["hour"] for one in parts)
+    with_time = any(part["hour"] for part in parts)
     form = ("stamp" if with_time else "date") if parts[0]["a"] else "time of day"
-    order = _order([one for one in parts if one["a"]])
+    order = _order([part for part in parts if part["a"]])
     return Clock((index,), form, form != "time of day", order=order, zone=zone)
 
 
@@ -230,11 +230,11 @@ def _order(parts: Sequence[re.Match[str]]) -> str:
     """Return the order of dates: dots and dashes have the day first, slashes as the numbers say."""
     if not parts or len(parts[0]["a"]) == 4:
         return ""
-    slashed = [one for one in parts if one["sign"] == "/"]
-    if not slashed or any(one["half"] for one in slashed):
+    slashed = [part for part in parts if part["sign"] == "/"]
+    if not slashed or any(part["half"] for part in slashed):
         return "mdy" if slashed else "dmy"
-    first = {int(one["a"]) for one in slashed}
-    second = {int(one["b"]) for one in slashed}
+    first = {int(part["a"]) for part in slashed}
+    second = {int(part["b"]) for part in slashed}
     if max(first) > 12:
         return "dmy"
     # Of two readings the one in which less time passes: days change before months do.
@@ -290,16 +290,16 @@ def moment(clock: Clock, cells: Sequence[str], decimal: str) -> Moment | None:
             return _seconds(datetime.fromisoformat(text), clock.zone)
         except ValueError:
             pass
-    found = _STAMP.match(text)
-    if found is None or not found["a"]:
+    match = _STAMP.match(text)
+    if match is None or not match["a"]:
         return None
     zone = clock.zone
-    if found["zone"]:
-        zone = zone_named(found["zone"])
+    if match["zone"]:
+        zone = zone_named(match["zone"])
         if zone is None:
             return None
-    time = _time_of_day(found)
-    day = _date(found, clock.order)
+    time = _time_of_day(match)
+    day = _date(match, clock.order)
     if time is None or day is None:
         return None
     return _seconds(day + timedelta(microseconds=round(1e6 * time.first)), zone)
@@ -317,26 +317,26 @@ def _seconds(at: datetime, zone: tzinfo | None) -> Moment:
 
 def _time_of_day(text: str | re.Match[str]) -> Moment | None:
     """Return the s since midnight."""
-    found = _STAMP.match(text) if isinstance(text, str) else text
-    if found is None or (isinstance(text, str) and (found["a"] or not found["hour"])):
+    match = _STAMP.match(text) if isinstance(text, str) else text
+    if match is None or (isinstance(text, str) and (match["a"] or not match["hour"])):
         return None
-    if not found["hour"]:
+    if not match["hour"]:
         return Moment(0.0, 0.0)
-    hour, minute, second = (int(found[part] or 0) for part in ("hour", "minute", "second"))
-    if found["half"]:
-        hour = hour % 12 + (12 if found["half"].lower() == "p" else 0)
+    hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
+    if match["half"]:
+        hour = hour % 12 + (12 if match["half"].lower() == "p" else 0)
     if hour > 23 or minute > 59 or second > 59:
         return None
-    part = round(int(found["part"]) * 10.0 ** (6 - len(found["part"]))) if found["part"] else 0
+    part = round(int(match["part"]) * 10.0 ** (6 - len(match["part"]))) if match["part"] else 0
     value = (1_000_000 * (_HOUR * hour + 60.0 * minute + second) + part) / 1e6
     return Moment(value, value)
 
 
-def _date(found: re.Match[str], order: str) -> datetime | None:
-    a, b, c = found["a"], found["b"], found["c"]
+def _date(match: re.Match[str], order: str) -> datetime | None:
+    a, b, c = match["a"], match["b"], match["c"]
     if len(a) == 4:
         year, month, day = a, b, c
-    elif found["sign"] == "/" and order == "mdy":
+    elif match["sign"] == "/" and order == "mdy":
         month, day, year = a, b, c
     else:
         day, month, year = a, b, c

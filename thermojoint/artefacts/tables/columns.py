@@ -53,21 +53,21 @@ def read_columns(
     dialect = dialect_of(lines, str(path), whole=True)
     assert dialect is not None
     rows = list(rows_of(lines[dialect.first :], dialect, str(path)))
-    found: dict[str, Array] = {}
+    columns: dict[str, Array] = {}
     for name in (*wanted, *optional):
         clock, bad = None, ""
         if name == _CLOCK and name not in dialect.names:
             clock, bad = clock_of(dialect.names, [row.cells for row in rows], dialect.decimal)
         if clock is not None:
-            found[name] = _times(clock, dialect, rows, str(path))
+            columns[name] = _times(clock, dialect, rows, str(path))
         elif (values := _column(name, dialect, rows, str(path))) is not None:
-            found[name] = values
+            columns[name] = values
         elif name in wanted:
             given = ", ".join(dialect.given)
             raise InputError(
                 f"{path}: column {name!r} is missing; found {given}{f'; {bad}' if bad else ''}"
             )
-    return found
+    return columns
 
 
 def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Array | None:

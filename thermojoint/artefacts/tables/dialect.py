@@ -177,18 +177,21 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     """
     told = next((_SEP_LINE.match(line) for line in lines[:1]), None)
     candidates = (told[1],) if told else SEPARATORS
-    found = [one for sep in candidates if (one := _tried(lines, sep)) and len(one.header) > 1]
-    rows = [one for one in found if any(map(is_data, one.rows))]
+    tables = [
+        tried for sep in candidates if (tried := _tried(lines, sep)) and len(tried.header) > 1
+    ]
+    rows = [table for table in tables if any(map(is_data, table.rows))]
     if not rows and not whole:
         return None
-    rows = rows or [one for one in found if one.rows]
-    if not found:
+    rows = rows or [table for table in tables if table.rows]
+    if not tables:
         raise InputError(
             f"{where}: no header; give a first line that names the columns, e.g. "
             "time_s,T1_degC,x_um"
         )
     best = max(
-        rows or found, key=lambda one: (one.fits, one.separator not in _BLANKS, len(one.header))
+        rows or tables,
+        key=lambda table: (table.fits, table.separator not in _BLANKS, len(table.header)),
     )
     count = len(best.header)
     given = tuple(name.strip() for name in best.header)
@@ -228,8 +231,8 @@ def _tried(lines: Sequence[str], separator: str) -> _Try | None:
     table: list[tuple[int, list[str]]] = []
     # A line that cannot be divided is refused, by its number, where the rows are read.
     with suppress(InputError):
-        for one in cells_of(lines, separator, ""):
-            table.append(one)
+        for cells in cells_of(lines, separator, ""):
+            table.append(cells)
     full = [(number, row) for number, row in table if is_row(row) and not _SEP_LINE.match(row[0])]
     data = [is_data(row) for _, row in full]
     at = _header_at([row for _, row in full], data)

@@ -111,23 +111,27 @@ def layout_of(
         )
     known = [None if k in clock.columns else column_named(name) for k, name in enumerate(names)]
     assumed = [
-        None if one else column_assumed(name) for one, name in zip(known, names, strict=True)
+        None if column else column_assumed(name) for column, name in zip(known, names, strict=True)
     ]
-    found = {
+    columns_at = {
         k: column
         for k, pair in enumerate(zip(known, assumed, strict=True))
         if (column := pair[0] or pair[1]) and column.quantity != "time"
     }
-    if not found:
+    if not columns_at:
         raise InputError(
             f"{where}: no column's name ends in a unit, as T1_degC or x_um does; rename them with "
             "--column 'NAME=T1_degC'"
         )
-    notes = [f"{one.name}: no unit in the name, taken as {one.unit}" for one in assumed if one]
+    notes = [
+        f"{column.name}: no unit in the name, taken as {column.unit}"
+        for column in assumed
+        if column
+    ]
     if dialect.skipped:
         notes.append(f"lines before the header, not read: {dialect.skipped}")
-    columns = tuple(found.values())
-    return Layout(where, dialect, names, clock, tuple(found), columns, tuple(notes))
+    columns = tuple(columns_at.values())
+    return Layout(where, dialect, names, clock, tuple(columns_at), columns, tuple(notes))
 
 
 def _renamed(dialect: Dialect, where: str, renamed: Mapping[str, str]) -> tuple[str, ...]:

@@ -146,20 +146,20 @@ def _counted(layout: Layout, rows: Sequence[Row], at: _At) -> list[float] | None
     if layout.clock.form != "number":
         return None
     (k,) = layout.clock.columns
-    found = numbers([row.cells[k] for row in rows], layout.dialect.decimal)
-    times = found.values * layout.clock.factor / layout.clock.divisor
-    if found.unreadable is None and (np.diff(times, prepend=at.hands.last) > 0.0).all():
+    read = numbers([row.cells[k] for row in rows], layout.dialect.decimal)
+    times = read.values * layout.clock.factor / layout.clock.divisor
+    if read.unreadable is None and (np.diff(times, prepend=at.hands.last) > 0.0).all():
         return list(times.tolist())
     return None
 
 
-def _check_twice(layout: Layout, one: Row, other: Row) -> None:
+def _check_twice(layout: Layout, row: Row, other: Row) -> None:
     """Refuse two rows of one time that do not say the same."""
     for k in layout.kept:
-        first, second = one.cells[k].strip(), other.cells[k].strip()
+        first, second = row.cells[k].strip(), other.cells[k].strip()
         if first != second:
             raise InputError(
-                f"{layout.where}, lines {one.line} and {other.line}: two rows of one time "
+                f"{layout.where}, lines {row.line} and {other.line}: two rows of one time "
                 f"contradict each other ({layout.names[k]}: {first!r} and {second!r}), the clock "
                 "does not go forward; drop one"
             )
@@ -180,16 +180,16 @@ def _piece(layout: Layout, record: Record, part: _Part) -> Log:
     values = np.empty((len(part.rows), len(layout.kept)))
     cells_by_column = list(zip(*(row.cells for row in part.rows), strict=True))
     for j, (k, column) in enumerate(zip(layout.kept, layout.columns, strict=True)):
-        found = numbers(cells_by_column[k], layout.dialect.decimal)
-        if found.unreadable is not None:
-            row = part.rows[found.unreadable]
+        read = numbers(cells_by_column[k], layout.dialect.decimal)
+        if read.unreadable is not None:
+            row = part.rows[read.unreadable]
             raise InputError(
                 f"{layout.where}, line {row.line}: {column.name} is {row.cells[k].strip()!r}, no "
                 "number; write it like 20.5 or 20,5, and leave the cell empty if the reading is "
                 "missing"
             )
-        good, wrong = without_error_values(found.values, column.quantity)
-        for token, count in (found.missing + wrong).items():
+        good, wrong = without_error_values(read.values, column.quantity)
+        for token, count in (read.missing + wrong).items():
             missing[column.name, token] += count
         if len(good) > 1 or not np.isfinite(part.last):
             _check_unit(layout.where, column, good)

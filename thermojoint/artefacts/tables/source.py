@@ -25,11 +25,13 @@ def _as_cp1252(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeDecodeError):
         raise error
     wrong = error.object[error.start : error.end]
-    return "".join(chr(one) if one in _NOT_IN_CP1252 else _cp1252(one) for one in wrong), error.end
+    return "".join(
+        chr(byte) if byte in _NOT_IN_CP1252 else _cp1252(byte) for byte in wrong
+    ), error.end
 
 
-def _cp1252(one: int) -> str:
-    return bytes([one]).decode("cp1252")
+def _cp1252(byte: int) -> str:
+    return bytes([byte]).decode("cp1252")
 
 
 _NOT_IN_CP1252 = {0x81, 0x8D, 0x8F, 0x90, 0x9D}
@@ -124,7 +126,7 @@ def _sheet_lines(file: BinaryIO, where: str) -> Iterator[str]:
 
     try:
         book = openpyxl.load_workbook(file, read_only=True, data_only=True)
-        sheet = next((one for one in book.worksheets if (one.max_row or 2) > 1), None)
+        sheet = next((sheet for sheet in book.worksheets if (sheet.max_row or 2) > 1), None)
         for row in sheet.iter_rows(values_only=True) if sheet else ():
             yield _line(row)
     except (OSError, KeyError, ValueError, TypeError, EOFError) as error:
@@ -144,12 +146,12 @@ def _parquet_lines(file: BinaryIO, where: str) -> Iterator[str]:
         for batch in table.iter_batches():
             columns = [
                 # Nothing of a log is finer than a microsecond.
-                one.cast(pa.timestamp("us", one.type.tz), safe=False)
-                if pa.types.is_timestamp(one.type)
-                else one
-                for one in batch.columns
+                column.cast(pa.timestamp("us", column.type.tz), safe=False)
+                if pa.types.is_timestamp(column.type)
+                else column
+                for column in batch.columns
             ]
-            for row in zip(*(one.to_pylist() for one in columns), strict=True):
+            for row in zip(*(column.to_pylist() for column in columns), strict=True):
                 yield _line(row)
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{where}: no readable Parquet ({error}); save it as CSV") from error

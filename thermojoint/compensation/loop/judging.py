@@ -35,7 +35,7 @@ def as_content(closed: Closed) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "title": closed.loop.title,
         "design": None if closed.design is None else _design(closed.design),
-        "runs": [_run(closed, *one) for one in runs_of(closed)],
+        "runs": [_run(closed, *run) for run in runs_of(closed)],
     }
 
 

@@ -232,7 +232,7 @@ def margins_of(frequencies: Array, loop: Complex) -> Margins:
     data = control.FrequencyResponseData(loop, frequencies, smooth=True)
     gain, _, _, _, crossover, _ = control.stability_margins(data)
     if loop[-1].real < 0.0:
-        gain = min(float(gain), float(-1.0 / loop[-1].real), key=lambda one: abs(np.log(one)))
+        gain = min(float(gain), float(-1.0 / loop[-1].real), key=lambda margin: abs(np.log(margin)))
     # The phase as it is, not modulo a turn: with a long delay it is several turns behind.
     turned = np.interp(crossover, frequencies, np.unwrap(np.angle(loop)))
     left = np.pi + float(turned)

@@ -33,7 +33,8 @@ def report_html(closed: Closed, content: dict[str, Any]) -> str:
             ("Step responses near the preload", step_figure(model, closed)),
         ]
     pictures = [
-        (title, base64.b64encode(as_svg(one, "control")).decode("ascii")) for title, one in figures
+        (title, base64.b64encode(as_svg(figure, "control")).decode("ascii"))
+        for title, figure in figures
     ]
     return environment.get_template("report.html.j2").render(
         content=content, loop=closed.loop, pictures=pictures

@@ -180,8 +180,8 @@ def _checked(responses: Responses, controller: Controller, required: Requirement
     return Tuned(
         controller,
         nominal,
-        min(one.gain for one in (nominal, *worst)),
+        min(margins.gain for margins in (nominal, *worst)),
         # NaN where a loop never has gain 1: then nothing is controlled.
-        float(np.min([one.phase for one in (nominal, *worst)])),
+        float(np.min([margins.phase for margins in (nominal, *worst)])),
         noise,
     )

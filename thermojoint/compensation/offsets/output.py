@@ -252,13 +252,13 @@ def restored(
     steps, frozen = state.steps.copy(), state.frozen.copy()
     filtered, wanted = state.filtered.copy(), state.wanted.copy()
     for k, name in enumerate(settings.names):
-        if (found := axes.get(name)) is None:
+        if (axis := axes.get(name)) is None:
             continue
         steps[k], frozen[k] = (
-            round(found[key] / settings.resolution) for key in ("offset", "frozen")
+            round(axis[key] / settings.resolution) for key in ("offset", "frozen")
         )
-        if (found["follows"], found["sign"]) == (settings.estimated[k], settings.signs[k]):
-            filtered[k], wanted[k] = (_number(found.get(key)) for key in ("filtered", "wanted"))
+        if (axis["follows"], axis["sign"]) == (settings.estimated[k], settings.signs[k]):
+            filtered[k], wanted[k] = (_number(axis.get(key)) for key in ("filtered", "wanted"))
     before, unusable = (_number(content.get(key)) for key in ("time", "unusable_since"))
     unusable += time - silence - before
     return OutputState(time, steps, filtered, wanted, 0.0, unusable, frozen, math.nan)

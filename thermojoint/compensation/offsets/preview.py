@@ -83,8 +83,8 @@ def header(settings: Settings) -> list[str]:
     return ["time_s", *(f"offset_{name}_um" for name in settings.output.names), "state"]
 
 
-def row_of(settings: Settings, one: Cycle) -> list[str]:
+def row_of(settings: Settings, cycle: Cycle) -> list[str]:
     """Return one cycle as text, in the order of `header`."""
     digits = max(0, -math.floor(math.log10(settings.output.resolution / MICRO) + 1e-9))
-    values = (f"{value / MICRO:.{digits + 2}f}" for value in one.offsets)
-    return [f"{one.time:.9g}", *values, one.state]
+    values = (f"{value / MICRO:.{digits + 2}f}" for value in cycle.offsets)
+    return [f"{cycle.time:.9g}", *values, cycle.state]

@@ -47,18 +47,18 @@ class Asset:
 def asset(name: str) -> Asset | None:
     """Return a file by its name; None if there is none of this name."""
     if name == PLOTLY:
-        found = files("plotly").joinpath("package_data", PLOTLY)
+        file = files("plotly").joinpath("package_data", PLOTLY)
     elif name in _OWN:
-        found = files("thermojoint.live.dashboard").joinpath("templates", name)
+        file = files("thermojoint.live.dashboard").joinpath("templates", name)
     else:
         return None
-    plain = found.read_bytes()
+    plain = file.read_bytes()
     kind = _KINDS[name.rpartition(".")[2]]
     return Asset(kind, plain, gzip.compress(plain, 6, mtime=0), sha256(plain).hexdigest()[:16])
 
 
 def address(name: str) -> str:
     """Return where a page finds a file: ``/assets/DIGEST/NAME``."""
-    found = asset(name)
-    assert found is not None, name
-    return f"/assets/{found.digest}/{name}"
+    content = asset(name)
+    assert content is not None, name
+    return f"/assets/{content.digest}/{name}"

@@ -87,7 +87,7 @@ class Site:
 
     def routes(self) -> list[Route]:
         """Return the addresses."""
-        one = "/api/machines/{machine}"
+        machine = "/api/machines/{machine}"
         return [
             Route("/", self.overview),
             Route("/machines/{machine}", self.machine),
@@ -95,12 +95,12 @@ class Site:
             Route("/logout", self.logout, methods=["POST"]),
             Route("/assets/{digest}/{name}", self.asset),
             Route("/api/machines", self.machines),
-            Route(one, self.about),
-            Route(f"{one}/latest", self.latest),
-            Route(f"{one}/history", self.history),
-            Route(f"{one}/scene", self.scene),
-            Route(f"{one}/fields", self.fields),
-            Route(f"{one}/residuals", self.residuals),
+            Route(machine, self.about),
+            Route(f"{machine}/latest", self.latest),
+            Route(f"{machine}/history", self.history),
+            Route(f"{machine}/scene", self.scene),
+            Route(f"{machine}/fields", self.fields),
+            Route(f"{machine}/residuals", self.residuals),
             Route("/api/events", self.events),
             Route("/api/stream", self.stream),
             Route("/metrics", self.metrics),
@@ -151,8 +151,8 @@ class Site:
 
     async def asset(self, request: Request) -> Response:
         """A style, a script."""
-        found = asset(request.path_params["name"])
-        if found is None or found.digest != request.path_params["digest"]:
+        content = asset(request.path_params["name"])
+        if content is None or content.digest != request.path_params["digest"]:
             raise HTTPException(404, "no such file; load the page again")
         packed = "gzip" in request.headers.get("accept-encoding", "")
         headers = {
@@ -161,7 +161,7 @@ class Site:
         }
         if packed:
             headers["content-encoding"] = "gzip"
-        return Response(found.packed if packed else found.plain, 200, headers, found.kind)
+        return Response(content.packed if packed else content.plain, 200, headers, content.kind)
 
     async def machines(self, request: Request) -> Response:
         """All machines in short."""
@@ -183,7 +183,13 @@ class Site:
         name, about = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
-        return answered(about_body(name, about, [one for one in further if name in further[one]]))
+        return answered(
+            about_body(
+                name,
+                about,
+                [page for page in further if name in further[page]],
+            )
+        )
 
     async def latest(self, request: Request) -> Response:
         """The newest publication of a machine."""
@@ -201,10 +207,10 @@ class Site:
             request, USUAL_HISTORY, points=whole_number(2, MOST_POINTS)
         )
         async with self._reading:
-            found = await anyio.to_thread.run_sync(
+            history = await anyio.to_thread.run_sync(
                 self.sources.past.history, name, since, until, given.get("points", 720)
             )
-        return answered(history_body(name, found))
+        return answered(history_body(name, history))
 
     async def events(self, request: Request) -> Response:
         """What happened, newest first."""
@@ -215,14 +221,14 @@ class Site:
             most=whole_number(1, MOST_EVENTS),
         )
         async with self._reading:
-            found = await anyio.to_thread.run_sync(
+            events = await anyio.to_thread.run_sync(
                 self.sources.past.events,
                 given.get("machine"),
                 since,
                 until,
                 given.get("most", 100),
             )
-        return answered(events_body(found))
+        return answered(events_body(events))
 
     async def scene(self, request: Request) -> Response:
         """The shape of a machine."""
@@ -234,10 +240,10 @@ class Site:
         """What the newest state says of every point of its shape."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
-        found = self._scene(name).fields()
-        if found is None:
+        fields = self._scene(name).fields()
+        if fields is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return answered(found)
+        return answered(fields)
 
     async def residuals(self, request: Request) -> Response:
         """Reading minus model, of the newest sample."""
@@ -245,10 +251,10 @@ class Site:
         read_parameters(request.query_params.multi_items(), {})
         if name not in self.sources.residuals:
             raise HTTPException(404, f"{name} has an estimator that does not expect readings")
-        found = self.sources.residuals[name]()
-        if found is None:
+        residuals = self.sources.residuals[name]()
+        if residuals is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return answered({"machine": name, "residuals_K": found})
+        return answered({"machine": name, "residuals_K": residuals})
 
     async def stream(self, request: Request) -> Response:
         """News, as long as the reader stays."""
@@ -283,11 +289,11 @@ class Site:
 
     def _machine(self, request: Request) -> tuple[str, About]:
         name = request.path_params["machine"]
-        found = self.sources.machines.get(name)
-        if found is None:
+        machine = self.sources.machines.get(name)
+        if machine is None:
             error = unknown_name("machine", name[:40], self.sources.machines, "address")
             raise HTTPException(404, str(error))
-        return name, found
+        return name, machine
 
     def _span(
         self, request: Request, usual: float, **readers: Callable[[str], Any]
@@ -303,10 +309,10 @@ class Site:
         return since, until, given
 
     def _scene(self, name: str) -> Any:  # noqa: ANN401
-        found = self.sources.scenes.get(name)
-        if found is None:
+        scene = self.sources.scenes.get(name)
+        if scene is None:
             raise HTTPException(404, f"{name} has no picture in 3-D; give the service a scene file")
-        return found
+        return scene
 
 
 async def _wrong(request: Request, error: Exception) -> Response:

@@ -80,8 +80,8 @@ def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str,
         "details": [detail_name(channel) for channel in layout.details],
         "readings": list(layout.readings),
         "valid": [
-            {"name": one.name, "low": one.low, "high": one.high, "unit": one.unit}
-            for one in about.valid
+            {"name": span.name, "low": span.low, "high": span.high, "unit": span.unit}
+            for span in about.valid
         ],
         "offers": sorted(offers),
     }
@@ -91,15 +91,16 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
     """Return some time of a machine as columns, by name."""
     layout, columns = history.layout, history.columns
     details = [detail_name(channel) for channel in layout.details]
-    in_micro = np.array([MEGA if one.unit == "m" else 1.0 for one in layout.details])
+    in_micro = np.array([MEGA if channel.unit == "m" else 1.0 for channel in layout.details])
     return {
         "machine": machine,
         "every": history.every,
         "holes": [
-            {"since_s": one.since, "until_s": one.until, "why": one.why} for one in history.holes
+            {"since_s": hole.since, "until_s": hole.until, "why": hole.why}
+            for hole in history.holes
         ],
         "time_s": _numbers(columns.times, 3),
-        "quality": [Quality(int(one)).word for one in columns.quality],
+        "quality": [Quality(int(quality)).word for quality in columns.quality],
         "displacement_um": _named(layout.axes, MEGA * columns.displacement),
         "band_um": _named(layout.axes, MEGA * columns.band),
         "offsets_um": _named(layout.controls, MEGA * columns.offsets),
@@ -113,13 +114,13 @@ def events_body(events: Sequence[Event]) -> dict[str, Any]:
     return {
         "events": [
             {
-                "time": iso_time(one.time),
-                "time_s": one.time,
-                "machine": one.machine,
-                "kind": one.kind,
-                "text": one.text,
+                "time": iso_time(event.time),
+                "time_s": event.time,
+                "machine": event.machine,
+                "kind": event.kind,
+                "text": event.text,
             }
-            for one in events
+            for event in events
         ]
     }
 
@@ -130,7 +131,7 @@ def _named(names: Iterable[str], values: Array) -> dict[str, list[float | None]]
 
 def _numbers(values: Array, digits: int) -> list[float | None]:
     """Return a column, rounded; half a picometre or a tenth of a millikelvin is noise."""
-    return [_rounded(one, digits) for one in values.tolist()]
+    return [_rounded(number, digits) for number in values.tolist()]
 
 
 def _rounded(value: float, digits: int) -> float | None:

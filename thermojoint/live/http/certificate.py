@@ -43,22 +43,22 @@ def own_certificate(folder: Path, address: str, now: datetime | None = None) -> 
 
 def _names(address: str) -> list[x509.GeneralName]:
     hosts = dict.fromkeys(["localhost", socket.gethostname(), "127.0.0.1", "::1", address])
-    found: list[x509.GeneralName] = []
+    names: list[x509.GeneralName] = []
     for host in hosts:
         try:
-            found.append(x509.IPAddress(ipaddress.ip_address(host)))
+            names.append(x509.IPAddress(ipaddress.ip_address(host)))
         except ValueError:
-            found.append(x509.DNSName(host))
-    return found
+            names.append(x509.DNSName(host))
+    return names
 
 
 def _good(path: Path, names: list[x509.GeneralName], now: datetime) -> bool:
     try:
-        found = x509.load_pem_x509_certificate(path.read_bytes())
-        named = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except (ValueError, x509.ExtensionNotFound):
         return False
-    return found.not_valid_after_utc - RENEWED > now and set(names) <= set(named)
+    return certificate.not_valid_after_utc - RENEWED > now and set(names) <= set(named)
 
 
 def _make(certificate: Path, key: Path, names: list[x509.GeneralName], now: datetime) -> None:

@@ -93,10 +93,10 @@ def client(scope: Scope) -> str:
 def ticket_of(headers: Headers, name: str) -> str:
     """Return the ticket that a browser sends; empty without one."""
     try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
+        cookie = SimpleCookie(headers.get("cookie", "")).get(name)
     except CookieError:
         return ""
-    return found.value if found else ""
+    return cookie.value if cookie else ""
 
 
 def wrong_token(door: Door, scope: Scope) -> Response | None:
@@ -180,9 +180,9 @@ class Gate:
 
 async def body_of(request: Request, most: int) -> bytes | None:
     """Return the body of a request; None if it has more than `most` bytes."""
-    found = b""
+    body = b""
     async for part in request.stream():
-        found += part
-        if len(found) > most:
+        body += part
+        if len(body) > most:
             return None
-    return found
+    return body

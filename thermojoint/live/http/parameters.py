@@ -33,17 +33,17 @@ def read_parameters(
     InputError
         A name is unknown or comes twice, or a value is none.
     """
-    found: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for name, value in given:
         if name not in readers:
             raise unknown_name("parameter", shown(name), readers, "address")
-        if name in found:
+        if name in parameters:
             raise InputError(f"{name} stands twice in the address; give it once")
         try:
-            found[name] = readers[name](value)
+            parameters[name] = readers[name](value)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-    return found
+    return parameters
 
 
 def moment(text: str) -> float:

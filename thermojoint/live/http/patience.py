@@ -36,8 +36,10 @@ class PatientProtocol(H11Protocol):
         self._await_request()
         host = self.client and self.client[0]
         same = sum(
-            isinstance(one, PatientProtocol) and one.client is not None and one.client[0] == host
-            for one in self.connections
+            isinstance(connection, PatientProtocol)
+            and connection.client is not None
+            and connection.client[0] == host
+            for connection in self.connections
         )
         if same > MOST_OF_ONE:
             transport.abort()
@@ -114,11 +116,11 @@ class Server(uvicorn.Server):
         self.servers = [
             await loop.create_server(
                 protocol,
-                sock=one,
+                sock=socket,
                 ssl=config.ssl,
                 ssl_handshake_timeout=patience,
                 ssl_shutdown_timeout=patience,
             )
-            for one in sockets or ()
+            for socket in sockets or ()
         ]
         self.started = True

@@ -94,8 +94,8 @@ def header_of(lines: Sequence[str], pipe: Pipe, whole: bool = False) -> Header |
     InputError
         There is no header, no clock, or a reading is missing.
     """
-    found = _layout(lines, pipe, whole)
-    return None if found is None else _header(found, pipe)
+    layout = _layout(lines, pipe, whole)
+    return None if layout is None else _header(layout, pipe)
 
 
 def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
@@ -103,13 +103,15 @@ def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
     later = pipe.readings[pipe.wanted :]
     renamed = {theirs: ours for theirs, ours in others.items() if ours not in later}
     layout = layout_of(lines, str(pipe.path), renamed, whole)
-    there = {} if layout is None else {one: others[one] for one in layout.names if one in others}
+    there = (
+        {} if layout is None else {name: others[name] for name in layout.names if name in others}
+    )
     return layout_of(lines, str(pipe.path), renamed | there, whole) if there else layout
 
 
 def _header(layout: Layout, pipe: Pipe) -> Header:
-    columns = [one.name for one in layout.columns]
-    places = tuple(place_of(one, columns) for one in pipe.readings)
+    columns = [column.name for column in layout.columns]
+    places = tuple(place_of(reading, columns) for reading in pipe.readings)
     lacking = [
         name
         for name, place in zip(pipe.readings[: pipe.wanted], places, strict=False)
@@ -166,7 +168,7 @@ def _said(pipe: Pipe, header: Header) -> Note:
     """Say how a stream is read, as every command does."""
     layout = header.layout
     record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
-    return Note("source-read", "; ".join(one.strip() for one in begun(record)), pipe.machine)
+    return Note("source-read", "; ".join(line.strip() for line in begun(record)), pipe.machine)
 
 
 async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
@@ -178,11 +180,11 @@ async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | N
         The first line names no such columns.
     """
     if str(pipe.path) == "-" or _is_pipe(pipe.path):
-        async for found in _stream(pipe):
-            yield found
+        async for block in _stream(pipe):
+            yield block
         return
-    async for found in _file(pipe, position):
-        yield found
+    async for block in _file(pipe, position):
+        yield block
 
 
 async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
@@ -200,8 +202,8 @@ async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]
             continue
         told_missing = False
         with file:
-            async for found in _whole_lines(pipe, file, position):
-                yield found
+            async for block in _whole_lines(pipe, file, position):
+                yield block
         if not pipe.follow:
             return
         # It was replaced by another one.
@@ -215,11 +217,11 @@ async def _whole_lines(
 ) -> AsyncIterator[list[Arrival | Note]]:
     """Yield what a file says until it ends, or until another one has its name."""
     header: Header | None = None
-    async for one in _begun(pipe, file):
-        if isinstance(one, Note):
-            yield [one]
+    async for begun_with in _begun(pipe, file):
+        if isinstance(begun_with, Note):
+            yield [begun_with]
         else:
-            header = one
+            header = begun_with
     if header is None:
         return
     yield [_said(pipe, header)]
@@ -245,22 +247,22 @@ async def _whole_lines(
             continue
         lines = (rest + block).split(b"\n")
         rest = lines.pop()
-        found: list[Arrival | Note] = []
+        arrivals: list[Arrival | Note] = []
         for line in lines:
             at += len(line) + 1
             if dropping:
                 dropping = False
             else:
                 told, hands = told_in(pipe, header, line, hands)
-                found += _placed(told, mark | {"offset": at}, header, hands)
+                arrivals += _placed(told, mark | {"offset": at}, header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
             if not dropping:
-                found.append(_too_long(pipe))
+                arrivals.append(_too_long(pipe))
             dropping = True
-        for k in range(0, len(found), _ROWS):
-            yield found[k : k + _ROWS]
+        for k in range(0, len(arrivals), _ROWS):
+            yield arrivals[k : k + _ROWS]
         await asyncio.sleep(0)
 
 
@@ -277,8 +279,10 @@ def _placed(
 ) -> list[Arrival | Note]:
     """Return what a line said with the position behind it, and where its clock stood."""
     if header.layout.clock.form not in ("number", "excel"):
-        position = position | {"clock": [one if math.isfinite(one) else None for one in hands]}
-    return [replace(one, position=position) if isinstance(one, Arrival) else one for one in told]
+        position = position | {"clock": [hand if math.isfinite(hand) else None for hand in hands]}
+    return [
+        replace(item, position=position) if isinstance(item, Arrival) else item for item in told
+    ]
 
 
 def _hands_of(position: Mapping[str, Any]) -> Hands:
@@ -287,11 +291,11 @@ def _hands_of(position: Mapping[str, Any]) -> Hands:
     usual = Hands()
     if not isinstance(kept, list) or len(kept) != len(usual):
         return usual
-    return Hands(*(old if one is None else one for one, old in zip(kept, usual, strict=True)))
+    return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
 
 
 def _sum(first: bytes) -> int:
-    return sum((k + 1) * one for k, one in enumerate(first)) % 1_000_003
+    return sum((k + 1) * byte for k, byte in enumerate(first)) % 1_000_003
 
 
 def _goes_on(position: Any, first: bytes, size: int) -> bool:  # noqa: ANN401
@@ -379,11 +383,11 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
                     told, hands = told_in(pipe, header, line, hands)
                     yield told
                 else:
-                    beginning, found = _with_line(beginning, line, pipe)
-                    if isinstance(found, Note):
-                        yield [found]
-                    elif found is not None:
-                        header = found
+                    beginning, header_or_note = _with_line(beginning, line, pipe)
+                    if isinstance(header_or_note, Note):
+                        yield [header_or_note]
+                    elif header_or_note is not None:
+                        header = header_or_note
                         yield [_said(pipe, header)]
                         for row in beginning.lines[header.layout.dialect.first :]:
                             told, hands = told_in(pipe, header, row.encode(), hands)
@@ -426,7 +430,8 @@ def told_in(
     if row is None:
         return [], hands
     told: Sequence[float | None] = [
-        None if k >= pipe.wanted and math.isnan(one) else one for k, one in enumerate(row.readings)
+        None if k >= pipe.wanted and math.isnan(reading) else reading
+        for k, reading in enumerate(row.readings)
     ]
     time = row.time + (0.0 if header.layout.clock.dated else pipe.starts)
     arrival = Arrival(pipe.machine, time, told, clock.time())

@@ -100,12 +100,12 @@ class MqttReader:
             try:
                 async with connected(
                     self.address, "reads", on_message=partial(self._take, client)
-                ) as found:
-                    client.append(found)
-                    await found.subscribe(self.topics.filter, qos=1)
+                ) as session:
+                    client.append(session)
+                    await session.subscribe(self.topics.filter, qos=1)
                     self._tell(Note("connected", f"MQTT broker {where}"))
                     delay = FIRST_S
-                    await lost(found)
+                    await lost(session)
             except aiomqtt.MqttError as error:
                 self._tell(Note("disconnected", f"MQTT broker {where}: {error}"))
             await asyncio.sleep(delay)
@@ -117,19 +117,19 @@ class MqttReader:
         if len(self._found) >= self.most:
             # Not acknowledged: the broker tells it again after the next connect.
             return
-        found = told_by(self.topics, message.topic, message.payload, kept)
-        if isinstance(found, Note) and kept:
+        told = told_by(self.topics, message.topic, message.payload, kept)
+        if isinstance(told, Note) and kept:
             kept()
-        self._tell(found)
+        self._tell(told)
 
-    def _tell(self, found: Arrival | Note) -> None:
-        self._found.append(found)
+    def _tell(self, told: Arrival | Note) -> None:
+        self._found.append(told)
         self._came.set()
 
 
 def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
-    for one in client:
-        acknowledge(one, message)
+    for session in client:
+        acknowledge(session, message)
 
 
 def told_by(
@@ -137,12 +137,12 @@ def told_by(
 ) -> Arrival | Note:
     """Return what one message says, or what is wrong with it."""
     came = clock.time()
-    found = topics.pattern.fullmatch(topic)
+    match = topics.pattern.fullmatch(topic)
     # A topic without a name in it is of the only machine.
-    words = found.groupdict() if found else {}
+    words = match.groupdict() if match else {}
     machine = words.get("machine", next(iter(topics.names)))
     names = topics.names.get(machine)
-    if found is None or names is None:
+    if match is None or names is None:
         return Note("malformed", f"topic {topic[:100]!r} is of no machine")
     if len(payload) > topics.largest:
         return Note("malformed", f"a message of {len(payload)} bytes", machine)
@@ -188,8 +188,8 @@ def _value(value: Any) -> float:  # noqa: ANN401
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError("a reading is no number")
-    found = float(value)
-    return found if math.isfinite(found) else math.nan
+    number = float(value)
+    return number if math.isfinite(number) else math.nan
 
 
 def mqtt_reader(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> MqttReader:

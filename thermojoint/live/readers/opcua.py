@@ -104,10 +104,10 @@ class OpcuaReader:
         async with beside(self._stay_connected(), self._came) as heard:
             while True:
                 await heard()
-                found = in_order(self._found)
+                told = in_order(self._found)
                 self._found.clear()
-                for k in range(0, len(found), _AT_ONCE):
-                    yield found[k : k + _AT_ONCE]
+                for k in range(0, len(told), _AT_ONCE):
+                    yield told[k : k + _AT_ONCE]
 
     async def _stay_connected(self) -> None:
         delay = FIRST_S
@@ -132,11 +132,11 @@ class OpcuaReader:
         for k in range(0, len(nodes), _AT_A_TIME):
             some = nodes[k : k + _AT_A_TIME]
             items = [_item(node, k + n + 1) for n, node in enumerate(some)]
-            found = await subscription.create_monitored_items(items)
-            for node, one in zip(some, found, strict=True):
-                if isinstance(one, ua.StatusCode):
+            results = await subscription.create_monitored_items(items)
+            for node, result in zip(some, results, strict=True):
+                if isinstance(result, ua.StatusCode):
                     machine, _ = places[node.nodeid]
-                    self._tell(Note("unreadable", f"{node.nodeid}: {one.name}", machine))
+                    self._tell(Note("unreadable", f"{node.nodeid}: {result.name}", machine))
         self._tell(Note("connected", f"OPC UA {self.reached.url}"))
         for at, (machine, value) in sorted(
             [
@@ -144,7 +144,7 @@ class OpcuaReader:
                 for node in nodes
                 for value in await self._history(node, places[node.nodeid][0])
             ],
-            key=lambda one: one[0],
+            key=lambda item: item[0],
         ):
             del at
             self._take(places, machine, value)
@@ -162,12 +162,12 @@ class OpcuaReader:
         if since is None:
             return []
         try:
-            found = await node.read_raw_history(
+            values = await node.read_raw_history(
                 datetime.fromtimestamp(since, UTC), None, numvalues=_MOST_HISTORY
             )
         except ua.UaStatusCodeError:
             return []
-        return [value for value in found if _time(value) > since]
+        return [value for value in values if _time(value) > since]
 
     def _take(
         self,
@@ -176,32 +176,34 @@ class OpcuaReader:
         value: ua.DataValue,
     ) -> None:
         machine, k = places[nodeid]
-        found = told_by(machine, k, self.counts[machine], value)
-        if isinstance(found, Arrival):
-            self._newest[machine] = max(found.time, self._newest.get(machine, 0.0))
+        told = told_by(machine, k, self.counts[machine], value)
+        if isinstance(told, Arrival):
+            self._newest[machine] = max(told.time, self._newest.get(machine, 0.0))
         if len(self._found) < self.most:
-            self._tell(found)
+            self._tell(told)
 
-    def _tell(self, found: Arrival | Note) -> None:
-        self._found.append(found)
+    def _tell(self, told: Arrival | Note) -> None:
+        self._found.append(told)
         self._came.set()
 
 
-def in_order(found: Iterable[Arrival | Note]) -> list[Arrival | Note]:
+def in_order(told: Iterable[Arrival | Note]) -> list[Arrival | Note]:
     """Return values in the order of their times, those of one machine and time as one arrival.
 
     A server tells all values of one variable, then all of the next.
     """
     ordered: list[Arrival | Note] = []
     merged: dict[tuple[str, float], Arrival] = {}
-    for one in found:
-        if isinstance(one, Note):
-            ordered.append(one)
+    for item in told:
+        if isinstance(item, Note):
+            ordered.append(item)
             continue
-        key = one.machine, one.time
+        key = item.machine, item.time
         before = merged.get(key)
-        merged[key] = one if before is None else replace(before, told=_both(before.told, one.told))
-    return [*ordered, *sorted(merged.values(), key=lambda one: one.time)]
+        merged[key] = (
+            item if before is None else replace(before, told=_both(before.told, item.told))
+        )
+    return [*ordered, *sorted(merged.values(), key=lambda arrival: arrival.time)]
 
 
 def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:

@@ -58,7 +58,7 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
     InputError
         A column is of no reading, or a secret or a certificate is unusable.
     """
-    found: list[Reader] = []
+    readers: list[Reader] = []
     for name, source in service.given.sources.items():
         fed = {
             machine: models[machine]
@@ -68,24 +68,24 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
         if not fed:
             continue
         clock = {"time_s"} if isinstance(source, CsvSource) else set()
-        columns = {ours: one for ours, one in source.columns.items() if ours not in clock}
+        columns = {ours: theirs for ours, theirs in source.columns.items() if ours not in clock}
         names = {
             machine: called(model, columns, f"sources.{name}.columns")
             for machine, model in fed.items()
         }
         if isinstance(source, CsvSource):
-            found += [
+            readers += [
                 _csv(source, machine, model, names[machine]) for machine, model in fed.items()
             ]
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
 
-            found.append(mqtt_reader(source, names))
+            readers.append(mqtt_reader(source, names))
         elif isinstance(source, OpcuaSource):
             from thermojoint.live.readers.opcua import opcua_reader
 
-            found.append(opcua_reader(service, source, names, fed))
-    return found
+            readers.append(opcua_reader(service, source, names, fed))
+    return readers
 
 
 def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, ...]:

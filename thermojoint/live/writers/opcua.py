@@ -86,40 +86,40 @@ async def add_machines(
         )
         items = [at[1], monitoring[1], place[1]]
         variables = list(variables_of(layout, readings, wanted))
-        used = {one.folder for one in variables}
+        used = {variable.folder for variable in variables}
         folders = {"": place[0]}
-        for folder in (one for one in _FOLDERS if one in used):
+        for folder in (folder for folder in _FOLDERS if folder in used):
             folders[folder], item = _object(f"{machine}.{folder}", folder, place[0], index)
             items.append(item)
         ids = [
-            ua.NodeId(".".join(filter(None, (machine, one.folder, one.name))), index)
-            for one in variables
+            ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
+            for variable in variables
         ]
         items += [
-            _variable(nodeid, one, folders[one.folder], index)
-            for nodeid, one in zip(ids, variables, strict=True)
+            _variable(nodeid, variable, folders[variable.folder], index)
+            for nodeid, variable in zip(ids, variables, strict=True)
         ]
         for result in await session.add_nodes(items):
             result.StatusCode.check()
         of[machine] = []
-        for nodeid, one in zip(ids, variables, strict=True):
-            if one.unit:
-                await _with_unit(server, units, nodeid, one.unit, index)
-            if one.writable:
-                k = layout.readings.index(one.name)
+        for nodeid, variable in zip(ids, variables, strict=True):
+            if variable.unit:
+                await _with_unit(server, units, nodeid, variable.unit, index)
+            if variable.writable:
+                k = layout.readings.index(variable.name)
                 take = _taken_by(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
             space.set_attribute_value_callback(
-                nodeid, ua.AttributeIds.Value, _told_by(hub, machine, one)
+                nodeid, ua.AttributeIds.Value, _told_by(hub, machine, variable)
             )
-            of[machine].append((one, value_of(server, nodeid)))
+            of[machine].append((variable, value_of(server, nodeid)))
     return Nodes(of)
 
 
-def _told_by(hub: Hub, machine: str, one: Variable) -> Callable[[Any, Any], ua.DataValue]:
+def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any], ua.DataValue]:
     def told(nodeid: Any, attribute: Any) -> ua.DataValue:  # noqa: ANN401
         said = hub.newest[machine]
-        return data_value(one.kind, *one.value(said), said)
+        return data_value(variable.kind, *variable.value(said), said)
 
     return told
 
@@ -174,22 +174,24 @@ def _object(
     )
 
 
-def _variable(nodeid: ua.NodeId, one: Variable, parent: ua.NodeId, index: int) -> ua.AddNodesItem:
+def _variable(
+    nodeid: ua.NodeId, variable: Variable, parent: ua.NodeId, index: int
+) -> ua.AddNodesItem:
     access = ua.AccessLevel.CurrentRead.mask
-    if one.writable:
+    if variable.writable:
         access |= ua.AccessLevel.CurrentWrite.mask
-    kind = ua.ObjectIds.AnalogUnitType if one.unit else ua.ObjectIds.BaseDataVariableType
+    kind = ua.ObjectIds.AnalogUnitType if variable.unit else ua.ObjectIds.BaseDataVariableType
     return ua.AddNodesItem(
         RequestedNewNodeId=nodeid,
-        BrowseName=ua.QualifiedName(one.name, index),
+        BrowseName=ua.QualifiedName(variable.name, index),
         NodeClass=ua.NodeClass.Variable,
         ParentNodeId=parent,
         ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
         TypeDefinition=ua.NodeId(kind),
         NodeAttributes=ua.VariableAttributes(
-            DisplayName=ua.LocalizedText(one.name),
+            DisplayName=ua.LocalizedText(variable.name),
             Value=ua.Variant(None, ua.VariantType.Null),
-            DataType=ua.NodeId(int(one.kind.value)),
+            DataType=ua.NodeId(int(variable.kind.value)),
             ValueRank=-1,
             AccessLevel=access,
             UserAccessLevel=access,
@@ -221,10 +223,10 @@ def _unit_id(code: str) -> int:
     """A UNECE code as OPC UA counts it (Part 8): its characters as one number; -1 without one."""
     if not code:
         return -1
-    found = 0
-    for one in code:
-        found = (found << 8) | ord(one)
-    return found
+    number = 0
+    for letter in code:
+        number = (number << 8) | ord(letter)
+    return number
 
 
 async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
@@ -233,9 +235,9 @@ async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
         while True:
             for machine in await follower.wait():
                 said = hub.newest[machine]
-                for one, attribute in nodes.of[machine]:
+                for variable, attribute in nodes.of[machine]:
                     if attribute.datachange_callbacks:
-                        value = data_value(one.kind, *one.value(said), said)
+                        value = data_value(variable.kind, *variable.value(said), said)
                         for handle, call in list(attribute.datachange_callbacks.items()):
                             await call(handle, value)
             await asyncio.sleep(0)

@@ -49,10 +49,10 @@ def divided_differences(at: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarra
         Re z <= 0.
     """
     direct, mean = np.empty_like(z), np.empty_like(z)
-    for k, one in enumerate(z):
-        larger, smaller = (at + 0j, one) if at >= one.real else (one, at + 0j)
+    for k, point in enumerate(z):
+        larger, smaller = (at + 0j, point) if at >= point.real else (point, at + 0j)
         direct[k] = np.exp(larger) * phi_functions(np.array([smaller - larger]))[1][0]
-        far, near = (one, at + 0j) if abs(one) >= abs(at) else (at + 0j, one)
+        far, near = (point, at + 0j) if abs(point) >= abs(at) else (at + 0j, point)
         if abs(far) >= NEAR:
             mean[k] = (direct[k] - phi_functions(np.array([near]))[1][0]) / far
             continue

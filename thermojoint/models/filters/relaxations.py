@@ -45,9 +45,9 @@ def relax_all(times: Array, signals: Array, taus: Array, start: Array) -> Array:
     start : ndarray, shape (n,)
         At the first sample.
     """
-    found = np.empty_like(signals)
-    state = found[0] = np.where(taus > 0.0, start, signals[0])
+    states = np.empty_like(signals)
+    state = states[0] = np.where(taus > 0.0, start, signals[0])
     for k in range(1, len(times)):
         dt = float(times[k] - times[k - 1])
-        state = found[k] = relaxed(state, signals[k - 1], signals[k], dt, taus)
-    return found
+        state = states[k] = relaxed(state, signals[k - 1], signals[k], dt, taus)
+    return states

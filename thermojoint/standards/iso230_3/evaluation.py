@@ -55,6 +55,6 @@ def evaluate(
             raise InputError("etve: is taken over the whole record; cut the record instead")
         return Evaluation(protocol, whole(record), environment(record), {})
     drive = record.drive
-    found = whole(record) if drive is None else running(record.times, drive)
-    period = asked_for(record, found, begin, end)
+    usual = whole(record) if drive is None else running(record.times, drive)
+    period = asked_for(record, usual, begin, end)
     return Evaluation(protocol, period, distortion(record, period), unsettled(record, period))

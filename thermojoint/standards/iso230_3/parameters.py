@@ -120,7 +120,9 @@ def unsettled(record: Record, period: Period) -> dict[str, float]:
     shares = {}
     for quantity, channel, values in _channels(record):
         if quantity != "temperature":
-            early, late = (extremes(record.times, values, *one, channel) for one in (first, last))
+            early, late = (
+                extremes(record.times, values, *period, channel) for period in (first, last)
+            )
             if early.range > 0.0:
                 shares[channel] = late.range / early.range
     return shares

@@ -51,7 +51,7 @@ def running(times: Array, drive: Array) -> Period:
     return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
 
 
-def asked_for(record: Record, found: Period, begin: float | None, end: float | None) -> Period:
+def asked_for(record: Record, usual: Period, begin: float | None, end: float | None) -> Period:
     """Return a period with the ends that a person gave (s) in place of those found.
 
     Raises
@@ -59,7 +59,7 @@ def asked_for(record: Record, found: Period, begin: float | None, end: float | N
     InputError
         It ends before it begins, or lies outside of the record.
     """
-    period = Period(found.begin if begin is None else begin, found.end if end is None else end)
+    period = Period(usual.begin if begin is None else begin, usual.end if end is None else end)
     first, last = whole(record)
     if not first <= period.begin < period.end <= last:
         raise InputError(
