@@ -198,8 +198,12 @@ def test_the_guide_does_what_it_says(tmp_path, monkeypatch, capsys):
     exec(compile(code, "guide", "exec"), {})
     told = [line.split() for line in capsys.readouterr().out.splitlines()]
     table = re.findall(r"^\| (disp\d) \| (.*?) \| (.*?) \| (.*?) \|$", page, re.M)
-    assert len(told) == len(table) == 5
-    for (name, *found), (shown, *values) in zip(told, table, strict=True):
+    left = re.findall(r"^\| ([YZ]) \(disp\d\) \| (.*?) \|$", page, re.M)
+    assert (len(table), len(left)) == (5, 2)
+    for (axis, found), (shown, value) in zip(told[5:], left, strict=True):
+        assert axis == shown
+        assert float(found) == pytest.approx(float(value), abs=0.3)
+    for (name, *found), (shown, *values) in zip(told[:5], table, strict=True):
         assert name == f"{shown}_um"
         assert [float(one) for one in found] == pytest.approx([float(v) for v in values], abs=0.3)
 
