@@ -67,6 +67,13 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
             f"log: {length / 3600.0:.1f} h long; to learn from, give "
             f"{rules.shortest / 3600.0:.0f} h or more in one run"
         )
+    if table.interval > rules.coarsest or len(table.times) < rules.fewest:
+        raise InputError(
+            f"log: {len(table.times)} samples, one every {table.interval / 60.0:.3g} min; to learn"
+            f" from, give {rules.fewest} or more, one in {rules.coarsest / 60.0:.0f} min or faster"
+        )
+    slower = max(1.0, table.interval / rules.pace)
+    rules = replace(rules, moved=slower * rules.moved, jump=slower * rules.jump)
     drives, warnings = _drives(table)
     changes = _changes_of(table, drives)
     faults: list[str] = []
@@ -80,14 +87,18 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         else:
             faults.append(f"{column.name}: {fault}; left out")
         if fault is None and table.spikes[k]:
-            faults.append(f"{column.name}: {int(table.spikes[k])} spikes; they are left out")
+            count = int(table.spikes[k])
+            told = f"{count} spikes; they are" if count > 1 else "1 spike; it is"
+            faults.append(f"{column.name}: {told} left out")
         if fault is None and table.missing[k]:
             faults.append(f"{column.name}: {int(table.missing[k])} readings missing; bridged")
-    if not sensors and not drives:
+    if not sensors and (faults or not drives):
         raise InputError(
-            "log: no usable temperature, speed or power"
+            f"log: no usable temperature{'' if drives else ', speed or power'}"
             + (f" ({'; '.join(faults)})" if faults else "")
             + "; record some while the machine warms up"
+            + (", or leave them aside with --ignore to learn from speed or load alone")
+            * bool(drives)
         )
     for name in displacements:
         _check_displacement(table, names.index(name), changes, rules)
@@ -115,14 +126,7 @@ def read_time(table: Table) -> Array:
     """
     steps = np.diff(table.times, prepend=table.times[0])
     steps[list(table.starts)] = 0.0
-    return np.cumsum(np.where(steps > PAUSE * _interval(table), 0.0, steps))
-
-
-def _interval(table: Table) -> float:
-    """Return the usual step between rows, s: a logger may be slower than the table."""
-    steps = np.diff(table.times)
-    steps = steps[steps > 0.0]
-    return max(table.interval, float(np.median(steps)) if steps.size else 0.0)
+    return np.cumsum(np.where(steps > PAUSE * table.interval, 0.0, steps))
 
 
 def _length(table: Table) -> float:
@@ -170,7 +174,7 @@ def _changes_of(table: Table, drives: list[str]) -> Array:
         step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
         changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
     # During a gap anything may have changed.
-    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * _interval(table)
+    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * table.interval
     changing[list(table.starts)] = True
     return changing
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibrate.learning import baselines
 from calibrate.learning.blocks import blocks_of
@@ -22,6 +23,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import (
+    MEAN,
     Feature,
     LearnedChannel,
     LearnedFrom,
@@ -32,6 +34,8 @@ from thermojoint.models.learned import (
 
 Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
+#: A model whose error is not below this part of the mean's is of no use.
+_USEFUL = 0.9
 #: Half-width of the 95 % interval, in standard deviations.
 _QUANTILE = 1.96
 
@@ -86,8 +90,19 @@ def learn(
         raise InputError(f"kind {kind}: needs temperatures, and the log has none that is usable")
     errors = {name: _judge(own, rules.judging) for name, own in judged.items()}
     rows = judged[kind]
+    mean = _judge_mean(rows, rules.judging)
+    useless = _no_better(cleaned.displacements, errors[kind], mean)
+    if len(useless) == len(cleaned.displacements):
+        raise InputError(
+            "log: on blocks of time held out a model is no better than the mean "
+            f"({', '.join(useless)}); record more of what warms the machine, with thermometers "
+            "nearer to it"
+        )
+    told = [*cleaned.warnings, *(f"no better than the mean: {text}" for text in useless)]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    return _model(kind, cleaned, rows, fitted, errors, rules.judging)
+    told += _wide(cleaned, rows, fitted, errors[kind], rules.judging)
+    cleaned = replace(cleaned, warnings=tuple(told))
+    return _model(kind, cleaned, rows, fitted, errors | {MEAN: mean}, rules.judging)
 
 
 def with_origin(
@@ -164,23 +179,84 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
     return _Rows(features, inputs, outputs, margin, fitted)
 
 
-def _judge(rows: _Rows, rules: Judging) -> tuple[Array, Array]:
-    """Return rms errors, µm, and the factor on the band: all is repeated without each block."""
+class _Judged(NamedTuple):
+    """Errors on held-out blocks.
+
+    Attributes
+    ----------
+    rms, worst : ndarray, shape (axes,)
+        Of all blocks and of the worst one, µm.
+    widening : ndarray, shape (axes,)
+        Factor on the band.
+    """
+
+    rms: Array
+    worst: Array
+    widening: Array
+
+
+def _judged(errors: Sequence[Array], widening: Array) -> _Judged:
+    blocks = np.array([np.sqrt((error**2).mean(axis=0)) for error in errors])
+    whole = np.concatenate(errors)
+    return _Judged(np.sqrt((whole**2).mean(axis=0)), blocks.max(axis=0), widening)
+
+
+def _folds(rows: _Rows, rules: Judging) -> Iterator[tuple[slice, NDArray[np.bool_]]]:
+    """Yield each block that is held out, and the rows that are far enough from it."""
     edges = np.linspace(0, len(rows.inputs), rules.blocks + 1).astype(int)
-    errors, ratios = [], []
     for first, end in pairwise(edges):
         away = np.ones(len(rows.inputs), dtype=bool)
         away[max(0, first - rows.margin) : end + rows.margin] = False
+        yield slice(first, end), away
+
+
+def _judge_mean(rows: _Rows, rules: Judging) -> _Judged:
+    """Judge the mean displacement of the other blocks in the place of a model."""
+    errors = [
+        rows.outputs[own] - rows.outputs[away].mean(axis=0) for own, away in _folds(rows, rules)
+    ]
+    return _judged(errors, np.ones(rows.outputs.shape[1]))
+
+
+def _no_better(names: Sequence[str], judged: _Judged, mean: _Judged) -> list[str]:
+    """Return the displacements that a model estimates no better than their mean does."""
+    return [
+        f"{name} {own:.2g} um, the mean {other:.2g} um"
+        for name, own, other in zip(names, judged.rms, mean.rms, strict=True)
+        if own > _USEFUL * other
+    ]
+
+
+def _wide(
+    cleaned: Cleaned, rows: _Rows, fitted: Fitted, judged: _Judged, rules: Judging
+) -> list[str]:
+    """Return what is to be said of displacements whose band is wider than all that they move."""
+    about = rows.inputs - rows.inputs.mean(axis=0)
+    spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
+    band = _QUANTILE * judged.widening * np.sqrt(spread + fitted.errors**2).mean(axis=0)
+    return [
+        f"{name}: the band of 95 %, +-{half:.2g} um, is wider than all that the log moves, "
+        f"{range_:.2g} um: the model tells little of it"
+        for name, half, range_ in zip(
+            cleaned.displacements, band, np.ptp(rows.outputs, axis=0), strict=True
+        )
+        if 2.0 * half > range_
+    ]
+
+
+def _judge(rows: _Rows, rules: Judging) -> _Judged:
+    """Judge a kind of model: all is repeated without each block."""
+    errors, ratios = [], []
+    for held, away in _folds(rows, rules):
         fitted = rows.fit(rows.inputs[away], rows.outputs[away])
-        own = rows.inputs[first:end]
-        error = rows.outputs[first:end] - fitted.offset - own @ fitted.weights
+        own = rows.inputs[held]
+        error = rows.outputs[held] - fitted.offset - own @ fitted.weights
         about = own - rows.inputs[away].mean(axis=0)
         spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
         errors.append(error)
         ratios.append(np.abs(error) / np.sqrt(spread + fitted.errors**2))
-    whole = np.concatenate(errors)
     widening = np.quantile(np.concatenate(ratios), rules.within, axis=0) / _QUANTILE
-    return np.sqrt((whole**2).mean(axis=0)), np.maximum(widening, 1.0)
+    return _judged(errors, np.maximum(widening, 1.0))
 
 
 def _model(
@@ -188,7 +264,7 @@ def _model(
     cleaned: Cleaned,
     rows: _Rows,
     fitted: Fitted,
-    errors: dict[Kind, tuple[Array, Array]],
+    errors: Mapping[str, _Judged],
     rules: Judging,
 ) -> LearnedModel:
     """Return the model of a fit, without unused features."""
@@ -197,7 +273,7 @@ def _model(
     weights = size[:, None] * fitted.weights[used]
     features = tuple(rows.features[k] for k in used)
     columns = {feature.column for feature in features}
-    widening = errors[kind][1]
+    widening = errors[kind].widening
     channels = []
     for c, name in enumerate(cleaned.displacements):
         spread = rules.open * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
@@ -235,7 +311,8 @@ def _model(
             (),
             cleaned.faults,
             cleaned.warnings,
-            {kind_of: tuple(map(float, rms)) for kind_of, (rms, _) in errors.items()},
+            {name: tuple(map(float, judged.rms)) for name, judged in errors.items()},
+            {name: tuple(map(float, judged.worst)) for name, judged in errors.items()},
             {name: version(name) for name in ("thermojoint", "numpy")},
         ),
         log_end=_end_of(cleaned, features),

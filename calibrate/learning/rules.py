@@ -22,7 +22,8 @@ class Thinning:
         Longer logs have longer intervals.
     spike, neighbours, least_spike : float
         A value is a spike if it is above, or below, the median of this many neighbours on either
-        side by this multiple of their usual distance, and by more than the last, K.
+        side by this multiple of their usual distance, and by more than the last, K; in a log slower
+        than `interval` by as much more as it is slower, since the machine warms up between samples.
     """
 
     interval: float = 60.0
@@ -40,6 +41,10 @@ class Cleaning:
     ----------
     shortest : float
         A shorter log, s, contains no information on relaxations of an hour.
+    coarsest : float
+        A longer interval between samples, s, is more than half of the slowest relaxation.
+    fewest : int
+        Fewer rows cannot be held out block by block.
     still, still_length : float
         A sensor within this range has not moved, K; a displacement, m.
     stuck, missing : float
@@ -53,11 +58,16 @@ class Cleaning:
         Rows on either side used to distinguish a jump from a spike.
     jump : float
         A displacement that jumps by this fraction of its range has lost its zero.
+    pace : float
+        Between samples further apart, s, the machine moves by itself: limits of jumps grow with the
+        interval.
     possible : (float, float)
         Readings above this are not those of a machine tool, K.
     """
 
     shortest: float = 3.0 * 3600.0
+    coarsest: float = 3600.0
+    fewest: int = 48
     still: float = 0.1
     still_length: float = 0.5e-6
     stuck: float = 0.1
@@ -67,6 +77,7 @@ class Cleaning:
     usual: float = 15.0
     side: int = 20
     jump: float = 0.15
+    pace: float = 600.0
     possible: tuple[float, float] = (200.0, 600.0)
 
 

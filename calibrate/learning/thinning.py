@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Table:
     starts : tuple of int
         First row of each run.
     interval : float
-        s.
+        Usual step between rows, s: that of the logger where it is slower than the means.
     samples : int
         Of the log.
     spikes, missing : ndarray of int, shape (columns,)
@@ -85,7 +85,9 @@ def thinned(
         samples += len(piece.times)
         values = piece.values[:, at]
         missing += np.isnan(values).sum(axis=0)
-        values, counts = without_spikes(values, [column.quantity for column in here], rules)
+        step = float(np.median(np.diff(piece.times))) if len(piece.times) > 1 else 0.0
+        slower = replace(rules, least_spike=rules.least_spike * max(1.0, step / rules.interval))
+        values, counts = without_spikes(values, [column.quantity for column in here], slower)
         spikes += counts
         rows.extend(_means(piece.times, values, interval))
         while len(rows) > rules.most_rows:
@@ -93,16 +95,25 @@ def thinned(
             rows, starts = _coarser(rows, starts, interval)
     if not rows:
         raise InputError("log: no samples; give a CSV with a header and rows")
+    times = np.array([time for time, _ in rows])
     return Table(
-        np.array([time for time, _ in rows]),
+        times,
         columns,
         np.array([values for _, values in rows]),
         tuple(dict.fromkeys(starts or [0])),
-        interval,
+        _usual_step(times, interval),
         samples,
         spikes,
         missing,
     )
+
+
+def _usual_step(times: Array, interval: float) -> float:
+    steps = np.diff(times)
+    steps = steps[steps > 0.0]
+    slower = float(np.median(steps)) if steps.size else 0.0
+    # Means of uneven samples waver about the interval.
+    return slower if slower > 1.5 * interval else interval
 
 
 def without_spikes(

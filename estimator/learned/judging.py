@@ -97,5 +97,5 @@ def _row(
         "rms_uncompensated_um": rms(actual),
         "rms_error_zeroed_um": rms(error - error[0]),
         "rms_uncompensated_zeroed_um": rms(actual - actual[0]),
-        "within_band": float(np.mean(np.abs(error) <= band[there, c])),
+        "band_cover": float(np.mean(np.abs(error) <= band[there, c])),
     }

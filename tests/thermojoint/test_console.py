@@ -16,6 +16,7 @@ from thermojoint.cli.app import COMMANDS, app
 from thermojoint.cli.command import command_lines, help_text
 from thermojoint.cli.main import BAD_INPUT, ENDING
 from thermojoint.cli.simulating import OUT_OF_TOLERANCE
+from thermojoint.paper import printing
 
 NAMES = list(typer.main.get_command(app).commands)
 
@@ -155,3 +156,8 @@ def test_the_page_lists_every_exit_code():
     assert codes == {
         int(one) for row in re.findall(r"^\| ([\d, ]+) \|", table, re.M) for one in row.split(",")
     }
+
+
+def test_no_column_of_a_validation_stands_twice():
+    headings = [heading for heading, *_ in printing._ERRORS]
+    assert len({*headings}) == len(headings)

@@ -114,14 +114,12 @@ def _show(model: LearnedModel) -> None:
     for kind, errors in told.errors_um.items():
         table.add_row(kind, *(f"{value:.2f}" for value in errors))
     printer.print(table)
-    own = told.errors_um[model.kind]
-    for kind, errors in told.errors_um.items():
-        better = [
-            channel.name
-            for channel, a, b in zip(model.channels, errors, own, strict=True)
-            if a < 0.9 * b
-        ]
-        if better:
-            printer.print(
-                f"{kind}, on all sensors, is better here on {', '.join(better)}: --kind {kind}"
-            )
+    best = told.best(model.kind)
+    worst = ", ".join(
+        f"{channel.name} {value:.2f} um"
+        for channel, value in zip(model.channels, told.worst_um[best], strict=True)
+    )
+    printer.print(
+        f"verdict by the worst block held out: {best} ({worst})"
+        + ("" if best == model.kind else f"; learn it with --kind {best}")
+    )

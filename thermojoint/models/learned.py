@@ -32,6 +32,11 @@ FILE = JsonKind(
     "thermojoint-learned-model", 1, "model", "written by 'thermojoint learn'", "learn again"
 )
 
+#: What stands beside the kinds of models in their comparison: the mean displacement.
+MEAN = "mean"
+#: A kind is preferred to the one that was asked for if its error is below this part of the other's.
+_BETTER = 0.9
+
 
 @dataclass(frozen=True)
 class Feature:
@@ -113,8 +118,9 @@ class LearnedFrom:
         What was found wrong with sensors, and what was done.
     warnings : tuple of str
         What the log cannot tell.
-    errors_um : dict
-        Kind of model to the rms error of each displacement on blocks held out, µm.
+    errors_um, worst_um : dict
+        Kind of model to the rms error of each displacement on blocks held out, and on the worst
+        of them, µm; `MEAN` stands for no model at all.
     versions : dict
         Package to version.
     """
@@ -126,7 +132,29 @@ class LearnedFrom:
     faults: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     errors_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    worst_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
+
+    def best(self, own: str) -> str:
+        """Return the kind to use: `own` unless another is better on every displacement.
+
+        It is the error on the worst held-out block that counts. A kind that is better on some
+        displacements alone is better on this log, and not on the next one.
+
+        Parameters
+        ----------
+        own : str
+            The kind that was asked for.
+        """
+        if own not in self.worst_um:
+            return own
+        ratios = {
+            name: max(a / max(b, 1e-9) for a, b in zip(worst, self.worst_um[own], strict=True))
+            for name, worst in self.worst_um.items()
+            if name not in (MEAN, own)
+        }
+        least = min(ratios, key=lambda name: ratios[name], default=own)
+        return least if ratios.get(least, 1.0) < _BETTER else own
 
 
 @dataclass(frozen=True)

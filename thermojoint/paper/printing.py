@@ -54,7 +54,6 @@ _ERRORS = (
     ("nonlinear peak", "peak_nonlinear_um", 1.0, ""),
     ("band", "mean_band_um", 1.0, ""),
     ("inside the band", "band_cover", 100.0, " %"),
-    ("inside the band", "within_band", 100.0, " %"),
 )
 
 

@@ -23,7 +23,7 @@ from estimator.registry import resumed, save_state
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.models.filters.relaxations import relax_all
-from thermojoint.models.learned import read_learned, write_learned
+from thermojoint.models.learned import LearnedFrom, read_learned, write_learned
 
 AXES = ["x_um", "z_um"]
 LOG = machine_log()
@@ -39,7 +39,7 @@ def model():
 def test_it_holds_on_a_day_it_has_not_seen(model):
     for row in judge("day", Learned(model), DAY):
         assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
-        assert row["within_band"] > 0.9
+        assert row["band_cover"] > 0.9
 
 
 def test_no_more_sensors_are_used_than_asked_for(model):
@@ -52,7 +52,7 @@ def test_baselines_are_fitted_with_the_same_data_and_run_by_the_same_estimator()
     assert len(found.sensors) == 6
     rows = judge("day", Learned(found), DAY)
     assert all(row["rms_error_um"] < row["rms_uncompensated_um"] for row in rows)
-    assert set(found.learned_from.errors_um) == {"learned", "linear", "ridge", "arx"}
+    assert set(found.learned_from.errors_um) == {"learned", "linear", "ridge", "arx", "mean"}
 
 
 def stuck(values):
@@ -129,6 +129,16 @@ def still(log, *names):
     return log
 
 
+def every(log, count):
+    """The log of a slower logger."""
+    return Log(log.times[::count], log.columns, log.values[::count])
+
+
+def unlike(values):
+    """A displacement that nothing in the log explains."""
+    return 5e-6 * np.cumsum(np.random.default_rng(8).standard_normal(len(values))) / 20.0
+
+
 def jump(values):
     values[500:] += 40e-6
     return values
@@ -142,13 +152,47 @@ def jump(values):
         (changed(LOG, "x_um", jump), "x_um: jumps by"),
         (changed(LOG, "x_um", lambda values: values * np.nan), "x_um: mostly missing"),
         (still(LOG, "n_rpm", *(f"T{k}_degC" for k in range(1, 7))), "no usable temperature"),
+        # What is left is the speed, which nobody has asked for alone.
+        (still(LOG, *(f"T{k}_degC" for k in range(1, 7))), "leave them aside with --ignore"),
+        (changed(LOG, "x_um", unlike).part(slice(0, 700)), "no better than the mean (x_um "),
+        (every(machine_log(hours=90.0), 90), "one every 90 min; to learn from"),
+        (every(machine_log(hours=10.0), 15), "40 samples, one every 15 min"),
     ],
 )
 def test_a_log_that_cannot_be_learned_from_is_refused_in_one_line(log, said):
     with pytest.raises(InputError) as caught:
-        learn([log], AXES, 4)
+        learn([log], ["x_um"] if "mean" in said else AXES, 4)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("minutes", [15, 30, 60])
+def test_a_slow_logger_is_learned_from(minutes):
+    """As long as the slowest relaxation that is learned, two hours, has two samples."""
+    model = learn([every(machine_log(hours=60.0, seed=3), minutes)], AXES, 4)
+    assert len(model.sensors) == 4
+    for row in judge("day", Learned(model), DAY):
+        assert row["rms_error_um"] < 0.1 * row["rms_uncompensated_um"]
+
+
+def test_one_verdict_is_given_and_a_band_wider_than_the_signal_is_said(model):
+    told = LearnedFrom(
+        worst_um={
+            "learned": (3.0, 18.0),
+            "linear": (4.0, 8.0),
+            "ridge": (5.0, 2.0),
+            "arx": (2.6, 16.0),
+            "mean": (0.1, 0.1),
+        }
+    )
+    # Much better on one displacement and worse on the other is no better.
+    assert [told.best(kind) for kind in ("learned", "linear")] == ["arx", "linear"]
+    assert not any("band" in one for one in model.learned_from.warnings)
+    small = changed(LOG, "z_um", lambda values: 1.5e-7 * unlike(values) / unlike(values).std())
+    small = changed(small, "z_um", lambda values: values + 0.04 * (LOG.at("z_um") - values))
+    warnings = " ".join(learn([small], AXES, 4).learned_from.warnings)
+    assert "z_um: the band of 95 %" in warnings
+    assert "x_um: the band" not in warnings
 
 
 def test_names_that_are_not_there_and_columns_that_are_no_displacement_are_refused():
