@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fesim.case.history import entering_in_steps
 from fesim.case.schema import Case, case_from_data, read_case, step_count
 from fesim.forces import mechanical_values, outputs_of
 from fesim.march.heat_step import each
@@ -22,6 +23,7 @@ from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import (
+    forces_between,
     heat_history,
     input_layout,
     input_table,
@@ -138,7 +140,8 @@ def simulate(
     if start is None:
         parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))
     state, done = first, 0
-    marching = march_along(ready.machine, driven, COUPLINGS[case.march.coupling], first)
+    advance, between = COUPLINGS[case.march.coupling], forces_between(case, ends)
+    marching = march_along(ready.machine, driven, advance, first, between)
     with one_thread():
         for track in marching:
             _check_pressures(ready, track)
@@ -161,7 +164,7 @@ class _Course:
     Attributes
     ----------
     track : Track
-        Its temperatures and anchors are empty.
+        Its temperatures, anchors and turnings are empty.
     probes : ndarray, shape (n, probes)
         K.
     outputs : ndarray, shape (n, o)
@@ -178,9 +181,8 @@ def _kept(setup: Setup, track: Track) -> _Course:
     outputs = np.empty((len(track), 0))
     if setup.outputs is not None or setup.bolts is not None:
         outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
-    small = replace(
-        track, temperature=np.empty((len(track), 0)), anchor=np.empty((len(track), 7, 0))
-    )
+    none = np.empty((len(track), 0))
+    small = replace(track, temperature=none, anchor=none, turning=none)
     return _Course(small, probes, outputs)
 
 
@@ -267,6 +269,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "gap_residual": track.residual,
         "iterations": track.iterations,
         "cuts": track.cuts,
+        "taken_over": track.taken_over.astype(np.int64),
         "heat_balance": track.heat_balance,
     }
     if case.loads:
@@ -327,6 +330,7 @@ def _heat_input(case: Case, times: np.ndarray, powers: np.ndarray) -> np.ndarray
     own = [source for source in case.sources.values() if source.heat_input is not None]
     if case.heat_input is not None and not own:
         # Not from the powers: 590 W x 1.5 / 590 W is 1.5 but for rounding.
-        return np.where(times > 0.0, heat_history(case.heat_input)(times), 0.0)
+        history = heat_history(case.heat_input)
+        return np.where(times > 0.0, entering_in_steps(history, case.march.step_s, times), 0.0)
     total = sum(source_power(source) for source in case.sources.values())
     return powers.sum(axis=1) / total if total else np.zeros(len(times))

@@ -43,9 +43,10 @@ FIGURES = {
     "steps": "time steps",
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
+    "taken_over": "steps iterated because staggered ones alternate",
 }
 #: Integer columns.
-COUNTS = ("steps", "iterations", "cuts")
+COUNTS = ("steps", "iterations", "cuts", "taken_over")
 
 
 def is_open(
@@ -128,5 +129,6 @@ def figures_of(response: xr.Dataset) -> Figures:
         figures["force_balance"] = float(response["force_balance"].max())
     figures["steps"] = response.sizes["time"] - 1
     figures["iterations"] = int(response["iterations"].sum())
-    figures["cuts"] = int(response["cuts"].sum())
+    for name in ("cuts", "taken_over"):
+        figures[name] = int(response[name].sum()) if name in response else 0
     return figures

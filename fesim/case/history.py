@@ -2,21 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.tables.columns import read_columns
 
-History = Callable[[Array], Array]
+#: Knots that lie off a straight line by less than this part of the largest value lie on it, and
+#: those that lie off the end of a step by less than this part of it lie there.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """A quantity in time: linear between its knots, constant before and after them.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Strictly increasing, s.
+    values : ndarray, shape (n,)
+        At these times.
+    """
+
+    times: Array
+    values: Array
+
+    def __call__(self, time: Array) -> Array:
+        """Return the values at given times, s."""
+        return np.asarray(np.interp(time, self.times, self.values))
+
+    def integral(self, time: Array) -> Array:
+        """Return the integral from the first knot to given times, s."""
+        inside = np.clip(time, self.times[0], self.times[-1])
+        at = np.searchsorted(self.times, inside, side="right") - 1
+        pieces = 0.5 * np.diff(self.times) * (self.values[1:] + self.values[:-1])
+        whole = np.concatenate([np.zeros(1), np.cumsum(pieces)])[at]
+        part = 0.5 * (inside - self.times[at]) * (self.values[at] + self(inside))
+        outside = (time - inside) * self(np.asarray(time))
+        return np.asarray(whole + part + outside)
+
+
+def bent_steps(history: History, step: float) -> NDArray[np.int64]:
+    """Return the numbers of the steps within which a history is not linear, in ascending order.
+
+    Step k ends at k times `step` (s); none of them can be told from the values at its ends alone.
+    """
+    knots = history.times[history.times > 0.0]
+    places = knots / step
+    inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
+    knots, number = knots[inside], np.ceil(places[inside])
+    before, after = history((number - 1.0) * step), history(number * step)
+    line = before + (after - before) * (knots / step - (number - 1.0))
+    off = np.abs(history(knots) - line) > ROUNDING * float(np.abs(history.values).max())
+    return np.unique(number[off]).astype(np.int64)
+
+
+def mean_over_steps(history: History, step: float, ends: Array) -> Array:
+    """Return what a history counts as in steps: its mean where it is not linear within one.
+
+    In all others it is the value at the end, which implicit Euler takes.
+
+    Parameters
+    ----------
+    history : History
+        What drives a march.
+    step : float
+        Length of a step, s.
+    ends : ndarray, shape (n,)
+        Ends of steps, multiples of `step`, s; zero stands for the start.
+    """
+    found = history(ends)
+    bent = np.isin(np.rint(ends / step), bent_steps(history, step))
+    last = ends[bent]
+    found[bent] = (history.integral(last) - history.integral(last - step)) / step
+    return found
+
+
+def entering_in_steps(history: History, step: float, ends: Array) -> Array:
+    """Return what a history counts as in steps, so that in the long run nothing of it is lost.
+
+    At the end of a step in which the history is not linear, everything has entered that the history
+    has given since time zero: its mean over the step, less what linear steps before took too much
+    by their values at the end. Arguments as for `mean_over_steps`.
+    """
+    found = mean_over_steps(history, step, ends)
+    number, settled = np.rint(ends / step), bent_steps(history, step)
+    bent = np.isin(number, settled)
+    before = np.concatenate([[0], settled])[np.searchsorted(settled, number[bent])]
+    excess = history(ends[bent] - step) - history(before * step)
+    found[bent] -= 0.5 * excess
+    return found
+
+
+def reversals(
+    histories: Sequence[History], step: float, ends: Array
+) -> dict[int, NDArray[np.float64]]:
+    """Return where within a step histories turn back, which the values at its ends do not show.
+
+    Parameters
+    ----------
+    histories : sequence of History
+        Factors of loads.
+    step, ends
+        As for `mean_over_steps`.
+
+    Returns
+    -------
+    dict of int to ndarray, shape (k,)
+        Place in `ends` to the times inside that step, s, in ascending order.
+    """
+    turning = [_turning(history) for history in histories]
+    times = np.unique(np.concatenate([np.empty(0), *turning]))
+    places = times / step
+    inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
+    times, number = times[inside], np.ceil(places[inside])
+    at = {int(one): k for k, one in enumerate(np.rint(ends / step))}
+    steps = [int(one) for one in np.unique(number) if int(one) in at]
+    return {at[one]: times[number == one] for one in steps}
+
+
+def _turning(history: History) -> Array:
+    """Times after zero at which a history rises before and does not afterwards, or falls, s."""
+    slopes = np.sign(np.concatenate([np.zeros(1), np.diff(history.values), np.zeros(1)]))
+    turns = (slopes[1:] != slopes[:-1]) & (slopes[:-1] != 0.0)
+    return np.asarray(history.times[turns & (history.times > 0.0)])
 
 
 def step_history(level: float) -> History:
     """Heat input `level` from time zero on."""
-    return lambda time: np.full_like(np.asarray(time, dtype=float), level)
+    return History(np.zeros(1), np.array([level]))
 
 
 def ramp_history(level: float, duration: float) -> History:
@@ -59,7 +179,7 @@ def sampled_history(times: Array, values: Array, where: str = "history") -> Hist
             f"{where}: time {times[i]:g} s of sample {i + 1} does not come after "
             f"{times[i - 1]:g} s; times must increase strictly{swapped}"
         )
-    return lambda time: np.interp(time, times, values)
+    return History(times, values)
 
 
 def read_history(path: Path, column: str = "heat_input") -> History:

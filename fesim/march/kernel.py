@@ -190,7 +190,7 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
         moved=_own(elastic.probe_compliance * elastic.area),
         free=_own(elastic.probe_thermal),
         loaded=_own(loaded),
-        tolerance=contact.gap_tolerance,
+        tolerance=contact.tolerance,
     )
 
 

@@ -112,6 +112,10 @@ class State:
     anchor : ndarray, shape (7, m)
         Where the inverses were made that machine code keeps from step to step: six entries of the
         joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
+    turning : ndarray, shape (2, m)
+        What of the last steps shows that they alternate (`fesim.march.alternation`).
+    taken_over : bool
+        The staggered coupling has alternated: this step and all that follow are iterated.
     """
 
     index: int
@@ -122,6 +126,8 @@ class State:
     change: Array
     model: str
     anchor: Array
+    turning: Array
+    taken_over: bool
 
 
 @dataclass(frozen=True)

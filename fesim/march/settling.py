@@ -68,6 +68,8 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         change=np.zeros((3, count)),
         model=machine.thermal.model,
         anchor=np.zeros((7, count)),
+        turning=np.zeros((2, count)),
+        taken_over=False,
     )
     if machine.assembly is not None:
         tight = machine.assembly
@@ -134,6 +136,40 @@ def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> 
     return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)
 
 
+def settled_between(machine: CondensedMachine, state: State, factors: Array) -> State:
+    """Return a state whose joints have borne loads that come and go before the next step's end.
+
+    Friction remembers them. Temperatures are still those of the state, and its pressures, which
+    decide what the joints conduct in the step.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    state : State
+        At the start of a step.
+    factors : ndarray, shape (k, l)
+        Of the loads, one row after the other.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium, or a body has come loose.
+    """
+    contact = machine.contact
+    if not contact.count or contact.loads is None:
+        return state
+    grown = contact.elastic.thermal_gap @ machine.strained(state.temperature)
+    still = np.zeros_like(state.change)
+    for row in factors:
+        found, _ = settle_along(contact, state, grown + contact.loads.gap @ row)
+        if contact.watch is not None:
+            pressure = contact.preload + found.traction.value[0]
+            contact.watch.check(pressure, found.traction.tangent)
+        state = replace(state, gap=found.gap, slip=found.traction.slip, change=still)
+    return state
+
+
 def settle_along(
     contact: ContactProblem, state: JointState, thermal_gap: Array
 ) -> tuple[Equilibrium, int]:
@@ -160,7 +196,7 @@ def settle_along(
     for guess in (state.gap + state.change, state.gap):
         with suppress(ConvergenceError):
             return contact.settle(thermal_gap, state.slip, guess), 0
-    step = contact.gap_problem, thermal_gap, state.slip, state.gap, contact.gap_tolerance
+    step = contact.gap_problem, thermal_gap, state.slip, state.gap, contact.tolerance
     with suppress(ConvergenceError):
         return relax(*step)
     if contact.watch is not None:

@@ -21,10 +21,10 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "anchor")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "anchor", "turning")
 
 
 def fingerprint(case: Case) -> str:
@@ -50,6 +50,7 @@ def save_state(state: State, case: Case, path: Path) -> None:
         "case": fingerprint(case),
         "index": state.index,
         "model": state.model,
+        "taken_over": state.taken_over,
     }
     with whole_file(Path(path)) as part, part.open("wb") as file:
         # To an open file: np.savez adds a suffix to names.
@@ -89,17 +90,20 @@ def load_state(path: Path, case: Case) -> State:
         )
     index: Any = header.get("index")
     model: Any = header.get("model")
+    taken_over: Any = header.get("taken_over")
     count = arrays["pressure"].size if "pressure" in arrays else 0
     shapes = {
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
         "anchor": (7, count),
+        "turning": (2, count),
     }
     usable = (
         arrays.keys() == set(_ARRAYS)
         and isinstance(index, int)
         and isinstance(model, str)
+        and isinstance(taken_over, bool)
         and index >= 0
         and all(arrays[name].shape == shape for name, shape in shapes.items())
         and all(array.dtype == np.float64 for array in arrays.values())
@@ -107,4 +111,4 @@ def load_state(path: Path, case: Case) -> State:
     )
     if not usable:
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    return State(index=index, model=model, **arrays)
+    return State(index=index, model=model, taken_over=taken_over, **arrays)

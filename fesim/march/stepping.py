@@ -6,15 +6,17 @@ Nothing is factorised, assembled or allocated by mesh size inside it except the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fesim.march.alternation import GAIN, gain_of, suspected, turnings
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.secant_step import step_heat
-from fesim.march.settling import initial_state, loaded_gap, settle_along
-from fesim.march.track import Track, kernel_march, track_of
+from fesim.march.settling import initial_state, loaded_gap, settle_along, settled_between
+from fesim.march.track import Track, first_of, kernel_march, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
@@ -73,7 +75,11 @@ def march(
 
 
 def march_along(
-    machine: CondensedMachine, inputs: Array, advance: Advance, start: State
+    machine: CondensedMachine,
+    inputs: Array,
+    advance: Advance,
+    start: State,
+    between: Mapping[int, Array] | None = None,
 ) -> Iterator[Track]:
     """Yield the steps of a march along known inputs, some at a time.
 
@@ -87,25 +93,40 @@ def march_along(
         `staggered` or `iterated`.
     start : State
         Where to go on.
+    between : mapping of int to ndarray, shape (j, l), optional
+        Row of `inputs` to the factors of the loads where they turn back within that step.
 
     Raises
     ------
     ConvergenceError, InputError
         As `march` does, after what came before is yielded.
     """
-    return tracks_along(machine, advance(machine), inputs, start)
+    return tracks_along(machine, advance(machine), inputs, start, between)
 
 
 def tracks_along(
-    machine: CondensedMachine, take: Take, inputs: Array, start: State
+    machine: CondensedMachine,
+    take: Take,
+    inputs: Array,
+    start: State,
+    between: Mapping[int, Array] | None = None,
 ) -> Iterator[Track]:
     """Yield the next steps of a march that has begun; otherwise as `march_along`."""
-    state, done = start, 0
+    state, done, turns = start, 0, between or {}
+    ends = [*sorted(turns), len(inputs)]
     while done < len(inputs):
-        track = advanced(machine, take, state, inputs[done : done + BLOCK])
+        step, end = take, min(one for one in ends if one > done)
+        if done in turns:
+            step = _after(machine, take, turns[done])
+        track = advanced(machine, step, state, inputs[done : min(done + BLOCK, end)])
         done += len(track)
         state = track.step(-1).state
         yield track
+
+
+def _after(machine: CondensedMachine, take: Take, factors: Array) -> Take:
+    """Take the same steps after loads that come and go within the first."""
+    return lambda state, inputs: take(settled_between(machine, state, factors), inputs)
 
 
 def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array) -> Track:
@@ -124,23 +145,72 @@ def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array)
 
 
 def staggered(machine: CondensedMachine) -> Take:
-    """Steps in which the last step's pressure sets the conductance, as in the paper."""
-    fast, plain = kernel_march(machine), plainly_staggered(machine)
-    if fast is None:
-        return plain
+    """Steps in which the last step's pressure sets the conductance, as in the paper.
+
+    Once they alternate, the march goes on by `iterated` ones.
+    """
+    fast, plain = kernel_march(machine), _plain(machine)
 
     def take(state: State, inputs: Array) -> Track:
-        track = fast(state, inputs)
+        track = None if fast is None else fast(state, inputs)
         return plain(state, inputs) if track is None else track
 
-    return take
+    return _watching(machine, take)
 
 
 def plainly_staggered(machine: CondensedMachine) -> Take:
     """Take the same steps without machine code for the whole of one."""
+    return _watching(machine, _plain(machine))
+
+
+def _plain(machine: CondensedMachine) -> Take:
     return lambda state, inputs: track_of(
         _step_with(machine, state, inputs[0], machine.conductance_in(state))
     )
+
+
+def _watching(machine: CondensedMachine, take: Take) -> Take:
+    """Take steps as long as they do not alternate, then iterated ones."""
+    if not machine.contact.count:
+        return take
+
+    def watching(state: State, inputs: Array) -> Track:
+        if not state.taken_over and not _alternates(machine, state, inputs[0]):
+            return _watched(machine, state, take(state, inputs))
+        step = _iterated_step(machine, state, inputs[0])
+        return track_of(replace(step, state=replace(step.state, taken_over=True)))
+
+    return watching
+
+
+def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
+    """Note how the steps of a track turn; it ends with the first that is suspected to alternate."""
+    carried = _carried(machine, before)
+    values = track.pressure
+    if not machine.contact.conducts_by_pressure:
+        values = np.array([carried.of(track.step(at).state) for at in range(len(track))])
+    moved = np.diff(np.vstack([carried.of(before), values]), axis=0) / carried.scale
+    turning = turnings(before.turning, moved)
+    found = np.flatnonzero(suspected(turning).any(axis=1))
+    last = int(found[0]) + 1 if found.size else len(track)
+    return first_of(replace(track, turning=turning), last)
+
+
+def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
+    """Whether the next step belongs to steps that alternate: the gain of the map over it."""
+    which = suspected(state.turning)
+    if not which.any():
+        return False
+    carried = _carried(machine, state)
+    values = [carried.of(state)]
+    # Where a step has no equilibrium, the iteration says what is wrong, or finds another way.
+    with suppress(ConvergenceError):
+        for _ in range(2):
+            step = _step_with(machine, state, inputs, carried.conductance(values[-1]))
+            values.append(carried.of(step.state))
+        once, twice = (np.diff(values, axis=0) / carried.scale)[:, which]
+        return gain_of(once, twice) > GAIN
+    return True
 
 
 def iterated(machine: CondensedMachine) -> Take:
@@ -187,7 +257,7 @@ def _iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> St
         value = np.clip(value + weight * (after - value), *ends)
     raise ConvergenceError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
-        f'after {sweep + 1} sweeps; take coupling = "staggered"'
+        f"after {sweep + 1} sweeps; take a shorter march.step_s"
     )
 
 
@@ -223,7 +293,7 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
 def _left_open(machine: CondensedMachine) -> float:
     """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
     stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
-    left = 10.0 * machine.contact.gap_tolerance * stiffness / machine.contact.reference_pressure
+    left = 10.0 * machine.contact.tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 
@@ -266,6 +336,8 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             change=settled.gap - state.gap,
             model=machine.thermal.model,
             anchor=np.zeros_like(state.anchor),
+            turning=state.turning,
+            taken_over=state.taken_over,
         ),
         inputs=inputs,
         conductance=conductance,

@@ -6,7 +6,7 @@ What a `Step` says of one step a `Track` says of several.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,7 @@ class Track:
         As in `Step`.
     secant_residual : ndarray
         As in `Step`.
-    temperature, gap, slip, pressure, change, anchor : ndarray
+    temperature, gap, slip, pressure, change, anchor, turning, taken_over : ndarray
         As in `State`.
     model : str
         As in `State`.
@@ -60,6 +60,8 @@ class Track:
     pressure: Array
     change: Array
     anchor: Array
+    turning: Array
+    taken_over: NDArray[np.bool_]
     model: str
 
     def __len__(self) -> int:
@@ -77,6 +79,8 @@ class Track:
             change=self.change[at],
             model=self.model,
             anchor=self.anchor[at],
+            turning=self.turning[at],
+            taken_over=bool(self.taken_over[at]),
         )
         return Step(
             state=state,
@@ -102,6 +106,14 @@ def track_of(step: Step) -> Track:
         **{name: np.asarray(value)[None] for name, value in state.items()},
         model=step.state.model,
     )
+
+
+def first_of(track: Track, count: int) -> Track:
+    """Return the first steps of a track."""
+    if count == len(track):
+        return track
+    names = [one.name for one in fields(Track) if one.name != "model"]
+    return replace(track, **{name: getattr(track, name)[:count] for name in names})
 
 
 def joined(tracks: Sequence[Track]) -> Track:
@@ -158,6 +170,8 @@ def _kernel_track(
         pressure=record.pressure,
         change=record.change,
         anchor=record.anchor,
+        turning=np.broadcast_to(state.turning, (taken, *state.turning.shape)),
+        taken_over=np.broadcast_to(state.taken_over, taken),
         model=state.model,
     )
 

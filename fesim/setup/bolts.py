@@ -38,7 +38,7 @@ def tightening(case: Case) -> list[History]:
 
     def given(bolt: BoltSection) -> History:
         factor = step_history(1.0) if bolt.file is None else read_history(bolt.file, "factor")
-        return lambda times: 1e3 * bolt.force_kN * factor(times)
+        return History(factor.times, 1e3 * bolt.force_kN * factor.values)
 
     return [given(bolt) for bolt in case.bolts.values()]
 

@@ -7,7 +7,16 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.case.history import History, ramp_history, read_history, step_history, triangle_history
+from fesim.case.history import (
+    History,
+    entering_in_steps,
+    mean_over_steps,
+    ramp_history,
+    read_history,
+    reversals,
+    step_history,
+    triangle_history,
+)
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import (
     HeatInput,
@@ -114,33 +123,65 @@ def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
 
 
 def input_table(case: Case) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the inputs of `thermal_inputs` as a function of many times (n,), s: a row for each."""
-    layout = input_layout(case)
+    """Return the inputs of `thermal_inputs` as a function of many times (n,), s: a row for each.
+
+    The times are ends of the case's steps. Heat and ambient count as `entering_in_steps`, held
+    temperatures as `mean_over_steps`, forces as they are at the end.
+    """
+    layout, step = input_layout(case), case.march.step_s
     sources = [
         (source_power(source), heat_history(source.heat_input or case.heat_input))
         for source in case.sources.values()
     ]
     ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
     held = [held_history(section) for section in case.held_temperatures.values()]
-    factors = [
-        step_history(1.0) if load.file is None else read_history(load.file, "factor")
-        for load in case.loads.values()
-    ]
-    behind = [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
+    behind = _force_histories(case)
 
     def inputs(times: NDArray[np.float64]) -> NDArray[np.float64]:
         rows = np.zeros((len(times), layout.count + len(behind)))
         for column, (power, history) in zip(rows.T[layout.source_columns], sources, strict=True):
-            column[:] = power * history(times)
+            column[:] = power * entering_in_steps(history, step, times)
         if ambient:
-            rows[:, layout.ambient] = ambient(times) - ambient(np.zeros(1))
+            found = entering_in_steps(ambient, step, times)
+            rows[:, layout.ambient] = found - ambient(np.zeros(1))
         for column, history in zip(rows.T[layout.held_columns], held, strict=True):
-            column[:] = history(times)
+            column[:] = mean_over_steps(history, step, times)
         for column, history in zip(rows.T[layout.count :], behind, strict=True):
             column[:] = history(times)
         return rows
 
     return inputs
+
+
+def forces_between(case: Case, ends: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
+    """Return what loads and bolts are where they turn back within a step.
+
+    Parameters
+    ----------
+    case : Case
+        With its loads and bolts.
+    ends : ndarray, shape (n,)
+        Ends of steps, s.
+
+    Returns
+    -------
+    dict of int to ndarray, shape (k, l)
+        Place in `ends` to what stands behind the thermal inputs of the march, in order of time.
+    """
+    behind = _force_histories(case)
+    found = reversals(behind, case.march.step_s, ends)
+    return {
+        at: np.stack([history(times) for history in behind], axis=1) for at, times in found.items()
+    }
+
+
+def _force_histories(case: Case) -> list[History]:
+    """What stands behind the thermal inputs: factors of loads, bolts' forces (N) and their 1."""
+    factors = [
+        step_history(1.0) if load.file is None else read_history(load.file, "factor")
+        for load in case.loads.values()
+    ]
+    return [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
 
 
 def heat_history(given: HeatInput | None) -> History:

@@ -9,12 +9,15 @@ import pytest
 from boxes import boxes
 from skfem import MeshHex
 
+from fesim.batch.summary import figures_of
 from fesim.case.schema import case_from_data
+from fesim.march.state_file import load_state, save_state
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.inspection import inspect, pieces
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.paper.summary import result_lines
 
 JOINT = {
     "side_a": "low.z1",
@@ -165,3 +168,146 @@ def test_a_joint_pressed_beyond_half_of_its_hardness_is_refused(tmp_path, data):
     data["initial_temperature"] = {"rise_K": 100.0}
     with pytest.raises(ConvergenceError, match="'j': the pressure passes 50 MPa, half of its hard"):
         run(tmp_path, data)
+
+
+def cooled_rod(data, **march):
+    """A rod that a cold wall draws from its joint: staggered steps of a minute alternate."""
+    data["materials"]["steel"] |= {"poisson_ratio": 0.0, "youngs_modulus_GPa": 104.0}
+    data["joints"]["j"]["preload_MPa"] = 5.0
+    data["held_temperatures"] = {"low.z0": {"rise_K": 0.0}, "high.z1": {"rise_K": -20.0}}
+    data["march"] = {"step_s": 60.0, "duration_min": 15.0} | march
+    return boxes(
+        {}, low=((0.0, 0.0, 0.0), (SIDE, SIDE, 0.1)), high=((0, 0, 0.1), (SIDE, SIDE, 0.102))
+    )
+
+
+@pytest.mark.parametrize("thermal", ["full", "reduced"])
+def test_steps_that_alternate_are_iterated_and_it_is_said(tmp_path, data, thermal):
+    rod = cooled_rod(data, thermal=thermal)
+    found = run(tmp_path, data, rod)
+    data["march"]["coupling"] = "iterated"
+    settled = run(tmp_path, data, rod)
+    np.testing.assert_allclose(found["pressure"][-5:], settled["pressure"][-5:], rtol=1e-3)
+    assert found["taken_over"][-9:].all()
+    assert not settled["taken_over"].any()
+    figures = figures_of(found)
+    assert figures["taken_over"] >= 9
+    assert f"{figures['taken_over']} steps" in result_lines(found, figures)[-1]
+
+
+def test_a_march_goes_on_in_the_middle_of_alternating(tmp_path, data):
+    write_structure(cooled_rod(data), tmp_path / "boxes.vtu")
+
+    def lasting(minutes):
+        march = data["march"] | {"duration_min": minutes}
+        return case_from_data(data | {"march": march}, "case", tmp_path)
+
+    whole = lasting(9.0)
+    expected = simulate(whole)
+    assert expected.response["taken_over"].any()
+    for minutes in (4.0, 5.0, 6.0, 7.0):
+        early = lasting(minutes)
+        save_state(simulate(early).state, early, tmp_path / "state.npz")
+        rest = simulate(whole, start=load_state(tmp_path / "state.npz", whole)).response
+        for name in ("pressure", "displacement", "taken_over"):
+            same = expected.response[name][-rest.sizes["time"] :]
+            np.testing.assert_array_equal(rest[name], same, err_msg=f"{name}, {minutes} min")
+
+
+def test_heat_that_alternates_is_no_coupling_that_does(tmp_path, data):
+    rows = [f"{10 * k},{10 * (k % 2)}" for k in range(20)]
+    (tmp_path / "heat.csv").write_text("\n".join(["time_s,heat_input", *rows]))
+    data["heat_input"] = {"kind": "sampled", "file": "heat.csv"}
+    data["march"]["duration_min"] = 3.0
+    found = run(tmp_path, data)
+    moves = np.diff(found["pressure"].to_numpy()[:, 0])
+    assert (moves[2:] * moves[1:-1] < 0.0).any()
+    assert not found["taken_over"].any()
+
+
+def test_no_heat_is_lost_between_steps(tmp_path, data):
+    (tmp_path / "heat.csv").write_text("time_s,heat_input\n0,0\n65,0\n66,1\n85,1\n86,0\n")
+    data["heat_input"] = {"kind": "sampled", "file": "heat.csv"}
+    data["march"] |= {"step_s": 60.0, "duration_min": 5.0}
+    found = run(tmp_path, data)
+    assert float(60.0 * found["source_power"].sum()) == pytest.approx(200.0)
+    assert float(found["temperature"].max()) > 1.0
+
+
+def test_a_load_that_comes_and_goes_between_steps_leaves_its_slip(tmp_path, data):
+    (tmp_path / "load.csv").write_text("time_s,factor\n0,0\n65,0\n66,1\n95,1\n96,0\n")
+    del data["sources"], data["heat_input"]
+    friction = {"friction_coefficient": 0.3, "preload_MPa": 2.0}
+    data["joints"]["j"] |= friction | {"along": 2, "across": 2}
+    springs = {"high.z1": {"stiffness_N_um": [20.0, 0.0, 0.0]}}
+    data["supports"] = {"fixed": ["low.z0"], "springs": springs}
+    data["loads"] = {"t": {"force_N": [400.0, 0, 0], "surface": "high.z0", "file": "load.csv"}}
+    plate = boxes({}, low=LOW, high=((0.0, 0.0, SIDE), (SIDE, SIDE, SIDE + 0.004)))
+    left = []
+    for step in (60.0, 1.0):
+        data["march"] |= {"step_s": step, "duration_min": 3.0}
+        slip = run(tmp_path, data, plate)["slip"][-1].to_numpy()
+        left.append(float(np.abs(slip).max()))
+    assert left[0] > 1e-6
+    assert left[0] == pytest.approx(left[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("coupling", ["staggered", "iterated"])
+@pytest.mark.parametrize("coefficient", [1e-8, 1e-2])
+def test_the_pressure_of_a_joint_however_stiff_is_that_of_the_bodies(
+    tmp_path, data, coupling, coefficient
+):
+    data["materials"]["steel"]["poisson_ratio"] = 0.0
+    data["joints"]["j"] |= {
+        "normal_law": "back-burdekin",
+        "back_burdekin": {"coefficient_um": coefficient, "exponent": 1.0},
+        "conductance": {"law": "fixed", "value_W_m2K": 1e4},
+    }
+    del data["sources"], data["heat_input"]
+    data["held_temperatures"] = {"low.z0": {"rise_K": 0.0}, "high.z1": {"rise_K": 1.0}}
+    data["march"] |= {"coupling": coupling, "duration_min": 10.0}
+    pressure = run(tmp_path, data)["pressure"].to_numpy()[-1]
+    # Half a kelvin in the mean, alpha T (l + l) = (p - p0) ((l + l) / E + coefficient).
+    rise = 12e-6 * 0.5 / (1.0 / 206e9 + coefficient * 1e-12 / (2.0 * SIDE))
+    assert pressure == pytest.approx(1e6 + rise, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_same_case_in_other_units_gives_the_same_digits(tmp_path, seed):
+    long, stiff, hot = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 3.0, 3)
+    plain = run(tmp_path, scaled(1.0, 1.0, 1.0), scaled_boxes(1.0))
+    other = run(tmp_path, scaled(long, stiff, hot), scaled_boxes(long))
+    units = {"temperature": 1.0, "pressure": stiff, "slip": long, "displacement": long}
+    for name, unit in units.items():
+        expected = plain[name].to_numpy()
+        left = np.abs(other[name].to_numpy() / unit - expected).max()
+        assert left <= 1e-10 * np.abs(expected).max(), name
+
+
+def scaled_boxes(long):
+    # No square, whose longer side would be a matter of rounding.
+    corners = {
+        "low": (LOW[0], (1.5 * SIDE, SIDE, SIDE)),
+        "high": ((0.005, 0.0, SIDE), (1.5 * SIDE, SIDE, 2 * SIDE)),
+    }
+    return boxes({}, **{name: long * np.array(corner) for name, corner in corners.items()})
+
+
+def scaled(long, stiff, hot):
+    """The case with other units of length, stress and heat: temperatures remain what they are."""
+    data = copy.deepcopy(DATA)
+    steel = data["materials"]["steel"]
+    steel["youngs_modulus_GPa"] *= stiff
+    steel["conductivity_W_mK"] *= hot / long
+    steel["density_kg_m3"] *= hot / long**3
+    data["joints"]["j"] |= {
+        "preload_MPa": 1.0 * stiff,
+        "hardness_GPa": 2.0 * stiff,
+        "roughness_um": 1.25 * long,
+        "friction_coefficient": 0.1,
+        "along": 3,
+        "across": 2,
+    }
+    data["sources"]["s"]["reference_power_W"] = 30.0 * hot
+    data["probes"]["p"]["position_mm"] = [10.0 * long] * 3
+    return data

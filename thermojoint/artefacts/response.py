@@ -59,6 +59,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "gap_residual": (("time",), "m", "largest residual of the gap equations"),
     "iterations": (("time",), "1", "Newton iterations"),
     "cuts": (("time",), "1", "viscous steps where a joint snapped, and pieces of cut steps"),
+    "taken_over": (("time",), "1", "1 in steps iterated because staggered ones alternate"),
     "secant_residual": (("time",), "K", "largest change of a temperature in the last secant step"),
     "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
 }

@@ -158,6 +158,12 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
         for what in ("open", "sliding")
     )
     lines.append(f"Area of the joints at the end: {', '.join(shares)}.")
+    if count := int(figures["taken_over"]):
+        first = int(response["taken_over"].to_numpy().argmax())
+        lines.append(
+            f"Coupling: staggered steps alternated; {count} steps, from "
+            f"{_lasting(response, first)} on, were iterated instead."
+        )
     return lines
 
 
