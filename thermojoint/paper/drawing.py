@@ -1,4 +1,4 @@
-"""Figures of a reproduction: the paper's Figures 6-11, errors against time, fields."""
+"""Figures of a reproduction: truth against estimate, the paper's Figures 6-11, fields."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from thermojoint.paper.inputs import (
 from thermojoint.paper.report import Picture
 from thermojoint.pictures.figures import (
     displacements_figure,
-    errors_figure,
+    estimates_figure,
     heat_text,
     pressure_figure,
     temperatures_figure,
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAPTIONS = {
+    **{f"estimate-{name}": f"Actual and estimated displacement, {name}" for name in CASES},
     "figure-06-structure": "Figure 6: the structure, its contact strips, sensors and heat source Q",
     "figure-07-contact-pressure": "Figure 7: change of the contact pressure, heat input 2.0",
     "figure-08-temperature-deviation": "Figure 8: temperature deviation from the linear structure "
@@ -51,7 +52,6 @@ CAPTIONS = {
     "the sensor noise put on it",
     "figure-11-noisy-displacement": "Figure 11: actual and estimated nonlinear displacement under "
     "the triangle, with sensor noise",
-    **{f"error-{name}": f"Error of every estimator, {name}" for name in CASES},
     "temperature": "Temperature at the end of the step, heat input 2.0",
     "deformation": "Deformed shape at the end of the step, heat input 2.0",
     "pressure": "Contact pressure at the end of the step, heat input 2.0",
@@ -119,11 +119,11 @@ def deviations(model: Model, reference: xr.Dataset, response: xr.Dataset) -> np.
     return part["temperature"].to_numpy() - superposed(base, part, "temperature")
 
 
-def error_figures(validated: Validated) -> dict[str, Figure]:
-    """Return the errors of every estimator against time, by file name without its suffix."""
+def estimate_figures(validated: Validated) -> dict[str, Figure]:
+    """Return what was estimated beside what was so, by file name without its suffix."""
     axes = list(dict.fromkeys(str(row["axis"]) for row in validated.rows))
     return {
-        f"error-{name}": errors_figure(
+        f"estimate-{name}": estimates_figure(
             np.asarray(validated.estimates[name].time), errors, axes, name
         )
         for name, errors in validated.errors.items()

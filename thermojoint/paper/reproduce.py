@@ -28,7 +28,7 @@ from thermojoint.models.model_file import Provenance, write_model
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import ROLES
 from thermojoint.paper import inputs, printing
-from thermojoint.paper.drawing import draw, error_figures, paper_figures
+from thermojoint.paper.drawing import draw, estimate_figures, paper_figures
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
     LongRuns,
@@ -121,7 +121,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
 
         report("drawing", 0, 1)
         figures = paper_figures(calibrated.model, responses, validated.estimates)
-        figures |= error_figures(validated)
+        figures |= estimate_figures(validated)
         hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
         pictures = draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
         report("drawing", 1, 1)

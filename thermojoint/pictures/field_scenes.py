@@ -12,7 +12,9 @@ from fesim.setup.machine import Setup
 from meshes.pairing import PairedJoint
 from meshes.volume_cells import corner_mesh
 from thermojoint.pictures.camera import Array, Camera, Vector, facing
+from thermojoint.pictures.figures import LABELLED, places_along
 from thermojoint.pictures.scenes import (
+    Marker,
     Mirror,
     Panel,
     Surface,
@@ -142,7 +144,10 @@ def deformed_panel(stage: Stage, fields: Fields, factor: float) -> Panel:
 
 
 def pressure_panel(stage: Stage, fields: Fields) -> Panel:
-    """Contact pressure on every contact element; needs at least one joint."""
+    """Contact pressure on every contact element; needs at least one joint.
+
+    The numbers are those of the curves of Figure 7 (`figures.pressure_figure`).
+    """
     structure, joints = stage.setup.structure, stage.setup.joints
     holder, normal = away_from(structure, structure.joints[joints[0].name][0])
     body = replace(bodies(structure)[holder], opacity=0.25)
@@ -159,9 +164,19 @@ def pressure_panel(stage: Stage, fields: Fields) -> Panel:
         f"contact pressure on {', '.join(joint.name for joint in joints)}",
         (*whole((body,), stage.mirror), *maps),
         Camera(facing(normal, stage.up, side=-0.5, height=0.3), stage.up),
+        _numbers(np.concatenate([joint.centre for joint in joints])),
         shows="contact pressure (MPa)",
         close_to=middle + 1.15 * (around - middle),
     )
+
+
+def _numbers(centres: Array) -> tuple[Marker, ...]:
+    """Return a number for each place along the joints, none if there are too many to read."""
+    _, first = np.unique(places_along(centres), return_index=True)
+    if len(first) > LABELLED:
+        return ()
+    points = centres[first].tolist()
+    return tuple(Marker((x, y, z), str(k)) for k, (x, y, z) in enumerate(points, start=1))
 
 
 def _contact_map(joint: PairedJoint, values: Array, lift: float) -> Surface:

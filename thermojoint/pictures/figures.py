@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -46,17 +47,17 @@ _SHADES = (
 _NOISY_WIDTH = 0.4
 #: Formats of figures of curves.
 FORMATS = ("png", "svg", "pdf")
-#: Smaller errors are drawn at this value, m: a logarithmic scale has no zero.
-_LEAST_ERROR = 1e-9
-#: Above this many contact elements their curves get no label of their own.
-_LABELLED = 12
+#: Estimators that are always drawn beside the actual displacement.
+OWN = ("fchs", "joint-aware")
+#: Above this many places along a joint they get no number of their own.
+LABELLED = 12
 
 
 def pressure_figure(response: xr.Dataset) -> Figure:
-    """Figure 7: change of the contact pressure along the joint, compression negative.
+    """Figure 7: change of the contact pressure along the joint; positive where it grows.
 
     Contact elements at the same place along the joint are averaged over their area, and numbered
-    from its lower end, as in the paper.
+    from its lower end, as in the paper, which draws compression downwards.
 
     Parameters
     ----------
@@ -74,10 +75,10 @@ def pressure_figure(response: xr.Dataset) -> Figure:
         raise InputError("response: no joints, so no contact pressure; use --show curves")
     minutes = response["time"].to_numpy() / 60.0
     pressure = pressure_along(response) / 1e6
-    change = pressure[0] - pressure
+    change = pressure - pressure[0]
     numbers = range(1, pressure.shape[1] + 1)
     figure, axes = _figure(1)
-    labelled = len(numbers) <= _LABELLED
+    labelled = len(numbers) <= LABELLED
     for k, number in enumerate(numbers):
         axes[0].plot(
             minutes,
@@ -92,7 +93,7 @@ def pressure_figure(response: xr.Dataset) -> Figure:
         _name_ends(axes[0], minutes[-1], change[-1], [str(number) for number in numbers])
     preload = float(response["pressure"].isel(time=0).max()) / 1e6
     figure.suptitle(f"{heat_text(response)}, preload {preload:.2f} MPa", fontsize=10)
-    axes[0].set_ylabel("change of contact pressure (MPa),\ncompression negative")
+    axes[0].set_ylabel("change of contact pressure (MPa)")
     _finish(axes, legend=labelled, outside=True)
     return figure
 
@@ -100,19 +101,30 @@ def pressure_figure(response: xr.Dataset) -> Figure:
 def pressure_along(response: xr.Dataset) -> Array:
     """Mean contact pressure at each place along the joint, Pa, shape (times, places).
 
-    Along is the direction in which the contact elements spread most. Without their positions every
-    element is a separate place.
+    Without the positions of the contact elements every element is a separate place.
     """
     pressure = response["pressure"].to_numpy()
     if "contact_position" not in response:
         return np.asarray(pressure)
-    position = response["contact_position"].to_numpy()
-    along = position[:, np.argmax(np.ptp(position, axis=0))]
-    _, place = np.unique(np.round(along, 6), return_inverse=True)
+    place = places_along(response["contact_position"].to_numpy())
     area = response["contact_area"].to_numpy()
     share = np.zeros((place.size, int(place.max()) + 1))
     share[np.arange(place.size), place] = area
     return np.asarray(pressure @ (share / share.sum(axis=0)))
+
+
+def places_along(position: Array) -> NDArray[np.int64]:
+    """Number the contact elements by their place along the joint, from 0.
+
+    Along is the direction in which they spread most.
+
+    Parameters
+    ----------
+    position : ndarray, shape (elements, 3)
+        m.
+    """
+    along = position[:, np.argmax(np.ptp(position, axis=0))]
+    return np.unique(np.round(along, 6), return_inverse=True)[1]
 
 
 def heat_text(response: xr.Dataset) -> str:
@@ -177,34 +189,45 @@ def _panels(
     return figure
 
 
-def errors_figure(
+def estimates_figure(
     times: Array, errors: Mapping[str, Array], axes: Sequence[str], case: str
 ) -> Figure:
-    """Errors of several estimators against time, one panel for each axis, on a logarithmic scale.
+    """Actual and estimated displacement of each axis, and the errors below on their own scale.
+
+    Drawn are FCHS, the joint-aware estimator, and the best of the others over the case; all of
+    them would hide each other. Readable when it is shown 400 pixels wide.
 
     Parameters
     ----------
     times : ndarray, shape (k,)
         s.
     errors : mapping
-        Estimator to estimated minus actual displacement, m, shape (k, axes).
+        Estimator to estimated minus actual displacement, m, shape (k, axes). That of ``none``,
+        which always estimates zero, gives the actual one.
     axes : sequence of str
         Names of the axes.
     case : str
         Name of the case.
     """
-    figure, panels = _figure(len(axes))
-    figure.suptitle(case, fontsize=10)
-    for k, (panel, axis) in enumerate(zip(panels, axes, strict=True)):
-        series = {
-            name: np.maximum(np.abs(error[:, k]), _LEAST_ERROR) for name, error in errors.items()
-        }
-        _draw(panel, times, series, 1e6)
-        panel.set_yscale("log")
-        panel.set_ylabel(f"size of the error {axis} (µm)")
-    # Too many curves for a place between them: one legend, beside the last panel.
-    _finish(panels[:-1], legend=False)
-    _finish(panels[-1:], outside=True)
+    shown = [name for name in OWN if name in errors]
+    others = [name for name in errors if name not in (*OWN, "none")]
+    if others:
+        shown.append(min(others, key=lambda name: float(np.mean(errors[name] ** 2))))
+    figure = _grid(2, len(axes))
+    panels = figure.axes
+    figure.suptitle(case, fontsize=11)
+    for k, axis in enumerate(axes):
+        actual = -errors["none"][:, k]
+        estimated = {name: actual + errors[name][:, k] for name in shown}
+        wrong = {name: errors[name][:, k] for name in shown}
+        above, below = panels[k], panels[len(axes) + k]
+        _draw(above, times, {"actual": actual} | estimated, 1e6)
+        # The colours of the panel above.
+        _draw(below, times, {"actual": np.full_like(actual, np.nan)} | wrong, 1e6)
+        above.set_ylabel(f"{axis} (µm)")
+        below.set_ylabel(f"error {axis} (µm)")
+    _finish(panels, legend=False)
+    panels[0].legend(fontsize=9)
     return figure
 
 
@@ -267,13 +290,20 @@ def check_png(path: Path) -> None:
 
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
-    """Return an empty figure with `panels` panels side by side, without pyplot's global state."""
+    """Return an empty figure with `panels` panels side by side."""
+    figure = _grid(1, panels, (_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]))
+    return figure, figure.axes
+
+
+def _grid(rows: int, columns: int, size: tuple[float, float] = (7.0, 5.6)) -> Figure:
+    """Return an empty figure of rows of panels, `size` in inches, without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]), layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(1, panels, squeeze=False)[0])
+    figure.subplots(rows, columns, squeeze=False)
+    return figure
 
 
 def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) -> None:
@@ -308,8 +338,7 @@ def _finish(axes: list[Axes], legend: bool = True, outside: bool = False) -> Non
     for axis in axes:
         axis.set_xlabel("time (min)")
         axis.grid(visible=True, color="0.88", linewidth=0.6)
-        if axis.get_yscale() == "linear":
-            axis.axhline(0.0, color="0.5", linewidth=0.6)
+        axis.axhline(0.0, color="0.5", linewidth=0.6)
         axis.margins(x=0.04)
         if legend and outside:
             axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.04, 0.5))

@@ -178,8 +178,9 @@ def mirror_of(structure: Structure, symmetry: Mapping[str, str]) -> Mirror | Non
 def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
     """Return the axis along which a structure stands up from its supports.
 
-    It is the axis closest to the opposite of the area-weighted outward normal of the supports.
-    Where they cancel (a beam held at both ends) or there are none, it is z, as in CAD.
+    It is y or z, as in CAD, up or down: whichever is closest to the opposite of the area-weighted
+    outward normal of the supports. Where that lies along x (a beam clamped at its end), where they
+    cancel (held at both ends) or there are none, it is z.
 
     Parameters
     ----------
@@ -193,9 +194,10 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
         return _UP_WITHOUT_SUPPORTS
     areas = outward_areas(structure.mesh, np.unique(np.concatenate(facets)))
     down = areas.sum(axis=0)
-    if np.linalg.norm(down) < _AGREE * np.linalg.norm(areas, axis=1).sum():
-        return _UP_WITHOUT_SUPPORTS
     axis = int(np.abs(down).argmax())
+    cancels = np.linalg.norm(down) < _AGREE * np.linalg.norm(areas, axis=1).sum()
+    if cancels or axis == _AXES["x"]:
+        return _UP_WITHOUT_SUPPORTS
     up = -np.sign(down[axis]) * np.eye(3)[axis]
     return float(up[0]), float(up[1]), float(up[2])
 

@@ -17,6 +17,7 @@ from thermojoint.pictures.scenes import (
     Surface,
     away_from,
     bodies,
+    outward_areas,
     part,
     whole,
 )
@@ -59,10 +60,11 @@ def structure_scene(
     )
     heated = [part(structure, structure.surface(name), _SOURCE_COLOUR) for name in sources]
     named = (*points, *(Marker(_centre(surface), "Q") for surface in heated))
+    view = onto(structure, up, mirror, sources)
     section = Panel(
-        _legend("cross-section" if mirror else "structure", structure, sources),
+        _legend("cross-section" if mirror else "structure", structure, sources, view),
         (*plain.values(), *coloured),
-        Camera(onto(structure, up, mirror), up),
+        Camera(view, up),
         named,
     )
     if not structure.joints:
@@ -84,21 +86,33 @@ def structure_scene(
     return Scene((section, joint), caption)
 
 
-def onto(structure: Structure, up: Vector, mirror: Mirror | None) -> Vector:
-    """View onto the cut of a half model, a little from above and from the side."""
+def onto(
+    structure: Structure, up: Vector, mirror: Mirror | None, sources: Sequence[str] = ()
+) -> Vector:
+    """View onto the cut of a half model, else onto the heat sources; a little from above."""
     p = structure.mesh.p
     if mirror is not None:
         middle = 0.5 * (p.min(axis=1) + p.max(axis=1))[mirror.axis]
         main = (1.0 if mirror.plane > middle else -1.0) * np.eye(3)[mirror.axis]
-    else:
-        # Along the shortest horizontal edge of its box, where a structure is broadest.
-        flat = [k for k in range(3) if not up[k]]
-        main = np.eye(3)[min(flat, key=lambda k: float(np.ptp(p[k])))]
-    return facing(main, up, side=-0.64, height=0.36)
+        return facing(main, up, side=-0.64, height=0.36)
+    # Along the shortest horizontal edge of its box, where a structure is broadest.
+    flat = [k for k in range(3) if not up[k]]
+    main = np.eye(3)[min(flat, key=lambda k: float(np.ptp(p[k])))]
+    views = [facing(sign * main, up, side=-0.64, height=0.36) for sign in (1.0, -1.0)]
+    return max(views, key=lambda view: sum(_faces(structure, name, view) for name in sources))
 
 
-def _legend(what: str, structure: Structure, sources: Sequence[str]) -> str:
-    parts = ["heat source Q red"] * bool(sources) + ["joint yellow"] * bool(structure.joints)
+def _faces(structure: Structure, surface: str, view: Vector) -> bool:
+    """Whether most of a surface looks towards the eye; what stands before it is not asked."""
+    areas = outward_areas(structure.mesh, structure.surface(surface))
+    towards = areas @ np.asarray(view)
+    return bool(towards[towards > 0.0].sum() > 0.5 * np.abs(towards).sum())
+
+
+def _legend(what: str, structure: Structure, sources: Sequence[str], view: Vector) -> str:
+    seen = any(_faces(structure, name, view) for name in sources)
+    parts = [f"heat source Q {'red' if seen else 'on the far side'}"] * bool(sources)
+    parts += ["joint yellow"] * bool(structure.joints)
     return f"{what} ({', '.join(parts)})" if parts else what
 
 

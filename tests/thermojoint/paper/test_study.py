@@ -82,7 +82,7 @@ def test_a_run_leaves_every_file(results):
     for number in range(6, 12):
         assert any(name.startswith(f"figure-{number:02d}") for name in pictures)
     assert {"temperature.png", "deformation.png", "pressure.png"} <= pictures
-    assert {f"error-{case}.png" for case in inputs.CASES} <= pictures
+    assert {f"estimate-{case}.png" for case in inputs.CASES} <= pictures
 
 
 def test_tables_json_has_every_parameter(results):

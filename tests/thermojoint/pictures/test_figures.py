@@ -23,7 +23,7 @@ from thermojoint.pictures import stills as pictures
 from thermojoint.pictures.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.pictures.figures import (
     displacements_figure,
-    errors_figure,
+    estimates_figure,
     heat_text,
     pressure_figure,
     response_figure,
@@ -71,14 +71,14 @@ def polygon_areas(surface):
     return np.linalg.norm(np.cross(corners - middle, around - middle).sum(axis=1), axis=1) / 2.0
 
 
-def test_figure_7_has_compression_negative_in_mpa_over_minutes(coarse_response):
+def test_figure_7_shows_by_how_many_mpa_the_pressure_has_grown_over_minutes(coarse_response):
     axes = pressure_figure(coarse_response).axes[0]
     curves = [line for line in axes.lines if str(line.get_label()).startswith("element")]
     across = coarse_response["pressure"].to_numpy().reshape(len(coarse_response["time"]), 3, 9)
     pressure = across.mean(axis=1)
     assert len(curves) == 9
     for k, curve in enumerate(curves):
-        assert np.allclose(curve.get_ydata(), (pressure[0, k] - pressure[:, k]) / 1e6)
+        assert np.allclose(curve.get_ydata(), (pressure[:, k] - pressure[0, k]) / 1e6)
         assert curve.get_xdata()[-1] == pytest.approx(1.0)
     assert "MPa" in axes.get_ylabel()
     assert "min" in axes.get_xlabel()
@@ -293,12 +293,17 @@ def test_a_figure_has_two_digits_and_no_exponent(value, text):
     assert console.rounded(value) == text
 
 
-def test_eight_estimators_have_eight_curves():
-    errors = {name: np.full((5, 2), 1e-6) for name in ESTIMATORS}
-    figure = errors_figure(np.arange(5.0), errors, ["x", "y"], "day")
-    for axes in figure.axes:
-        looks = {(line.get_linestyle(), line.get_color()) for line in axes.get_lines()}
-        assert len(looks) == len(ESTIMATORS) == 8
+def test_truth_stands_beside_our_estimates_and_the_best_of_the_others():
+    truth = np.linspace(0.0, 1e-5, 5)[:, None] * [1.0, -2.0]
+    errors = {name: np.full((5, 2), (k + 2) * 1e-7) for k, name in enumerate(ESTIMATORS)}
+    errors |= {"none": -truth, "ridge": np.full((5, 2), 1e-8)}
+    figure = estimates_figure(60.0 * np.arange(5.0), errors, ["x", "y"], "day")
+    for panel, sign in zip(figure.axes[:2], (1.0, -2.0), strict=True):
+        curves = {line.get_label(): line.get_ydata() for line in panel.get_lines()[:4]}
+        assert list(curves) == ["actual", "fchs", "joint-aware", "ridge"]
+        assert curves["actual"] == pytest.approx(sign * np.linspace(0.0, 10.0, 5))
+        assert curves["ridge"] == pytest.approx(curves["actual"] + 0.01)
+    assert all(panel.get_yscale() == "linear" for panel in figure.axes)
 
 
 def test_the_verdict_says_what_was_reached_and_what_was_not():

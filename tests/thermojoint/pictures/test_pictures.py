@@ -26,6 +26,7 @@ from thermojoint.pictures.scenes import (
     outward_areas,
     up_direction,
 )
+from thermojoint.pictures.structure_scene import structure_scene
 from thermojoint.pictures.view import FIELDS, Up, film_scenes, whole_structure
 
 finite = st.floats(-1.0, 1.0)
@@ -57,7 +58,8 @@ def test_outward_areas_point_out_and_close(tetrahedra):
 
 def test_a_structure_stands_on_its_supports():
     bars = two_bars()
-    assert up_direction(bars, ["left_end"]) == (1.0, 0.0, 0.0)
+    # Clamped at its end, it lies, as in CAD.
+    assert up_direction(bars, ["left_end"]) == (0.0, 0.0, 1.0)
     assert up_direction(bars, ["top"]) == (0.0, -1.0, 0.0)
     machine = box_milling_machine(element_size=0.1)
     assert up_direction(machine, ["column_base", "screw_foot"]) == (0.0, 1.0, 0.0)
@@ -66,6 +68,15 @@ def test_a_structure_stands_on_its_supports():
 @pytest.mark.parametrize("supports", [[], ENDS])
 def test_supports_that_do_not_say_what_is_up_leave_z(supports):
     assert up_direction(two_bars(), supports) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"), [("top", "Q red"), ("bottom", "Q on the far side"), ("back", "Q red")]
+)
+def test_a_heat_source_is_called_red_where_it_can_be_seen(source, said):
+    bars = two_bars()
+    scene = structure_scene(bars, [source], (), (0.0, 1.0, 0.0))
+    assert said in scene.panels[0].title
 
 
 def test_what_is_up_can_be_said(coarse_case, coarse_setup):
