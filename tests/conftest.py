@@ -9,6 +9,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from in_process import run
 from threadpoolctl import threadpool_limits
 
 from fesim.case.schema import case_from_data
@@ -43,6 +44,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # No test finds what another run has left, nor leaves anything.
 os.environ["THERMOJOINT_CACHE"] = "off"
+
+
+@pytest.fixture
+def command(capsys):
+    """Run the command line in this process; gives exit code, standard output and error."""
+
+    def told(*arguments):
+        code = run(*arguments)
+        return code, *capsys.readouterr()
+
+    return told
 
 
 @pytest.fixture(scope="session")

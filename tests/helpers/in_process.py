@@ -1,8 +1,12 @@
 """The command line within the process of the tests."""
 
 import signal
+import sys
 from contextlib import contextmanager
 
+import pytest
+
+from thermojoint.cli import main as cli
 from thermojoint.cli.main import ENDING
 
 
@@ -15,3 +19,12 @@ def undisturbed():
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+def run(*arguments):
+    """The exit code of `thermojoint` with these arguments."""
+    with pytest.MonkeyPatch.context() as patch, undisturbed():
+        patch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+    return int(stop.value.code or 0)

@@ -1,64 +1,26 @@
-"""The command line: the whole chain from one command, and one line for every mistake."""
+"""The command line: what every command writes and says, and one line for every mistake."""
 
 import io
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
 import time
 import tomllib
-from functools import partial
 from importlib.resources import files
 
 import numpy as np
 import pytest
 import typer
-from in_process import undisturbed
 from reference_case import lasting
 from repository import TOP, modules
-from short_runs import SHORT
 
-from estimator.fchs.judging import ESTIMATORS
-from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
-from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
-from thermojoint.models.model_file import Provenance, read_model, write_model
-from thermojoint.paper import inputs, paper_values, reproduce
+from thermojoint.models.model_file import Provenance, write_model
+from thermojoint.paper import reproduce
 from thermojoint.pictures import view
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run the command line in this process; gives exit code, standard output and error."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
-
-    return run
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    """What `reproduce` makes of the coarse machine."""
-    folder = tmp_path_factory.mktemp("reproduce")
-    (folder / "coarse.toml").write_text(lasting(3.0))
-    patch = pytest.MonkeyPatch()
-    short = partial(reproduce.reproduce, long=SHORT)
-    with patch.context() as within, undisturbed():
-        within.setattr(reproduce, "reproduce", short)
-        arguments = ["--case", str(folder / "coarse.toml"), "--out", str(folder / "results")]
-        within.setattr(sys, "argv", ["thermojoint", "reproduce", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-    assert not stop.value.code
-    return folder / "results"
 
 
 @pytest.fixture(scope="module")
@@ -568,89 +530,6 @@ def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, co
     picture = tmp_path / "field.png"
     code, _, err = command("view", measured, "--show", "temperature", "--out", picture)
     assert (code, err.count("\n"), picture.exists()) == (2, 1, False)
-
-
-def test_validation_noise_is_seeded(command, results, tmp_path):
-    found = []
-    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
-        out = tmp_path / f"{name}.json"
-        arguments = ["validate", results / "model.json", results / "responses" / "triangle.nc"]
-        reference = ["--reference", results / "responses" / "step-1.0.nc"]
-        noise = ["--noise-pp", "0.12", "--seed", seed]
-        code, text, _ = command(*arguments, *reference, *noise, "--json", out)
-        assert code == 0
-        assert "triangle" in text
-        found.append(json.loads(out.read_text())["rows"])
-    assert found[0] == found[1] != found[2]
-    # The noise is on every temperature: it is not the paper's case.
-    assert not {row["case"] for row in found[0]} & set(paper_values.VALIDATION_ERROR_UM)
-
-
-def test_reproduce_leaves_every_file(results):
-    names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
-    responses = {f"responses/{name}.nc" for name in inputs.CALIBRATION | inputs.VALIDATION}
-    figures = {f"figures/figure-{k:02d}" for k in range(6, 12)}
-    assert {"model.json", "tables.json", "validation.json", "report.html"} | responses <= names
-    assert all(any(name.startswith(figure) for name in names) for figure in figures)
-    assert {f"figures/{name}.png" for name in ("temperature", "deformation", "pressure")} <= names
-    assert not [name for name in names if "/." in name or name.startswith(".")]
-
-
-def test_reproduce_validates_every_case_with_every_estimator(results):
-    rows = json.loads((results / "validation.json").read_text())["rows"]
-    given = {(row["case"], row["estimator"], row["axis"]) for row in rows}
-    assert {(c, e, a) for c in inputs.CASES for e in ESTIMATORS for a in "xy"} <= given
-    for row in rows:
-        assert 0.0 <= row["rms_error_um"] <= row["max_abs_error_um"]
-        assert {"peak_total_um", "peak_nonlinear_um"} <= set(row)
-
-
-def test_reproduce_writes_the_tables_of_its_own_model(command, results):
-    code, out, _ = command("tables", results / "model.json", "--json", "-")
-    assert code == 0
-    assert json.loads(out) == json.loads((results / "tables.json").read_text())
-
-
-def test_calibrating_the_written_responses_gives_the_same_model(command, results, tmp_path):
-    of = {level: results / "responses" / f"step-{level}.nc" for level in ("0.5", "1.0", "2.0")}
-    inputs = ["--input", f"0.5={of['0.5']}", "--input", f"2={of['2.0']}"]
-    out = tmp_path / "model.json"
-    code, text, _ = command("calibrate", "--reference", of["1.0"], *inputs, "--out", out)
-    assert code == 0
-    assert "Table 2" in text
-    assert read_model(out) == read_model(results / "model.json")
-
-
-def test_the_report_holds_everything_in_one_page(results):
-    page = (results / "report.html").read_text()
-    for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
-        assert words in page
-    shown = len(list((results / "figures").iterdir()))
-    assert page.count("data:image/png;base64,") == shown == 16
-    assert not re.search(r"(src|href)=\"(?!data:)", page)
-    assert "<script" not in page
-
-
-def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
-    command, results, tmp_path, monkeypatch
-):
-    """The calibration fails when the new responses are written."""
-    out = tmp_path / "results"
-    shutil.copytree(results, out)
-    (out / "figures" / "notes.txt").write_text("mine")
-    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
-    (tmp_path / "short.toml").write_text(lasting(0.5))
-
-    def failing(case, responses):
-        [beside] = tmp_path.glob(".results.*")
-        assert len(list(beside.rglob("*.nc"))) == len(responses)
-        raise InputError("these responses determine nothing")
-
-    monkeypatch.setattr(reproduce, "_calibrate", failing)
-    code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
-    assert (code, err) == (2, "thermojoint: these responses determine nothing\n")
-    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]
 
 
 def test_the_reference_case_is_the_default(monkeypatch, command, tmp_path):

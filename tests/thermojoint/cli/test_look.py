@@ -2,11 +2,9 @@
 
 import re
 import shlex
-import sys
 
 import numpy as np
 import pytest
-from in_process import undisturbed
 from machine_logs import as_csv, machine_log
 from repository import ROOT
 
@@ -14,22 +12,11 @@ from calibrate.learning.learn import learn
 from thermojoint.artefacts.log import joined
 from thermojoint.artefacts.log_file import log_pieces
 from thermojoint.artefacts.tables.pieces import pieces_in
-from thermojoint.cli import main as cli
 
 
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """Run the command line in a folder of its own; gives exit code, output and errors."""
+@pytest.fixture(autouse=True)
+def folder_of_its_own(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
-
-    return run
 
 
 def test_every_example_of_the_page_is_the_same_log():

@@ -4,31 +4,16 @@ import subprocess
 import sys
 
 import pytest
-from in_process import undisturbed
 from reference_case import lasting
 
 from benchmarks.fuzz_inputs import unharmed
 from fesim.batch import folder as batch_folder
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
-from thermojoint.cli import main as cli
 from thermojoint.models.model_file import Provenance, write_model
 
 SHORT = lasting(0.1)
 SAMPLES = "time_s,delta_T_K,T1_K,T2_K\n" + "".join(f"{2 * k},{0.01 * k},0,0\n" for k in range(20))
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run the command line in this process; gives exit code and standard error."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        return int(stop.value.code or 0), capsys.readouterr().err
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +86,7 @@ SLIPS = {
 
 @pytest.mark.parametrize("slip", SLIPS)
 def test_a_slip_ends_in_one_line_and_no_file_changes(slip, command, at_hand, originals):
-    code, err = command(*SLIPS[slip])
+    code, _, err = command(*SLIPS[slip])
     assert (code, err.count("\n")) == (2, 1)
     assert untouched(at_hand, originals)
 
@@ -116,7 +101,7 @@ def test_an_input_is_known_by_every_name_it_has(link, command, at_hand, original
     else:
         (at_hand / "below").mkdir()
         other = at_hand / "below" / ".." / "samples.csv"
-    code, err = command("estimate", "model.json", "samples.csv", "--out", other)
+    code, _, err = command("estimate", "model.json", "samples.csv", "--out", other)
     assert code == 2
     assert "is an input of this command" in err
     assert untouched(at_hand, originals, besides=["other.csv", "below"])
@@ -142,7 +127,7 @@ def test_a_state_may_be_replaced_by_its_successor(command, at_hand):
     (at_hand / "later.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n" + later)
     before = (at_hand / "state.json").read_bytes()
     going_on = ["estimate", "model.json", "later.csv", "--out", "two.csv", "--interval-s", "2"]
-    code, err = command(*going_on, "--continue", "state.json", "--save-state", "state.json")
+    code, _, err = command(*going_on, "--continue", "state.json", "--save-state", "state.json")
     assert code == 0
     assert sum(line.startswith("wrote ") for line in err.splitlines()) == 2
     assert (at_hand / "state.json").read_bytes() != before
@@ -159,7 +144,7 @@ MISNAMED = {
 
 @pytest.mark.parametrize("better", MISNAMED)
 def test_a_name_that_promises_another_kind_of_file_is_refused(better, command, at_hand, originals):
-    code, err = command(*MISNAMED[better])
+    code, _, err = command(*MISNAMED[better])
     assert (code, err.count("\n")) == (2, 1)
     assert f"name it {better}" in err
     assert untouched(at_hand, originals)
@@ -169,7 +154,6 @@ def test_a_name_that_promises_another_kind_of_file_is_refused(better, command, a
 FULL = """
 import resource, sys, types
 from thermojoint.artefacts.response import read_response, write_response
-from thermojoint.cli import main as cli
 
 def work(**_):
     response = read_response("response.nc")

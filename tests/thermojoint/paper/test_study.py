@@ -2,13 +2,16 @@
 
 import json
 import re
-import tomllib
+import shutil
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
+from in_process import run
+from reference_case import lasting
 from short_runs import SHORT
 
 from calibrate import chain
@@ -22,50 +25,59 @@ from calibrate.placement.fchs import (
 from estimator import noise
 from estimator.fchs import judging as judge
 from estimator.joint_aware.model_file import read_observer
-from fesim.case.schema import MeshSection, case_from_data
+from fesim.case.schema import MeshSection, read_case
 from fesim.case.thermal_sections import HeldTemperatureSection
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import InputError
-from thermojoint.models.sensors import roles_in
-from thermojoint.paper import inputs
+from thermojoint.artefacts.response import read_response
+from thermojoint.models.baselines import read_baselines
+from thermojoint.models.model_file import read_model
+from thermojoint.paper import inputs, paper_values, reproduce
 from thermojoint.paper.long_runs import random_day
 from thermojoint.paper.observers import observer_case, observers_beside
-from thermojoint.paper.reproduce import reproduce
 
 AXES = ("x", "y")
 OBSERVERS = {"kalman-linear", "joint-aware"}
 
 
 @pytest.fixture(scope="module")
-def case():
+def case_file(tmp_path_factory):
     """The reference machine with elements of 100 mm, 35 minutes in steps of 10 s."""
-    data = tomllib.loads(files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8"))
-    data["structure"]["element_size_mm"] = 100.0
-    del data["structure"]["joint_element_size_mm"]
-    data["march"] = {"step_s": 10.0, "duration_min": 35.0}
-    data["candidates"][1]["spacing_mm"] = 75.0
-    return case_from_data(data, "coarse study", Path())
+    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
+    for pattern, new in (
+        (r"joint_element_size_mm.*", ""),
+        (r"element_size_mm = 40.0", "element_size_mm = 100.0"),
+        (r"step_s = 2.0", "step_s = 10.0"),
+        (r"spacing_mm = 25.0", "spacing_mm = 75.0"),
+    ):
+        text, changed = re.subn(pattern, new, text)
+        assert changed == 1
+    path = tmp_path_factory.mktemp("reproduce") / "coarse.toml"
+    path.write_text(text)
+    return path
 
 
 @pytest.fixture(scope="module")
-def results(case, tmp_path_factory):
-    """The folder that a whole run leaves."""
-    out = tmp_path_factory.mktemp("results")
-    reproduce(case, out, SHORT)
-    return out
+def case(case_file):
+    return read_case(case_file)
+
+
+@pytest.fixture(scope="module")
+def results(case_file):
+    """The folder that `reproduce` leaves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
+        assert run("reproduce", "--case", case_file, "--out", case_file.parent / "results") == 0
+    return case_file.parent / "results"
 
 
 @pytest.fixture(scope="module")
 def responses(results):
-    from thermojoint.artefacts.response import read_response
-
     return {path.stem: read_response(path) for path in (results / "responses").glob("*.nc")}
 
 
 @pytest.fixture(scope="module")
 def model(results):
-    from thermojoint.models.model_file import read_model
-
     return read_model(results / "model.json")
 
 
@@ -78,6 +90,7 @@ def test_a_run_leaves_every_file(results):
     }
     found = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
     assert names <= found
+    assert not [name for name in found if "/." in name or name.startswith(".")]
     pictures = {name.split("/")[1] for name in found if name.startswith("figures/")}
     for number in range(6, 12):
         assert any(name.startswith(f"figure-{number:02d}") for name in pictures)
@@ -99,6 +112,12 @@ def test_tables_json_has_every_parameter(results):
         assert set(source["q"]) == {"2.0", "0.5"}
     assert np.shape(tables["table2"]["distances_m"]) == (2, 2)
     assert set(tables["table3"]["max_abs_error_um"]) == {"0.5", "2.0"}
+
+
+def test_the_tables_are_those_of_the_model(command, results):
+    code, out, _ = command("tables", results / "model.json", "--json", "-")
+    assert code == 0
+    assert json.loads(out) == json.loads((results / "tables.json").read_text())
 
 
 def test_eqs_8_and_18_follow_the_calibration_responses(results):
@@ -178,9 +197,12 @@ def test_a_day_is_drawn_from_its_seed(results, responses):
 def test_the_report_is_one_page_that_loads_nothing(results):
     page = (results / "report.html").read_text()
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)", page)
-    assert "Table 1" in page
-    assert "gap residual" in page
+    assert "<script" not in page
+    for words in ("Table 1", "Table 2", "Table 3", "triangle-noise", "gap residual", "after"):
+        assert words in page
     assert "uncertain by" in page
+    shown = len(list((results / "figures").iterdir()))
+    assert page.count("data:image/png;base64,") == shown == 16
 
 
 def test_the_estimator_sees_temperatures_only(model, responses):
@@ -193,8 +215,6 @@ def test_the_estimator_sees_temperatures_only(model, responses):
 
 
 def test_regressions_are_judged_where_they_are_given(results, model, responses):
-    from thermojoint.models.baselines import read_baselines
-
     given = {"triangle": responses["triangle"]}
     beside = read_baselines(results / "baselines.json")
     found = {
@@ -211,17 +231,17 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
         judge.validate_model(model, None, given, beside=judge.Beside(short))
 
 
-def test_named_sensors_calibrate_to_the_same_model_without_candidates(model, responses):
-    base = responses["step-1.0"]
-    roles = roles_in(base, model)
-    named = {name: with_roles(r, roles) for name, r in responses.items()}
-    again = chain.calibrate_responses(
-        named["step-1.0"], {0.5: named["step-0.5"], 2.0: named["step-2.0"]}
-    )
-    assert again.placement is None
-    assert again.model.sensors == model.sensors
-    assert again.model.linear.thermal.r == pytest.approx(model.linear.thermal.r, rel=1e-6)
-    assert np.allclose(again.model.distances, model.distances)
+def test_the_written_responses_calibrate_to_the_same_model_without_candidates(
+    command, results, model, tmp_path
+):
+    """They name the sensors that were chosen."""
+    of = {level: results / "responses" / f"step-{level}.nc" for level in ("0.5", "1.0", "2.0")}
+    others = ["--input", f"0.5={of['0.5']}", "--input", f"2={of['2.0']}"]
+    out = tmp_path / "model.json"
+    code, told, _ = command("calibrate", "--reference", of["1.0"], *others, "--out", out)
+    assert code == 0
+    assert "Table 2" in told
+    assert read_model(out) == model
 
 
 def test_responses_without_sensors_or_candidates_are_refused(responses):
@@ -272,3 +292,41 @@ def test_the_noise_is_seeded_and_as_large_as_the_papers(responses):
     for role in ("T1", "T2"):
         assert np.array_equal(first[role], again[role])
         assert np.ptp(first[role]) == pytest.approx(0.12)
+
+
+def test_validation_noise_is_seeded(command, results, tmp_path):
+    found = []
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        out = tmp_path / f"{name}.json"
+        arguments = ["validate", results / "model.json", results / "responses" / "triangle.nc"]
+        reference = ["--reference", results / "responses" / "step-1.0.nc"]
+        noise = ["--noise-pp", "0.12", "--seed", seed]
+        code, text, _ = command(*arguments, *reference, *noise, "--json", out)
+        assert code == 0
+        assert "triangle" in text
+        found.append(json.loads(out.read_text())["rows"])
+    assert found[0] == found[1] != found[2]
+    # The noise is on every temperature: it is not the paper's case.
+    assert not {row["case"] for row in found[0]} & set(paper_values.VALIDATION_ERROR_UM)
+
+
+def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
+    command, results, tmp_path, monkeypatch
+):
+    """The calibration fails when the new responses are written."""
+    out = tmp_path / "results"
+    shutil.copytree(results, out)
+    (out / "figures" / "notes.txt").write_text("mine")
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    (tmp_path / "short.toml").write_text(lasting(0.5))
+
+    def failing(case, responses):
+        [beside] = tmp_path.glob(".results.*")
+        assert len(list(beside.rglob("*.nc"))) == len(responses)
+        raise InputError("these responses determine nothing")
+
+    monkeypatch.setattr(reproduce, "_calibrate", failing)
+    code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
+    assert (code, err) == (2, "thermojoint: these responses determine nothing\n")
+    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]

@@ -1,7 +1,6 @@
 """The thermal tests of ISO 230-3: their parameters, their cases, their command."""
 
 import json
-import sys
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -10,14 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from in_process import undisturbed
 
 from fesim.case.schema import parse_case
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.response import write_response
-from thermojoint.cli import main as cli
 from thermojoint.standards.iso230_3.evaluation import evaluate
 from thermojoint.standards.iso230_3.extremes import extremes
 from thermojoint.standards.iso230_3.parameters import distortion, unsettled
@@ -231,21 +228,8 @@ def test_a_case_of_a_test_gives_the_parameters_of_that_test(name):
 # --- logs and the command
 
 
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Evaluate a record by the command line; gives exit code and standard error."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermojoint", "iso230-3", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        return int(stop.value.code or 0), capsys.readouterr().err
-
-    return run
-
-
 def refused(command, *arguments):
-    code, err = command(*arguments)
+    code, _, err = command("iso230-3", *arguments)
     assert (code, err.count("\n")) == (2, 1)
     return err
 
@@ -296,7 +280,7 @@ def test_the_command_writes_the_report_and_the_parameters(command, log, tmp_path
     tilts = ["--tilt", "B=X1,X2", "--distance-mm", "150"]
     written = ["--out", str(page), "--json", str(content)]
     for _ in range(2):  # its own files it replaces
-        assert command(log, "--test", "spindle", *channels, *tilts, *written)[0] == 0
+        assert command("iso230-3", log, "--test", "spindle", *channels, *tilts, *written)[0] == 0
     rows = {row["symbol"]: row for row in json.loads(content.read_text("utf-8"))["parameters"]}
     assert rows["d(B)60"]["value"] == pytest.approx(400 * (1 - np.exp(-1)), rel=1e-4)
     assert rows["d(B)60"]["begin_s"] == pytest.approx(0.5 * HOUR)
@@ -307,7 +291,7 @@ def test_the_command_takes_a_response(command, coarse_response, tmp_path):
     """Which is one minute long: too short for a test with motion, long enough for the other."""
     path = tmp_path / "response.nc"
     write_response(coarse_response, path)
-    assert command(path, "--test", "etve", "--json", tmp_path / "etve.json")[0] == 0
+    assert command("iso230-3", path, "--test", "etve", "--json", tmp_path / "etve.json")[0] == 0
     assert "first 60 min" in refused(command, path, "--test", "spindle")
 
 
