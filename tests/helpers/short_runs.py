@@ -4,6 +4,6 @@ from calibrate.joint_aware.calibration import Effort
 from calibrate.joint_aware.open_band import Drawing
 from thermojoint.paper.long_runs import LongRuns
 
-#: Bands from two drawn machines and half an hour.
-QUICK = Effort(drawing=Drawing(draws=2, duration=1800.0))
+#: One search, and bands from two drawn machines and half an hour.
+QUICK = Effort(starts=0, drawing=Drawing(draws=2, duration=1800.0))
 SHORT = LongRuns(day=40.0, warm=20.0, settled=5.0, cool_down=20.0, heated=10.0, effort=QUICK)

@@ -23,16 +23,11 @@ from thermojoint.models.filters.phi import divided_differences, phi_functions
 DT = 20.0
 
 
-@pytest.fixture(scope="module")
-def estimator(hand_made_model):
-    return Fchs(assemble(hand_made_model, DT, 7200.0))
-
-
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
-def test_a_day_of_the_coarse_machine_is_the_same_in_c(estimator, coarse_day, precision, tmp_path):
-    samples = list(response_samples(coarse_day, estimator.assembly.model))[1:]
-    found = export_program(estimator, precision, "spindle", samples)
+def test_a_day_of_the_coarse_machine_is_the_same_in_c(fchs, coarse_day, precision, tmp_path):
+    samples = list(response_samples(coarse_day, fchs.assembly.model))[1:]
+    found = export_program(fchs, precision, "spindle", samples)
     done, figures = selftest(written(found, tmp_path), "spindle", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["samples"] == len(samples) == 4320
@@ -45,21 +40,19 @@ def test_a_day_of_the_coarse_machine_is_the_same_in_c(estimator, coarse_day, pre
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
 def test_the_program_holds_at_any_interval_over_gaps_and_with_every_warning(
-    estimator, precision, tmp_path
+    fchs, precision, tmp_path
 ):
     """The duty cycle that is compiled in by default has uneven intervals and a gap of an hour."""
-    found = export_program(estimator, precision, "spindle")
+    found = export_program(fchs, precision, "spindle")
     done, _ = selftest(written(found, tmp_path), "spindle", "-O2", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
-def test_a_pole_that_lies_near_the_leak_costs_no_digits(
-    hand_made_model, estimator, precision, tmp_path
-):
+def test_a_pole_that_lies_near_the_leak_costs_no_digits(hand_made_model, fchs, precision, tmp_path):
     """Their residues cancel to 3 parts in 100 000; the program takes the leak out again."""
-    poles = estimator.assembly.sources.poles
+    poles = fchs.assembly.sources.poles
     slow = np.sort(poles.real[poles.imag == 0.0])[-3]
     leaking = replace(hand_made_model, leak=float(-slow * (1.0 + 3e-5)))
     model = Fchs(assemble(leaking, DT, 7200.0))
@@ -83,8 +76,8 @@ def test_divided_differences_are_means_of_derivatives_however_near_the_two_are()
 
 
 @needs_gcc
-def test_the_program_needs_nothing_of_the_library_but_math(estimator, tmp_path):
-    folder = written(export_program(estimator, Precision.DOUBLE, "spindle"), tmp_path)
+def test_the_program_needs_nothing_of_the_library_but_math(fchs, tmp_path):
+    folder = written(export_program(fchs, Precision.DOUBLE, "spindle"), tmp_path)
     subprocess.run(
         ["gcc", "-std=c99", "-ffreestanding", "-O0", "-c", "spindle.c"], cwd=folder, check=True
     )
@@ -109,10 +102,10 @@ class Estimate(ctypes.Structure):
 
 
 @pytest.fixture(scope="module")
-def program(estimator, tmp_path_factory):
+def program(fchs, tmp_path_factory):
     """The compiled program, and the size of its state."""
     folder = tmp_path_factory.mktemp("program")
-    found = export_program(estimator, Precision.DOUBLE, "spindle")
+    found = export_program(fchs, Precision.DOUBLE, "spindle")
     written(found, folder)
     command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "spindle.c", "-lm", "-o", "s.so"]
     subprocess.run(command, cwd=folder, check=True)
@@ -137,11 +130,11 @@ def step(program, state, interval, values):
 
 
 @needs_gcc
-def test_every_detail_is_the_one_of_python(estimator, program):
+def test_every_detail_is_the_one_of_python(fchs, program):
     samples = [(DT, 1.0, 0.4, 2.0), (2 * DT, 1.2, 0.5, 2.2), (3.3 * DT, 1.1, 0.6, 2.1)]
     state, last = started(program), 0.0
     for sample, (_, found) in zip(
-        samples, follow(estimator, samples, estimator.initial_state()), strict=True
+        samples, follow(fchs, samples, fchs.initial_state()), strict=True
     ):
         got = step(program, state, sample[0] - last, sample[1:])
         last = sample[0]
@@ -200,9 +193,9 @@ int main() { static spindle_state state; static spindle_estimate found;
 
 
 @needs_gxx
-def test_no_sample_costs_more_than_is_printed(estimator, tmp_path):
+def test_no_sample_costs_more_than_is_printed(fchs, tmp_path):
     """The same source with numbers that count what is done with them."""
-    found = export_program(estimator, Precision.DOUBLE, "spindle")
+    found = export_program(fchs, Precision.DOUBLE, "spindle")
     counted = np.array(counts(found, tmp_path, "spindle", COUNTING))
     usual, worst = operations(found.usual), operations(found.worst)
     assert (counted[:2] <= usual).all()
@@ -221,19 +214,17 @@ def test_constants_are_exact_to_the_last_bit():
             assert np.float32(float.fromhex(text[:-1])) == single
 
 
-def test_what_has_no_number_is_refused(estimator):
+def test_what_has_no_number_is_refused(fchs):
     with pytest.raises(InputError, match="single"):
         literal(1e300, Precision.SINGLE)
     with pytest.raises(InputError, match="--name 1st"):
-        export_program(estimator, Precision.DOUBLE, "1st")
+        export_program(fchs, Precision.DOUBLE, "1st")
 
 
 @needs_gcc
-def test_the_command_writes_a_folder_that_compiles_and_prints_what_it_costs(
-    estimator, tmp_path, capsys
-):
+def test_the_command_writes_a_folder_that_compiles_and_prints_what_it_costs(fchs, tmp_path, capsys):
     file, out = tmp_path / "estimator.json", tmp_path / "program"
-    write_assembly(estimator.assembly, file)
+    write_assembly(fchs.assembly, file)
     log = tmp_path / "log.csv"
     rows = [f"{DT * k},{0.1 * k},{0.02 * k},{0.1 * k}" for k in range(1, 30)]
     log.write_text("time_s,delta_T_K,T1_K,T2_K\n" + "\n".join(rows) + "\n")

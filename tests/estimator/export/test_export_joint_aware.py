@@ -7,35 +7,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
-from observed import SENSORS, observed_data, observer, run, step
+from exported import (
+    SANITISED,
+    counts,
+    needs_gcc,
+    needs_gxx,
+    operations,
+    selftest,
+    with_no_step,
+    written,
+)
+from observed import SENSORS
 
 from estimator.export.fmu import Standard, write_fmu
 from estimator.export.program import COMMON, Precision
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
-from estimator.joint_aware import program as joint_aware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.program import NOT_SETTLED, READING_JUMPED
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
-from thermojoint.reduced.machine import reduce_machine
 from thermojoint.reduced.physics import simulate_known
 
 NAN = float("nan")
-
-
-@pytest.fixture(scope="module")
-def estimator(coarse_data):
-    data = observed_data(coarse_data)
-    case = case_from_data(data, "case", Path())
-    setup = set_up(case)
-    machine = reduce_machine(case, setup, SENSORS)
-    return observer(machine, {"step 2": run(data, setup, step(2.0))})
 
 
 @pytest.fixture(scope="module")
@@ -160,12 +156,8 @@ def test_a_reading_that_jumps_is_used_and_named(estimator, samples, program):
 
 
 @needs_gcc
-def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
-    estimator, samples, monkeypatch, tmp_path
-):
-    monkeypatch.setattr(joint_aware, "ITERATIONS", 0)
-    monkeypatch.setattr(joint_aware, "SAMPLES", 2)
-    found = export_program(estimator, Precision.DOUBLE, "m")
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(estimator, samples, tmp_path):
+    found = with_no_step(export_program(estimator, Precision.DOUBLE, "m"))
     for one in list(compiled(found, tmp_path)([row[1:] for row in samples[:40]]))[1:]:
         assert one.status & NOT_SETTLED
         assert one.newton_steps == -1

@@ -9,7 +9,6 @@ import pytest
 from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
 from machine_logs import as_csv, machine_log
 
-from calibrate.learning.learn import learn
 from estimator.columns import samples_of
 from estimator.export.fmu import Standard, write_fmu
 from estimator.export.program import REFUSED, Precision
@@ -29,19 +28,14 @@ DAY = machine_log(hours=24.0, seed=5, start=500000.0)
 
 
 @pytest.fixture(scope="module")
-def estimator():
-    return Learned(learn([machine_log()], ["x_um", "z_um"], 4))
-
-
-@pytest.fixture(scope="module")
-def samples(estimator):
-    return list(samples_of(estimator.model.columns, [DAY]))
+def samples(learned):
+    return list(samples_of(learned.model.columns, [DAY]))
 
 
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
-def test_a_day_that_was_not_learned_is_the_same_in_c(estimator, samples, precision, tmp_path):
-    found = export_program(estimator, precision, "m", samples, interval=DT)
+def test_a_day_that_was_not_learned_is_the_same_in_c(learned, samples, precision, tmp_path):
+    found = export_program(learned, precision, "m", samples, interval=DT)
     done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["samples"] == len(samples) == 1440
@@ -53,8 +47,8 @@ def test_a_day_that_was_not_learned_is_the_same_in_c(estimator, samples, precisi
 
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
-def test_it_holds_at_any_interval_and_over_gaps(estimator, precision, tmp_path):
-    found = export_program(estimator, precision, "m", interval=2.0)
+def test_it_holds_at_any_interval_and_over_gaps(learned, precision, tmp_path):
+    found = export_program(learned, precision, "m", interval=2.0)
     done, _ = selftest(written(found, tmp_path), "m", "-O2", *SANITISED)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -76,10 +70,10 @@ class Estimate(ctypes.Structure):
 
 
 @pytest.fixture(scope="module")
-def program(estimator, tmp_path_factory):
+def program(learned, tmp_path_factory):
     """Gives what the compiled program says of samples, from its start on."""
     folder = tmp_path_factory.mktemp("program")
-    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+    found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
     written(found, folder)
     command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "m.c", "-lm", "-o", "m.so"]
     subprocess.run(command, cwd=folder, check=True)
@@ -100,13 +94,13 @@ def program(estimator, tmp_path_factory):
 
 
 @needs_gcc
-def test_missing_readings_bands_and_status_are_those_of_python(estimator, program, samples):
+def test_missing_readings_bands_and_status_are_those_of_python(learned, program, samples):
     draw, rows = np.random.default_rng(1), []
     for k, (time, *values) in enumerate(samples[:400]):
         if 30 < k < 60 or k == 0:
             values[draw.integers(len(values))] = NAN
         rows.append((time, *(value + (40.0 if k > 300 else 0.0) for value in values)))
-    plain = Learned(replace(estimator.model, log_end=None))
+    plain = Learned(replace(learned.model, log_end=None))
     states = set()
     for got, (_, there) in zip(
         program(rows), follow(plain, rows, plain.initial_state()), strict=True
@@ -129,8 +123,8 @@ def test_time_that_does_not_go_on_changes_nothing(program, samples, interval):
     assert plain.status != REFUSED
 
 
-def test_it_starts_a_run_wherever_the_log_ended(estimator, samples):
-    model = estimator.model
+def test_it_starts_a_run_wherever_the_log_ended(learned, samples):
+    model = learned.model
     end = LogEnd(samples[0][0] - DT, samples[0][1:], (5.0,) * len(model.features))
     going_on = export_program(Learned(replace(model, log_end=end)), "double", "m", samples[:9])
     fresh = export_program(Learned(replace(model, log_end=None)), "double", "m", samples[:9])
@@ -138,8 +132,8 @@ def test_it_starts_a_run_wherever_the_log_ended(estimator, samples):
 
 
 @needs_gxx
-def test_no_sample_costs_more_than_is_printed(estimator, samples, tmp_path):
-    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+def test_no_sample_costs_more_than_is_printed(learned, samples, tmp_path):
+    found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
     readings = ", ".join(map(repr, samples[50][1:]))
     body = f"""
 int main() {{ static m_state state; static m_estimate found;
@@ -157,8 +151,8 @@ int main() {{ static m_state state; static m_estimate found;
 
 
 @needs_gcc
-def test_the_command_exports_a_learned_model_with_a_log(estimator, tmp_path, capsys):
-    write_learned(estimator.model, tmp_path / "model.json")
+def test_the_command_exports_a_learned_model_with_a_log(learned, tmp_path, capsys):
+    write_learned(learned.model, tmp_path / "model.json")
     as_csv(DAY.part(slice(0, 100)), tmp_path / "log.csv")
     names = [str(tmp_path / name) for name in ("model.json", "program", "log.csv")]
     arguments = ["export", names[0], "--out", names[1], "--samples", names[2], "--interval-s", "60"]
@@ -171,11 +165,11 @@ def test_the_command_exports_a_learned_model_with_a_log(estimator, tmp_path, cap
 
 @needs_gcc
 @pytest.mark.parametrize("standard", Standard)
-def test_as_a_unit_for_co_simulation_it_says_the_same(estimator, samples, standard, tmp_path):
+def test_as_a_unit_for_co_simulation_it_says_the_same(learned, samples, standard, tmp_path):
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
     from fmpy.validation import validate_fmu
 
-    found = export_program(estimator, Precision.DOUBLE, "m", interval=DT)
+    found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
     write_fmu(found, tmp_path / "m.fmu", standard)
     assert validate_fmu(str(tmp_path / "m.fmu")) == []
     names = [one.name for one in found.interface.inputs]
@@ -189,12 +183,12 @@ def test_as_a_unit_for_co_simulation_it_says_the_same(estimator, samples, standa
         output_interval=DT,
         output=["displacement_x", "status"],
     )
-    plain = Learned(replace(estimator.model, log_end=None))
+    plain = Learned(replace(learned.model, log_end=None))
     there = [e.displacement[0] for _, e in follow(plain, rows, plain.initial_state())]
     assert len(result) > 50
     assert result["displacement_x"][1:] == pytest.approx(there[: len(result) - 1], rel=1e-9)
 
 
-def test_an_interval_that_is_none_is_refused(estimator):
+def test_an_interval_that_is_none_is_refused(learned):
     with pytest.raises(InputError, match="give a positive one"):
-        export_program(estimator, Precision.DOUBLE, "m", interval=0.0)
+        export_program(learned, Precision.DOUBLE, "m", interval=0.0)

@@ -13,10 +13,8 @@ from estimator.export.c_source import c_files
 from estimator.export.fmu import Standard, fmi_files, write_fmu
 from estimator.export.program import Precision
 from estimator.exporting import export_program
-from estimator.fchs.estimator import Fchs
 from estimator.interface import follow
 from thermojoint.cli.app import app
-from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
 
 fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
@@ -26,15 +24,10 @@ DT = 20.0
 SAMPLES = [(DT * k, 0.1 * k, 0.02 * k, 0.1 * k) for k in range(1, 40)]
 
 
-@pytest.fixture(scope="module")
-def estimator(hand_made_model):
-    return Fchs(assemble(hand_made_model, DT, 7200.0))
-
-
 @pytest.fixture(scope="module", params=Standard)
-def unit(request, estimator, tmp_path_factory):
+def unit(request, fchs, tmp_path_factory):
     path = tmp_path_factory.mktemp("unit") / "spindle.fmu"
-    write_fmu(export_program(estimator, Precision.DOUBLE, "spindle"), path, request.param)
+    write_fmu(export_program(fchs, Precision.DOUBLE, "spindle"), path, request.param)
     return path
 
 
@@ -78,8 +71,8 @@ def stepped(running, samples):
 
 
 @needs_gcc
-def test_the_unit_says_what_python_says(estimator, running):
-    expected = [found for _, found in follow(estimator, SAMPLES, estimator.initial_state())]
+def test_the_unit_says_what_python_says(fchs, running):
+    expected = [found for _, found in follow(fchs, SAMPLES, fchs.initial_state())]
     got = np.array(list(stepped(running, SAMPLES)))
     there = np.array([[*one.displacement, one.status] for one in expected])
     np.testing.assert_allclose(got, there, rtol=1e-11)
@@ -110,8 +103,8 @@ def test_fmpy_finds_nothing_wrong_and_simulates_it(unit):
 
 @needs_gcc
 @pytest.mark.parametrize("standard", Standard)
-def test_its_sources_compile_without_a_word(estimator, standard, tmp_path):
-    found = export_program(estimator, Precision.SINGLE, "spindle")
+def test_its_sources_compile_without_a_word(fchs, standard, tmp_path):
+    found = export_program(fchs, Precision.SINGLE, "spindle")
     for name, text in (c_files(found) | fmi_files(found, standard)).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     command = ["gcc", *STRICT, "-c", f"spindle_{standard}.c"]
@@ -119,9 +112,9 @@ def test_its_sources_compile_without_a_word(estimator, standard, tmp_path):
 
 
 @needs_gcc
-def test_the_command_writes_it_and_replaces_no_other_file(estimator, tmp_path):
+def test_the_command_writes_it_and_replaces_no_other_file(fchs, tmp_path):
     model, out = tmp_path / "estimator.json", tmp_path / "spindle.fmu"
-    write_assembly(estimator.assembly, model)
+    write_assembly(fchs.assembly, model)
     arguments = ["export", str(model), "--out", str(out), "--to"]
     for kind, version in (("fmu", "3.0"), ("fmi2", "2.0")):
         app([*arguments, kind], standalone_mode=False)

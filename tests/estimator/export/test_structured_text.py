@@ -8,52 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 import structured_text
-from exported import needs_gcc
+from exported import needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
-from observed import SENSORS, observed_data, observer
-from observed import run as observed_run
-from observed import step as observed_step
 from structured_text import FLAGS, HEAD, Translator, parsed, run
 
-from calibrate.learning.learn import learn
 from estimator.columns import samples_of
 from estimator.export.program import Precision
 from estimator.export.structured_text import decimal, literal, st_files
 from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.joint_aware import program as joint_aware
-from estimator.learned.estimator import Learned
 from estimator.measured import response_samples
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
 from thermojoint.cli.app import app
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
-from thermojoint.reduced.machine import reduce_machine
 
 pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
 pytestmark = needs_gcc
 DT = 20.0
-
-
-@pytest.fixture(scope="module")
-def fchs(hand_made_model):
-    return Fchs(assemble(hand_made_model, DT, 7200.0))
-
-
-@pytest.fixture(scope="module")
-def learned():
-    return Learned(learn([machine_log()], ["x_um", "z_um"], 4))
-
-
-@pytest.fixture(scope="module")
-def aware(coarse_data):
-    data = observed_data(coarse_data)
-    case = case_from_data(data, "case", Path())
-    setup = set_up(case)
-    machine = reduce_machine(case, setup, SENSORS)
-    return observer(machine, {"step 2": observed_run(data, setup, observed_step(2.0))})
 
 
 def agrees(program, folder, flags=FLAGS):
@@ -90,13 +63,13 @@ def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
 
 
 @pytest.mark.parametrize("precision", Precision)
-def test_a_joint_aware_estimator_is_the_same(aware, precision, monkeypatch, tmp_path):
-    monkeypatch.setattr(joint_aware, "SAMPLES", 900)
-    agrees(export_program(aware, precision, "machine"), tmp_path)
+def test_a_joint_aware_estimator_is_the_same(estimator, precision, tmp_path):
+    duty = list(joint_aware.contents(estimator, precision).duty())[:900]
+    agrees(export_program(estimator, precision, "machine", duty), tmp_path)
 
 
 @needs_matiec
-@pytest.mark.parametrize("kind", ["fchs", "learned", "aware"])
+@pytest.mark.parametrize("kind", ["fchs", "learned", "estimator"])
 def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
     """That compiler runs a loop of a single pass not at all."""
     program = export_program(request.getfixturevalue(kind), Precision.DOUBLE, "m")
@@ -105,11 +78,9 @@ def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
     assert figures["samples"] == program.samples
 
 
-def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(aware, monkeypatch, tmp_path):
-    monkeypatch.setattr(joint_aware, "ITERATIONS", 0)
-    monkeypatch.setattr(joint_aware, "SAMPLES", 60)
-    program = export_program(aware, Precision.DOUBLE, "machine")
-    last = told(program, tmp_path, [{}] * 40, ("newton_steps",))[-1]
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(estimator, tmp_path):
+    program = export_program(estimator, Precision.DOUBLE, "machine")
+    last = told(with_no_step(program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
     assert last["status"] & joint_aware.NOT_SETTLED
     assert last["newton_steps"] == -1
     assert math.isfinite(last["displacement_x"])
@@ -144,20 +115,20 @@ def told(program, folder, calls, more=()):
     ]
 
 
-@pytest.mark.parametrize("bad", ["NAN", "INFINITY", "-6000.0"])
-def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(fchs, bad, tmp_path):
+def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(fchs, tmp_path):
     program = export_program(
-        fchs, Precision.DOUBLE, "spindle", [(DT * k, k, 0.1, 0.2) for k in range(1, 6)]
+        fchs, Precision.DOUBLE, "spindle", [(DT * k, k, 0.1, 0.2) for k in range(1, 8)]
     )
-    found = told(program, tmp_path, [{}, {"reading_T1": bad}, {"interval": 0.0}, {}, {"reset": 1}])
-    assert [one["status"] for one in found[1:3]] == [0x8000] * 2
-    assert found[1]["displacement_x"] == found[0]["displacement_x"]
-    # The good sample comes two intervals after the last good one: that of 0 s does not count.
+    bad = [{"reading_T1": value} for value in ("NAN", "INFINITY", "-6000.0")]
+    found = told(program, tmp_path, [{}, *bad, {"interval": 0.0}, {}, {"reset": 1}])
+    assert [one["status"] for one in found[1:5]] == [0x8000] * 4
+    assert {one["displacement_x"] for one in found[1:5]} == {found[0]["displacement_x"]}
+    # The good sample comes four intervals after the last good one: that of 0 s does not count.
     state, _ = fchs.sample(fchs.initial_state(), DT, (1, 0.1, 0.2))
-    _, there = fchs.sample(state, 3 * DT, (4, 0.1, 0.2))
-    assert found[3]["displacement_x"] == pytest.approx(there.displacement[0], rel=1e-11)
-    _, fresh = fchs.sample(fchs.initial_state(), DT, (5, 0.1, 0.2))
-    assert found[4]["displacement_x"] == pytest.approx(fresh.displacement[0], rel=1e-11)
+    _, there = fchs.sample(state, 5 * DT, (6, 0.1, 0.2))
+    assert found[5]["displacement_x"] == pytest.approx(there.displacement[0], rel=1e-11)
+    _, fresh = fchs.sample(fchs.initial_state(), DT, (7, 0.1, 0.2))
+    assert found[6]["displacement_x"] == pytest.approx(fresh.displacement[0], rel=1e-11)
 
 
 def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
@@ -171,9 +142,9 @@ def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
     assert found[2]["displacement_x"] == there[2]["displacement_x"]
 
 
-def test_the_complementary_error_function_is_good_to_the_last_digits(aware, tmp_path):
+def test_the_complementary_error_function_is_good_to_the_last_digits(estimator, tmp_path):
     text = HEAD + Translator().program(
-        parsed(st_files(export_program(aware, "double", "m"))["m.st"])
+        parsed(st_files(export_program(estimator, "double", "m"))["m.st"])
     )
     text += r"""
 int main(void)

@@ -1,11 +1,10 @@
 """An observer whose sensors lie, that starts on a warm machine, or is told the displacement."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from observed import SENSORS, errors, estimates, observed_data, observer, run, step
+from observed import SENSORS, errors, estimates, run, step
 from typer.testing import CliRunner
 
 from estimator.interface import Status
@@ -13,36 +12,17 @@ from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.thresholds import Thresholds
 from estimator.probe_readings import read_probe_readings, with_probe_readings
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
-from thermojoint.reduced.machine import reduce_machine
 
 MICRO = 1e-6
 ONSET = 60  # sample at which a fault begins
 
 
 @pytest.fixture(scope="module")
-def case(coarse_data):
-    return observed_data(coarse_data)
-
-
-@pytest.fixture(scope="module")
-def setup(case):
-    return set_up(case_from_data(case, "case", Path()))
-
-
-@pytest.fixture(scope="module")
-def estimator(case, setup):
-    machine = reduce_machine(case_from_data(case, "case", Path()), setup, SENSORS)
-    return observer(machine, {"step 2": run(case, setup, step(2.0))})
-
-
-@pytest.fixture(scope="module")
-def response(case, setup):
-    return run(case, setup, step(1.5))
+def response(data, setup):
+    return run(data, setup, step(1.5))
 
 
 def faulty(response, sensor, change, until=None):
@@ -104,8 +84,8 @@ def test_while_a_jump_is_not_judged_the_band_holds_the_state_without_it(estimato
         assert np.all(np.abs(one.displacement - other.displacement) <= one.band)
 
 
-def test_the_heat_that_is_switched_on_at_once_is_no_fault(estimator, case, setup):
-    response = run(case, setup, step(3.0), 4.0)
+def test_the_heat_that_is_switched_on_at_once_is_no_fault(estimator, data, setup):
+    response = run(data, setup, step(3.0), 4.0)
     _, found = estimates(estimator, samples_in(response, SENSORS))
     assert not any(one.distrusted for one in found)
 

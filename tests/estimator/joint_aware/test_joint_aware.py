@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from observed import SENSORS, errors, estimates, observed_data, observer, run, step
+from observed import SENSORS, errors, estimates, observer, run, step
 from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
@@ -42,32 +42,11 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
 from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.cli.app import app
-from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.machine import along, diagonal_modes
 from thermojoint.reduced.parameters import with_factors
 from thermojoint.reduced.physics import conduct, make_physics, settle_joint, simulate_known
 
 MICRO = 1e-6
-
-
-@pytest.fixture(scope="module")
-def data(coarse_data):
-    """The coarse machine on its reduced model, with a sensor on the source."""
-    return observed_data(coarse_data)
-
-
-@pytest.fixture(scope="module")
-def setup(data):
-    return set_up(case_from_data(data, "case", Path()))
-
-
-@pytest.fixture(scope="module")
-def machine(data, setup):
-    return reduce_machine(case_from_data(data, "case", Path()), setup, SENSORS)
-
-
-@pytest.fixture(scope="module")
-def estimator(data, setup, machine):
-    return observer(machine, {"step 2": run(data, setup, step(2.0))})
 
 
 @pytest.fixture(scope="module")

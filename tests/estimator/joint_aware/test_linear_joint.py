@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from short_runs import QUICK
 
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
 from estimator.joint_aware.estimator import JointAware
@@ -45,7 +46,7 @@ def responses(case, setup):
 
 @pytest.fixture(scope="module")
 def calibrated(machine, responses):
-    return calibrate_linear_joint(machine, responses, fitted=[])
+    return calibrate_linear_joint(machine, responses, fitted=[], effort=QUICK)
 
 
 def marched(machine, level):
@@ -83,7 +84,7 @@ def test_a_model_of_an_unknown_kind_is_refused(calibrated, tmp_path):
 
 
 def test_the_report_says_what_became_of_every_parameter(machine, responses):
-    found = calibrate_linear_joint(machine, responses, fitted=["film", "heat"])
+    found = calibrate_linear_joint(machine, responses, fitted=["film", "heat"], effort=QUICK)
     lines = fitted_text(JointAware(found.model)).splitlines()
     assert [line.split()[0] for line in lines] == ["heat", "film"]
     assert all("of the case's value, uncertain by" in line for line in lines)
