@@ -16,9 +16,12 @@ install: $(INSTALLED)
 reproduce: $(INSTALLED)
 	$(BIN)/thermojoint reproduce --out $(OUT)
 
-# Without a worker that was lost the rest may wait for ever: end then.
+# Two processes, in the order of tests/conftest.py. Without a worker that was lost the rest may wait for
+# ever: end then.
+PAIR := -n 2 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
+
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 2 --dist loadscope --max-worker-restart 0
+	$(BIN)/python -m pytest $(PAIR)
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
@@ -35,10 +38,10 @@ AVX2 := OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES='X86_V4 AVX512_ICL AV
 portable: portable-plain portable-avx2 portable-threads
 
 portable-plain: $(INSTALLED)
-	$(PLAIN) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+	$(PLAIN) $(BIN)/python -m pytest $(PAIR) $(NUMERICAL)
 
 portable-avx2: $(INSTALLED)
-	$(AVX2) $(BIN)/python -m pytest -n 2 --dist loadscope $(NUMERICAL)
+	$(AVX2) $(BIN)/python -m pytest $(PAIR) $(NUMERICAL)
 
 portable-threads: $(INSTALLED)
 	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(THREADED)
