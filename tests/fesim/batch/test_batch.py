@@ -238,7 +238,7 @@ def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
     before = tally(out)
     assert all(gone(worker) for worker in workers)
     (out / "responses" / ".half.abcd_123.nc").write_text("what was being written")
-    end = run_batch(read_study(path), out, lambda: local_crew(2))
+    end = run_batch(read_study(path), out, here())
     assert (end.summary["status"] == "done").all()
     assert end.found >= 2
     events = tally(out)
@@ -267,7 +267,7 @@ def test_ctrl_c_finishes_what_is_at_work_and_the_same_command_goes_on(tmp_path):
     assert 2 <= len(events["done"]) < 8
     table = pd.read_parquet(out / "summary.parquet")
     assert set(table["status"]) == {"done", "pending"}
-    end = run_batch(read_study(path), out, lambda: local_crew(1))
+    end = run_batch(read_study(path), out, here())
     assert not end.stopped
     assert set(tally(out)["started"].values()) == {1}
     assert len(tally(out)["done"]) == 8
@@ -445,19 +445,15 @@ def test_a_lock_that_a_dead_process_left_is_in_nobodys_way(tmp_path):
         (["none.toml", "--out", "out"], "none.toml: cannot be read"),
     ],
 )
-def test_a_bad_command_ends_with_one_line_and_exit_code_2(tmp_path, arguments, told):
+def test_a_bad_command_ends_with_one_line_and_exit_code_2(
+    command, tmp_path, monkeypatch, arguments, told
+):
     write_study(tmp_path, grid("heat_input.levels", 1.0)).rename(tmp_path / "bad.toml")
     write_study(tmp_path, levels(2), 1.0)
-    ended = subprocess.run(
-        [sys.executable, "-m", "thermojoint.cli", "batch", *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ended.returncode == 2
-    assert told in ended.stderr
-    assert ended.stderr.count("\n") == 1
+    monkeypatch.chdir(tmp_path)
+    code, _, err = command("batch", *arguments)
+    assert (code, err.count("\n")) == (2, 1)
+    assert told in err
     assert not (tmp_path / "out" / "records").exists()
 
 
