@@ -164,7 +164,7 @@ class _Course:
     Attributes
     ----------
     track : Track
-        Its temperatures, anchors and turnings are empty.
+        Its temperatures, frozen tangents and turnings are empty.
     probes : ndarray, shape (n, probes)
         K.
     outputs : ndarray, shape (n, o)
@@ -182,7 +182,7 @@ def _kept(setup: Setup, track: Track) -> _Course:
     if setup.outputs is not None or setup.bolts is not None:
         outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
     none = np.empty((len(track), 0))
-    small = replace(track, temperature=none, anchor=none, turning=none)
+    small = replace(track, temperature=none, frozen=none, turning=none)
     return _Course(small, probes, outputs)
 
 

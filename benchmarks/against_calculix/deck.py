@@ -127,7 +127,7 @@ def write_deck(problem: Problem, choices: Choices) -> Deck:
     side_a, side_b = structure.joints[problem.joint.name]
     on = {
         name: faces(structure, basis, cells, name)
-        for name in {side_a, side_b, *problem.films, *problem.fluxes}
+        for name in {side_a, side_b, *problem.convection, *problem.fluxes}
     }
     pull = _number(-law.preload)
     clamps = [f"{e}, P{f}, {pull}" for side in (side_a, side_b) for e, f in on[side]]
@@ -158,8 +158,8 @@ def write_deck(problem: Problem, choices: Choices) -> Deck:
         ["*STEP, INC=10", "*COUPLED TEMPERATURE-DISPLACEMENT, STEADY STATE, DIRECT", "1., 1."],
         ["*DLOAD", *clamps],
         *(
-            ["*FILM", *(f"{e}, F{f}, 0., {_number(film)}" for e, f in on[name])]
-            for name, film in problem.films.items()
+            ["*FILM", *(f"{e}, F{f}, 0., {_number(convection)}" for e, f in on[name])]
+            for name, convection in problem.convection.items()
         ),
         _held(problem, basis, 0.0),
         # A transient step after this one keeps account of energy, and wants it from the start.

@@ -33,7 +33,7 @@ class Problem:
         Its contact elements along and across each patch.
     law : JointLaw
         Its law.
-    films : dict of str to float
+    convection : dict of str to float
         Surface to heat transfer coefficient, W/(m2 K); ambient is at 0.
     fluxes : dict of str to float
         Surface to the heat flux that enters there from time 0 on, W/m2.
@@ -54,7 +54,7 @@ class Problem:
     joint: PairedJoint
     grid: tuple[int, int]
     law: JointLaw
-    films: dict[str, float]
+    convection: dict[str, float]
     fluxes: dict[str, float]
     held: dict[str, float]
     fixed: list[str]
@@ -96,7 +96,7 @@ def problem_of(case: Case) -> Problem:
         joint=joint,
         grid=(section.along, section.across),
         law=joint_law(section, structure, materials, joint),
-        films=dict(case.convection_W_m2K),
+        convection=dict(case.convection_W_m2K),
         fluxes=fluxes,
         held=dict(zip(case.held_temperatures, loads[len(shares) + 1 :], strict=True)),
         fixed=list(case.supports.fixed),

@@ -115,7 +115,7 @@ def made(along: int, across: int) -> Program:
     law = setup.machine.contact.laws[0][0]
     linear = JointLaw(normal, Friction(0.0, law.friction.stiffness), law.conductance)
     contact = setup.machine.contact
-    contact = replace(contact, laws=[(linear, contact.count)], holds=None)
+    contact = replace(contact, laws=[(linear, contact.count)], constraints=None)
     machine = replace(setup.machine, contact=contact)
     inputs = driven(case)[1 : STEPS + 1]
     start = initial_state(machine, inputs[0])

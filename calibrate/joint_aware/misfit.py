@@ -220,8 +220,8 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
 
 
 @lru_cache(maxsize=4)
-def _basis(machine: ReducedMachine, film: float, conduction: float) -> tuple[Array, Array]:
-    other = with_factors(machine, {"film": film, "conduction": conduction})
+def _basis(machine: ReducedMachine, convection: float, conduction: float) -> tuple[Array, Array]:
+    other = with_factors(machine, {"film": convection, "conduction": conduction})
     return diagonal_basis(other, machine.at_preload)
 
 

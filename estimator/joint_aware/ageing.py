@@ -186,15 +186,15 @@ class AgeingJointAware:
         estimate = taken[0][1]
         moved = np.array([other.displacement - estimate.displacement for _, other in taken[1:]]).T
         length = 0.0 if math.isnan(float(before.time)) else time - float(before.time)
-        films = self._films(logarithms)
+        factors = self._convection_factors(logarithms)
         after = replace(
             before,
             time=np.array(time),
             begun=before.begun if length else np.array(time),
             runs=np.array(
                 [
-                    self._with_film(run, film, length)
-                    for (run, _), film in zip(taken, films, strict=True)
+                    self._with_convection(run, factor, length)
+                    for (run, _), factor in zip(taken, factors, strict=True)
                 ]
             ),
         )
@@ -275,7 +275,7 @@ class AgeingJointAware:
         variance = (nominal.band[axes] / WIDTH) ** 2 + self.learning.lasting_m**2
         return innovation, sensitivity, variance
 
-    def _films(self, logarithms: Array) -> list[float]:
+    def _convection_factors(self, logarithms: Array) -> list[float]:
         """Logarithm of the convection factor in the observer and in each copy."""
         if "film" not in self.ageing:
             return [0.0] * (len(self.ageing) + 1)
@@ -283,18 +283,18 @@ class AgeingJointAware:
         now = float(logarithms[at])
         return [now, *(now + self.learning.step * (k == at) for k in range(len(self.ageing)))]
 
-    def _with_film(self, run: Array, exponent: float, length: float) -> Array:
+    def _with_convection(self, run: Array, exponent: float, length: float) -> Array:
         """A run after an interval with the change of convection since the calibration."""
         if not exponent or not length:
             return run
         after = run.copy()
         linear = unpacked(after, self.observer.parts).linear
-        modes = linear[: self._film.ambient.size]
-        modes[:] = convected(self._film, modes, float(linear[-1]), math.exp(exponent), length)
+        modes = linear[: self._convection.ambient.size]
+        modes[:] = convected(self._convection, modes, float(linear[-1]), math.exp(exponent), length)
         return after
 
     @cached_property
-    def _film(self) -> Convection:
+    def _convection(self) -> Convection:
         return convection_of(self.observer.model.modes)
 
     def _counting(self, after: _State, values: Sequence[float], length: float) -> _State:

@@ -1,16 +1,16 @@
 """Weakly coupled blocks of contact elements, for the gap equations of large machines.
 
-Where bodies stand one on the other, the blocks of F between their joints are small: a joint carries
-what equilibrium asks of it, however the others slide. An inverse for each block costs a small part
-of one for all, is made anew only where its own joint changes, and a sweep over the blocks takes the
-place of a product with the whole inverse (`fesim.joint.modified_newton`). What is accepted is
-judged by the whole of F all the same.
+Where bodies are stacked, the blocks of F between their joints are small: a joint carries what
+equilibrium demands, however the others slide. An inverse per block is much cheaper than one for
+all, only the block of a joint that changes is inverted again, and a sweep over the blocks replaces
+the product with the whole inverse (`fesim.joint.modified_newton`). Convergence is still judged with
+the whole of F.
 
-Joints that hold the same bodies side by side, as two rails of a table, can slide against each other
-as a whole; then each feels the other more than itself, and they are one block.
+Parallel joints between the same bodies, such as the two rails of a table, can slide against each
+other as a whole; then each depends on the other more than on itself, and they form one block.
 
-Start at `blocks_of`; `tests/fesim/joint/test_blocks.py` holds equilibria and marches in blocks to
-those of one block and of the plain method.
+Start at `blocks_of`; `tests/fesim/joint/test_blocks.py` compares equilibria and marches in blocks
+with those of one block and of the plain method.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from scipy.sparse.csgraph import connected_components
 from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array, Flags
 
-#: So many contact elements are one block whatever they are: their inverse fits into the cache.
+#: Up to this many contact elements are one block in any case: their inverse fits into the cache.
 WHOLE = 96
-#: Joints with a larger coupling than this are in one block: a sweep would leave about as much of
-#: what was lacking, where 0.01 is drift anyway.
+#: Joints with a larger coupling than this are in one block: a sweep would leave about this fraction
+#: of the residual, where drift leaves 0.01 anyway.
 COUPLED = 0.15
 #: Steps of the power method that estimates a coupling.
 POWERS = 8
@@ -44,11 +44,11 @@ class Blocks(NamedTuple):
     elements : ndarray of int, shape (m,)
         Contact elements, block after block.
     starts : ndarray of int, shape (b + 1,)
-        Where each block begins in `elements`.
+        Start of each block in `elements`.
     springs : ndarray, shape (3 m,)
-        k0, block after block, Pa/m.
+        k0, in the order of the blocks, Pa/m.
     compliance, columns : ndarray, flat
-        F of each block and its transpose, block after block, m/Pa.
+        F of each block and its transpose, in the order of the blocks, m/Pa.
     """
 
     elements: NDArray[np.int64]
@@ -92,9 +92,9 @@ def blocks_of(
     compliance, columns : ndarray, shape (3 m, 3 m)
         F and its transpose, m/Pa.
     counts : sequence of int
-        How many contact elements each joint has, in their order.
+        Number of contact elements of each joint, in order.
     share, supports : ndarray, shapes (m, p) and (k, 6 p)
-        What joins the p pieces of the structure: as in `fesim.solid.rigid_motions.Constraints`.
+        Connections of the p pieces of the structure, as in `fesim.solid.rigid_motions.Constraints`.
     """
     total = springs.size // 3
     if total <= WHOLE or len(counts) < 2:
@@ -140,7 +140,7 @@ def unknowns_of(elements: NDArray[np.int64], total: int) -> NDArray[np.int64]:
 def coupling(
     springs: Array, compliance: Array, a: NDArray[np.int64], b: NDArray[np.int64]
 ) -> float:
-    """Estimate the 2-norm of k0^1/2 F k0^1/2 between two sets of rows, of joints that stick.
+    """Estimate the 2-norm of k0^1/2 F k0^1/2 between two sets of rows, of sticking joints.
 
     Within a joint it is at most one.
     """
@@ -158,16 +158,16 @@ def coupling(
 def side_by_side(
     joints: Sequence[NDArray[np.int64]], share: Array, supports: Array
 ) -> NDArray[np.int64]:
-    """Return a number for each joint: joints of one number lie on loops of bodies and ground.
+    """Return a number for each joint: joints with equal numbers lie on loops of bodies and ground.
 
-    A joint without which its bodies would not hang together lies on none, and has its own.
-    Parameters as those of `blocks_of`; `joints` are the contact elements of each.
+    A joint without which its bodies would be disconnected is on no loop, and has its own number.
+    Parameters as for `blocks_of`; `joints` are the contact elements of each.
     """
     pieces = share.shape[1]
     touched = np.array([(share[joint] != 0.0).any(axis=0) for joint in joints])
     links = np.column_stack([touched, np.zeros(len(joints), dtype=np.bool_)])
     held = (supports.reshape(-1, pieces, 6) != 0.0).any(axis=2)
-    # What holds one piece only, holds it to the ground.
+    # A joint of one piece only connects it to the ground.
     ties = np.column_stack([held, held.sum(axis=1) < 2])
     alone = np.array([_alone(links, ties, joint) for joint in range(len(links))])
     hanging = _hanging(np.vstack([links[~alone], ties]))
@@ -175,14 +175,14 @@ def side_by_side(
 
 
 def _alone(links: Flags, ties: Flags, joint: int) -> bool:
-    """Whether nothing but a joint keeps what it touches together."""
+    """Whether a joint is the only connection between its bodies."""
     others = np.delete(links, joint, axis=0)
     pieces = _hanging(np.vstack([others, ties]))[links[joint]]
     return bool(pieces.size > 1 and np.unique(pieces).size == pieces.size)
 
 
 def _hanging(links: Flags) -> NDArray[np.int64]:
-    """The set in which each piece, and the ground, hangs together by links (n, p + 1)."""
+    """The connected component of each piece, and of the ground, by links (n, p + 1)."""
     together = csr_array(links.T.astype(float) @ links.astype(float))
     return np.asarray(connected_components(together, directed=False)[1], dtype=np.int64)
 
@@ -193,7 +193,7 @@ def _together(
     joints: Sequence[NDArray[np.int64]],
     beside: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Return the number of the block of each joint."""
+    """Return the block number of each joint."""
     rows = [unknowns_of(joint, springs.size // 3) for joint in joints]
     graph = np.zeros((len(joints), len(joints)))
     for i, j in combinations(range(len(joints)), 2):

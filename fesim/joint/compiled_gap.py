@@ -1,13 +1,13 @@
 """JIT-compiled solution of the gap equations for built-in laws (`fesim.joint.gap`).
 
-Same residual, tangent, line search and tolerance. What differs is the linear algebra of a Newton
-step. The tangent of the residual is J = I - F dT with dT = T + k0: as the springs k0 are as stiff
-as the joint at its preload while it sticks, dT is nonzero only in the pressure of a contact element
-and in the shear of one that slides. So the system to be solved has as many unknowns as there are
+Same residual, tangent, line search and tolerance. The difference is the linear algebra of a Newton
+step. The tangent of the residual is J = I - F dT with dT = T + k0: since the springs k0 are as
+stiff as the joint at its preload while it sticks, dT is nonzero only in the pressure of a contact
+element and in the shear of a sliding one. So the linear system has as many unknowns as there are
 such tractions, not three for each contact element.
 
 Start at `solve_in_place` beside `fesim.joint.gap.solve_gap`: line by line the same method.
-`tests/fesim/joint/test_compiled_gap.py` holds law, equilibria and march to those of the plain one.
+`tests/fesim/joint/test_compiled_gap.py` compares law, equilibria and march with the plain ones.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from thermojoint.artefacts.arrays import Array
 
 #: Columns of the table of laws, one row for each contact element.
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
-#: Rows of a tangent in machine code: entries 00, 10, 20, 11, 12, 22 of the matrix; others are zero
-#: or, as that matrix is, symmetric.
+#: Rows of a compiled tangent: entries 00, 10, 20, 11, 12, 22 of the matrix; others are zero or
+#: follow from symmetry.
 NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
 _SURFACE, _BACK_BURDEKIN = 0.0, 1.0
 _SOLVED, _STALLED, _UNCONVERGED = range(3)
 
 
 class GapKernel(NamedTuple):
-    """The gap equations of one machine, as machine code takes them.
+    """The gap equations of one machine in compiled form.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class GapKernel(NamedTuple):
     compliance : ndarray, shape (3 m, 3 m)
         F, m/Pa.
     laws : ndarray, shape (m, 7)
-        What the law of each contact element needs.
+        Parameters of the law of each contact element.
     tolerance : float
         Largest residual accepted, m.
     """
@@ -67,7 +67,7 @@ class GapKernel(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Gaps that are tried and the law there, written in place.
+    """Trial gaps and the law there, written in place.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class CompiledGap:
     problem : GapProblem
         Their linear side.
     laws : ndarray, shape (m, 7)
-        What the law of each contact element needs.
+        Parameters of the law of each contact element.
     """
 
     problem: GapProblem
@@ -121,14 +121,14 @@ class CompiledGap:
 
 
 def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> CompiledGap | None:
-    """Prepare the gap equations, or return None if a law is not one of those known by name.
+    """Prepare the gap equations, or return None if a law is not a built-in one.
 
     Parameters
     ----------
     problem : GapProblem
         With the springs of these laws.
     laws : sequence of (JointLaw, int)
-        The law of each joint and how many contact elements it has.
+        The law of each joint and its number of contact elements.
     """
     rows = []
     for law, count in laws:
@@ -137,7 +137,7 @@ def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> Co
             return None
         table = np.tile(row, (count, 1))
         if isinstance(law.normal, OpenLaw):
-            # Both laws take the opening from where they have their reference pressure.
+            # Both laws take the opening from the state with their reference pressure.
             sign = 1.0 if row[_KIND] == _SURFACE else -1.0
             table[:, _START] += sign * law.normal.shift
         rows.append(table)
@@ -146,7 +146,7 @@ def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> Co
 
 def _row(law: JointLaw) -> list[float] | None:
     friction = [law.friction.coefficient, law.friction.stiffness]
-    # Not isinstance: a law that is derived from these may say something else.
+    # Not isinstance: a derived law may differ.
     match law.normal.law if isinstance(law.normal, OpenLaw) else law.normal:
         case SurfaceNormalLaw() as surface if type(surface) is SurfaceNormalLaw:
             scale, shape, start = surface.hardness, surface.roughness, surface.separation
@@ -159,7 +159,7 @@ def _row(law: JointLaw) -> list[float] | None:
 
 
 def trial_at(gap: Array) -> Trial:
-    """Return storage for a trial that begins at gaps (3, m)."""
+    """Return storage for a trial that starts at gaps (3, m)."""
     count = gap.shape[1]
     return Trial(np.array(gap), np.empty((3, count)), np.empty((2, count)), np.empty((6, count)))
 
@@ -237,9 +237,9 @@ def _residual(
 
 @compiled
 def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int:
-    """Put the rows of dT that are not zero into `rows` (3 m,); return how many there are.
+    """Put the nonzero rows of dT into `rows` (3 m,); return their number.
 
-    They are the pressures, then both shears of each contact element that slides.
+    They are the pressures, and both shears of each sliding contact element.
     """
     count = tangent.shape[1]
     size = count
@@ -302,8 +302,8 @@ def _newton_step(
 ) -> None:
     """-J^-1 r into `step` (3 m,).
 
-    With y = dT step, the tractions that the springs lack: (I - dT F) y = -dT r on the rows of dT
-    that are not zero, and step = F y - r.
+    With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
+    of dT, and step = F y - r.
     """
     springs, compliance, rows = kernel.springs, kernel.compliance, storage.rows
     count = tangent.shape[1]
@@ -326,7 +326,7 @@ def _newton_step(
 
 @compiled
 def largest(values: Array) -> float:
-    """The largest magnitude; NaN if there is one, which must not look like convergence."""
+    """The largest magnitude; NaN if there is one, so that it does not look like convergence."""
     maximum = 0.0
     for value in values.flat:
         if math.isnan(value):
@@ -368,7 +368,7 @@ def solve_in_place(
                 break
             length /= 2.0
             if length < SHORTEST_STEP:
-                # On a kink of the law a full step leads away (`fesim.joint.gap.solve_gap`).
+                # At a kink of the law a full step leaves it (`fesim.joint.gap.solve_gap`).
                 if full_steps == 0:
                     return _STALLED, size, iteration
                 full_steps -= 1

@@ -1,6 +1,6 @@
-"""Thermal conductances other than Eq. 11: fixed, tabulated, open gap.
+"""Thermal conductances other than Eq. 11: constant, tabulated, open gap.
 
-All of them are smooth (C1) in what they depend on, so that an in-step iteration settles.
+All of them have continuous derivatives, so that an in-step iteration converges.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from thermojoint.artefacts.errors import InputError
 
 #: Stefan-Boltzmann constant, W/(m2 K4).
 STEFAN_BOLTZMANN = 5.670374419e-8
-#: The mean planes are never nearer than this part of their distance at the first touch: a joint
-#: that is pressed as hard as that is beyond every law here.
+#: The mean planes are never nearer than this fraction of their distance at first contact: no law
+#: here is valid at such pressures.
 NEAREST = 0.05
-#: A pressure below this is taken for it, Pa: its logarithm is finite.
+#: Lower pressures are replaced by this, Pa: its logarithm is finite.
 LEAST_PRESSURE = 1e-300
 
 
 @dataclass(frozen=True)
 class FixedConductance:
-    """One value at every pressure, open joints included: a bond, or a measured mean.
+    """The same value at every pressure, open joints included: a bond, or a measured mean.
 
     Attributes
     ----------
@@ -41,27 +41,27 @@ class FixedConductance:
 
 @dataclass(frozen=True, eq=False)
 class ConductanceTable:
-    """A table of pressure and, if it has several, of temperatures.
+    """A table over pressure and optionally temperature.
 
     Between its pressures ln h is a monotone cubic (Fritsch & Carlson 1980) in ln p, and beyond its
-    ends a straight line of the slope there: a power law, as Eq. 11 is one. Between temperatures
-    ln h is a cubic with the slopes of finite differences; beyond the ends the slope decays over the
-    width of the last interval, so that h stays bounded. All of it has a continuous derivative.
+    ends a straight line with the slope there: a power law, like Eq. 11. Between temperatures ln h
+    is a cubic with finite-difference slopes; beyond the ends the slope decays over the width of the
+    last interval, so that h stays bounded. The derivative is continuous everywhere.
 
     Attributes
     ----------
     pressures : ndarray, shape (n,)
         Increasing, Pa.
     rises : ndarray, shape (k,)
-        Temperatures above the initial ambient, increasing, K; one entry if h knows none.
+        Temperatures above the initial ambient, increasing, K; one entry if h does not depend on it.
     values : ndarray, shape (k, n)
         h, W/(m2 K), positive.
 
     Raises
     ------
     InputError
-        Pressures or temperatures that do not rise, or values that are not positive or fall with
-        the pressure.
+        Pressures or temperatures do not increase, or values are not positive or decrease with the
+        pressure.
     """
 
     pressures: Array
@@ -91,7 +91,7 @@ class ConductanceTable:
 
     @property
     def knows_temperature(self) -> bool:
-        """Whether it has more than one temperature."""
+        """Whether it depends on temperature."""
         return self.rises.size > 1
 
     def __call__(self, pressure: Array) -> Array:
@@ -118,7 +118,7 @@ class ConductanceTable:
         return np.asarray(np.exp((by_rise * self._shares(rise)).sum(axis=0)))
 
     def _shares(self, rise: Array) -> Array:
-        """What each temperature's row counts for, shape (k, m): they add up to one."""
+        """Weight of each temperature's row, shape (k, m); they sum to one."""
         unit = np.eye(self.rises.size)
         spline = CubicHermiteSpline(
             self.rises, unit, np.gradient(unit, self.rises, axis=0, edge_order=1)
@@ -136,9 +136,8 @@ class ConductanceTable:
 class GapConductance:
     """Heat transfer in parallel with the contact: gas in the gap, and radiation.
 
-    h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at which
-    the surfaces touch, and the opening from there on. The mean planes of a pressed joint are nearer
-    by what its law says.
+    h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at first
+    contact plus the opening. The mean planes of a pressed joint are nearer according to its law.
 
     Attributes
     ----------
@@ -149,11 +148,11 @@ class GapConductance:
     radiation : float
         h_r, W/(m2 K).
     touching : float
-        Distance of the mean planes where the surfaces touch, m.
+        Distance of the mean planes at first contact, m.
     opening : float or ndarray, shape (m,)
-        Opening from there at gap zero, m: negative in a preloaded joint.
+        Opening since first contact at gap zero, m: negative in a preloaded joint.
     follows : bool
-        Whether the mean planes of a pressed joint go on nearing each other.
+        Whether the mean planes of a pressed joint continue to approach each other.
     """
 
     conductivity: float

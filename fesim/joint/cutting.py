@@ -1,10 +1,10 @@
 """Subdivision of a step of the gap equations that has no continuous solution path.
 
 The thermal gap of a long step may pass over states that friction remembers: an element that would
-close, stick and open again sees only the ends. So the way from the last equilibrium is taken in
-pieces, each with the friction history of those before: Newton's method where it finds an
-equilibrium, `fesim.joint.relaxation` where a piece snaps. A piece that fails is halved, again and
-again.
+close, stick and open again sees only the end points. So the step from the last equilibrium is
+divided into pieces, each starting from the friction history of the previous ones: Newton's method
+where it finds an equilibrium, `fesim.joint.relaxation` where a piece snaps. A piece that fails is
+halved repeatedly.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def cut(
     gap: Array,
     tolerance: float = TOLERANCE,
 ) -> tuple[Equilibrium, int]:
-    """Return the equilibrium at the end of a step, and the pieces and viscous steps it took.
+    """Return the equilibrium at the end of a step, and its numbers of pieces and viscous steps.
 
     Parameters
     ----------

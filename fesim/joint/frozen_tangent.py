@@ -1,15 +1,15 @@
 """Frozen tangent of the gap equations, with exact low-rank corrections (Woodbury).
 
-A Newton step solves (I - dT F) y = what is lacking, with dT = T + k0 nonzero only in the pressures
-and in the shears of contact elements that slide (`fesim.joint.compiled_gap`). The inverse is made
-at an anchor and kept. Where a contact element has begun to stick, slide or open since, its three
-rows are corrected exactly (Woodbury's formula); what has merely drifted is left to the iteration.
+A Newton step solves (I - dT F) y = lack, with dT = T + k0 nonzero only in the pressures and in the
+shears of sliding contact elements (`fesim.joint.compiled_gap`). The inverse is computed at one
+state and kept: the frozen tangent. Where a contact element has since begun to stick, slide or open,
+its three rows are corrected exactly (Woodbury's formula); drift is left to the iteration.
 
-All that is kept follows from the anchor: a march that goes on from a saved one gives the same bits.
-Blocks of contact elements (`fesim.joint.blocks`) have an anchor each, one behind the other.
+Everything stored follows from the frozen tangent: a march resumed from a saved one gives the same
+bits. Each block of contact elements (`fesim.joint.blocks`) has its own.
 
-Start at `correct`, which says the formula. That an anchor, wherever it is, changes nothing of the
-equilibrium is a test of `tests/fesim/joint/test_modified_newton.py`.
+Start at `correct`, which states the formula. That the frozen tangent does not affect the
+equilibrium is tested in `tests/fesim/joint/test_modified_newton.py`.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import ALONG, lacking, lacking_rows, lacking_system
 from thermojoint.artefacts.arrays import Array
 
-#: A contact element whose tangent differs from that of the anchor by this part of its stiffness at
-#: rest is corrected exactly.
+#: A contact element is corrected exactly if its tangent differs from the frozen one by this
+#: fraction of its stiffness at rest.
 CHANGED = 0.05
-#: Contact elements corrected at once: a part of all of them, at least so few, at most so many.
+#: Contact elements corrected at once: a fraction of all, with a minimum and a maximum.
 SHARE, FEWEST, MOST = 8, 4, 32
 
-#: Places in `FrozenTangent.about`.
-MADE, ROWS, ANCHORED = 0, 1, 2
+#: Positions in `FrozenTangent.about`.
+MADE, ROWS, FROZEN = 0, 1, 2
 
 
 class FrozenTangent(NamedTuple):
-    """The tangent that was inverted, and what is kept of it; storage that is written in place.
+    """A frozen tangent, its inverse and its corrections; storage that is written in place.
 
     Attributes
     ----------
     tangent : ndarray, shape (6, m)
-        Of the law there: entries 00, 10, 20, 11, 12, 22.
+        Tangent of the law: entries 00, 10, 20, 11, 12, 22.
     about : ndarray of int, shape (3,)
-        Whether the inverse is made, how many rows it has, how often it was made.
+        Whether the inverse exists, its number of rows, how often it was computed.
     rows, place : ndarray of int, shape (3 m,)
-        Rows of the inverse, and where each row stands in it; -1 where it does not.
+        Rows of the inverse, and position of each row in it; -1 for none.
     inverse : ndarray, shape (9 m^2,)
         (I - dT F)^-1 on these rows, row after row.
     slot : ndarray of int, shape (m,)
-        Where the columns of a contact element are kept; -1 for nowhere.
+        Slot of the stored columns of a contact element; -1 for none.
     element : ndarray of int, shape (s,)
-        Whose columns a slot keeps; -1 for nobody's.
+        Contact element of a slot's columns; -1 for none.
     columns, moved : ndarray, shape (s, 3, 3 m)
-        Three columns of the inverse of each, and F times them.
+        Three columns of the inverse for each, and F times them.
     """
 
     tangent: Array
@@ -67,17 +67,17 @@ class FrozenTangent(NamedTuple):
 
 
 class FrozenTangents(NamedTuple):
-    """The anchors of b blocks.
+    """The frozen tangents of b blocks.
 
     Attributes
     ----------
     blocks : Blocks
-        They stay as they are.
+        Blocks of contact elements.
     every : FrozenTangent
-        The storage of all: its arrays are flat, one block behind the other; `about` is (b, 3).
+        Storage of all blocks: flat arrays, one block after another; `about` is (b, 3).
     begins : ndarray of int, shape (4, b + 1)
-        Where each block begins: in contact elements, in slots, in contact elements squared and in
-        slots times contact elements.
+        Start of each block: in contact elements, in slots, in contact elements squared and in slots
+        times contact elements.
     """
 
     blocks: Blocks
@@ -86,7 +86,7 @@ class FrozenTangents(NamedTuple):
 
 
 def frozen_tangents(blocks: Blocks) -> FrozenTangents:
-    """Return anchors of blocks of contact elements that are nowhere yet."""
+    """Return storage for the frozen tangents of blocks, without any yet."""
     counts = np.diff(blocks.starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
     every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
@@ -107,48 +107,48 @@ def frozen_tangents(blocks: Blocks) -> FrozenTangents:
 
 
 @compiled
-def block_tangent(anchors: FrozenTangents, block: int) -> FrozenTangent:
-    """The anchor of one block, in the storage of all."""
-    first, slot, square, kept = anchors.begins[:, block]
-    last, end, squared, next_kept = anchors.begins[:, block + 1]
+def block_tangent(tangents: FrozenTangents, block: int) -> FrozenTangent:
+    """The frozen tangent of one block, as views of the common storage."""
+    first, slot, square, kept = tangents.begins[:, block]
+    last, end, squared, next_kept = tangents.begins[:, block + 1]
     count, slots, own = last - first, end - slot, slice(9 * kept, 9 * next_kept)
     return FrozenTangent(
-        anchors.every.tangent[6 * first : 6 * last].reshape(6, count),
-        anchors.every.about[block],
-        anchors.every.rows[3 * first : 3 * last],
-        anchors.every.place[3 * first : 3 * last],
-        anchors.every.inverse[9 * square : 9 * squared],
-        anchors.every.slot[first:last],
-        anchors.every.element[slot:end],
-        anchors.every.columns[own].reshape(slots, 3, 3 * count),
-        anchors.every.moved[own].reshape(slots, 3, 3 * count),
+        tangents.every.tangent[6 * first : 6 * last].reshape(6, count),
+        tangents.every.about[block],
+        tangents.every.rows[3 * first : 3 * last],
+        tangents.every.place[3 * first : 3 * last],
+        tangents.every.inverse[9 * square : 9 * squared],
+        tangents.every.slot[first:last],
+        tangents.every.element[slot:end],
+        tangents.every.columns[own].reshape(slots, 3, 3 * count),
+        tangents.every.moved[own].reshape(slots, 3, 3 * count),
     )
 
 
 @compiled
-def put_tangents(anchors: FrozenTangents, into: Array) -> None:
-    """Put the tangents of the anchors that are made into `found` (6, m), zero for the others."""
-    elements = anchors.blocks.elements
-    for block in range(anchors.begins.shape[1] - 1):
-        first, last = anchors.begins[0, block], anchors.begins[0, block + 1]
-        at, made = 6 * first, anchors.every.about[block, MADE] == 1
+def put_tangents(tangents: FrozenTangents, into: Array) -> None:
+    """Put the existing frozen tangents into `into` (6, m), zero for the others."""
+    elements = tangents.blocks.elements
+    for block in range(tangents.begins.shape[1] - 1):
+        first, last = tangents.begins[0, block], tangents.begins[0, block + 1]
+        at, made = 6 * first, tangents.every.about[block, MADE] == 1
         for i in range(6):
             for k in range(first, last):
-                into[i, elements[k]] = anchors.every.tangent[at] if made else 0.0
+                into[i, elements[k]] = tangents.every.tangent[at] if made else 0.0
                 at += 1
 
 
 class Lacking(NamedTuple):
-    """What the law's tractions lack of those that the gaps were made with, in one iteration.
+    """Difference of the law's tractions from those used for the gaps, in one iteration.
 
     Attributes
     ----------
     tangent : ndarray, shape (6, m)
-        Of the law there.
+        Tangent of the law.
     lack : ndarray, shape (3 m,)
         Pa.
     least : float
-        What a contact element that sticks lacks is left alone up to this, a gap in m.
+        A sticking contact element is not corrected up to this, a gap in m.
     """
 
     tangent: Array
@@ -164,26 +164,26 @@ class Correction(NamedTuple):
 
 
 @compiled
-def freeze_tangent(anchor: FrozenTangent, block: Block) -> None:
-    """Invert the tangent that stands in an anchor."""
-    size = lacking_rows(block.springs, anchor.tangent, anchor.rows)
-    anchor.place[:] = -1
+def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
+    """Invert a frozen tangent."""
+    size = lacking_rows(block.springs, frozen.tangent, frozen.rows)
+    frozen.place[:] = -1
     for k in range(size):
-        anchor.place[anchor.rows[k]] = k
+        frozen.place[frozen.rows[k]] = k
     matrix = np.empty((size, size))
-    lacking_system(block.springs, block.compliance, anchor.tangent, anchor.rows, matrix)
-    anchor.inverse[: size * size] = np.linalg.inv(matrix).ravel()
-    anchor.slot[:] = -1
-    anchor.element[:] = -1
-    anchor.about[MADE], anchor.about[ROWS] = 1, size
-    anchor.about[ANCHORED] += 1
+    lacking_system(block.springs, block.compliance, frozen.tangent, frozen.rows, matrix)
+    frozen.inverse[: size * size] = np.linalg.inv(matrix).ravel()
+    frozen.slot[:] = -1
+    frozen.element[:] = -1
+    frozen.about[MADE], frozen.about[ROWS] = 1, size
+    frozen.about[FROZEN] += 1
 
 
 @compiled
 def add_product(columns: Array, factors: Array, total: Array) -> None:
     """Add the sum of the rows of `columns`, each by its factor, to `total`; factors may be zero.
 
-    Four rows at a time: what they add to is read and written once for them.
+    Four rows at a time: the total is read and written once for them.
     """
     size, count, rows = total.size, 0, np.empty(4, dtype=np.int64)
     for j in range(factors.size):
@@ -204,34 +204,33 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
 
 
 @compiled
-def _solve_frozen(anchor: FrozenTangent, right_side: Array, solution: Array) -> None:
-    """The rows of the inverse times `right_side`, and zero elsewhere, into `found` (3 m,)."""
-    size = anchor.about[ROWS]
+def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> None:
+    """The rows of the inverse times `right_side`, and zero elsewhere, into `solution` (3 m,)."""
+    size = frozen.about[ROWS]
     own = np.empty(size)
     for k in range(size):
-        own[k] = right_side[anchor.rows[k]]
-    solved = np.dot(anchor.inverse[: size * size].reshape(size, size), own)
+        own[k] = right_side[frozen.rows[k]]
+    solved = np.dot(frozen.inverse[: size * size].reshape(size, size), own)
     solution[:] = 0.0
     for k in range(size):
-        solution[anchor.rows[k]] = solved[k]
+        solution[frozen.rows[k]] = solved[k]
 
 
 @compiled
 def _changed(
-    anchor: FrozenTangent, springs: Array, now: Lacking, changed: NDArray[np.int64]
+    frozen: FrozenTangent, springs: Array, now: Lacking, changed: NDArray[np.int64]
 ) -> int:
-    """Put the contact elements to be corrected into `found`; return how many, or -1: too many."""
+    """Put the contact elements to be corrected into `changed`; return how many, or -1: too many."""
     tangent, lack, least = now.tangent, now.lack, now.least
     count, number = tangent.shape[1], 0
     for e in range(count):
         first, second = count + e, 2 * count + e
-        # A row outside the inverse lacks something only while its element goes from sliding on.
-        # One that has slipped before has its rounding in every iteration, too.
+        # A row outside the inverse can only lack something while its element keeps sliding.
         lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
-        differs = anchor.place[first] < 0 and lacks
+        differs = frozen.place[first] < 0 and lacks
         for k in range(6):
             scale = CHANGED * (springs[e] if k < ALONG else springs[first])
-            differs = differs or abs(tangent[k, e] - anchor.tangent[k, e]) > scale
+            differs = differs or abs(tangent[k, e] - frozen.tangent[k, e]) > scale
         if differs:
             if number == changed.size:
                 return -1
@@ -242,74 +241,74 @@ def _changed(
 
 @compiled
 def _keep_columns(
-    anchor: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
+    frozen: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
 ) -> None:
     """See to it that each of the contact elements has its columns of the inverse in a slot."""
     springs, columns = block.springs, block.columns
-    count = anchor.slot.size
+    count = frozen.slot.size
     needed = np.zeros(count, dtype=np.bool_)
     for k in range(number):
         needed[changed[k]] = True
     own, free = np.empty(3 * count), 0
     for k in range(number):
         e = changed[k]
-        if anchor.slot[e] >= 0:
+        if frozen.slot[e] >= 0:
             continue
-        while anchor.element[free] >= 0 and needed[anchor.element[free]]:
+        while frozen.element[free] >= 0 and needed[frozen.element[free]]:
             free += 1
-        if anchor.element[free] >= 0:
-            anchor.slot[anchor.element[free]] = -1
-        anchor.slot[e], anchor.element[free] = free, e
+        if frozen.element[free] >= 0:
+            frozen.slot[frozen.element[free]] = -1
+        frozen.slot[e], frozen.element[free] = free, e
         for i in range(3):
             row = i * count + e
-            kept, moved = anchor.columns[free, i], anchor.moved[free, i]
-            at = anchor.place[row]
+            kept, moved = frozen.columns[free, i], frozen.moved[free, i]
+            at = frozen.place[row]
             if at >= 0:
                 kept[:] = 0.0
-                size = anchor.about[ROWS]
+                size = frozen.about[ROWS]
                 for j in range(size):
-                    kept[anchor.rows[j]] = anchor.inverse[j * size + at]
+                    kept[frozen.rows[j]] = frozen.inverse[j * size + at]
             else:
-                for j in range(anchor.about[ROWS]):
-                    other = anchor.rows[j]
-                    normal, along, across = lacking(springs, anchor.tangent, other)
+                for j in range(frozen.about[ROWS]):
+                    other = frozen.rows[j]
+                    normal, along, across = lacking(springs, frozen.tangent, other)
                     f = other % count
                     own[other] = (
                         normal * columns[row, f]
                         + along * columns[row, count + f]
                         + across * columns[row, 2 * count + f]
                     )
-                _solve_frozen(anchor, own, kept)
+                _solve_frozen(frozen, own, kept)
                 kept[row] = 1.0
             moved[:] = 0.0
             add_product(columns, kept, moved)
 
 
 @compiled
-def correct(anchor: FrozenTangent, block: Block, now: Lacking, correction: Correction) -> bool:
+def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Correction) -> bool:
     """Newton's step for what is lacking; False: too much changed.
 
-    With E = dT - dT_anchor of the changed contact elements (rows P) and A the system at the anchor:
+    With E = dT - dT_frozen of the changed contact elements (rows P) and A the frozen system:
     (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
     """
     springs, tangent, lack = block.springs, now.tangent, now.lack
     step, shift = correction.step, correction.shift
     count = tangent.shape[1]
-    changed = np.empty(anchor.element.size, dtype=np.int64)
-    number = _changed(anchor, springs, now, changed)
+    changed = np.empty(frozen.element.size, dtype=np.int64)
+    number = _changed(frozen, springs, now, changed)
     if number < 0:
         return False
-    _keep_columns(anchor, block, changed, number)
-    _solve_frozen(anchor, lack, step)
+    _keep_columns(frozen, block, changed, number)
+    _solve_frozen(frozen, lack, step)
     shift[:] = 0.0
     add_product(block.columns, step, shift)
     factors, width = np.zeros(3 * number), 3 * number
     for k in range(number):
         for i in range(1, 3):
             row = i * count + changed[k]
-            if anchor.place[row] < 0:
+            if frozen.place[row] < 0:
                 factors[3 * k + i] = lack[row]
-    _combine(anchor, changed, factors, correction)
+    _combine(frozen, changed, factors, correction)
     if number == 0:
         return True
     system = np.empty((width, width))
@@ -317,31 +316,31 @@ def correct(anchor: FrozenTangent, block: Block, now: Lacking, correction: Corre
         e = changed[k]
         for i in range(3):
             row = i * count + e
-            here, then = lacking(springs, tangent, row), lacking(springs, anchor.tangent, row)
+            here, then = lacking(springs, tangent, row), lacking(springs, frozen.tangent, row)
             first, second, third = here[0] - then[0], here[1] - then[1], here[2] - then[2]
             factors[3 * k + i] = (
                 first * shift[e] + second * shift[count + e] + third * shift[2 * count + e]
             )
             for other in range(number):
                 for j in range(3):
-                    moved = anchor.moved[anchor.slot[changed[other]], j]
+                    moved = frozen.moved[frozen.slot[changed[other]], j]
                     system[3 * k + i, 3 * other + j] = -(
                         first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
                     )
             system[3 * k + i, 3 * k + i] += 1.0
     factors[:] = np.linalg.solve(system, factors)
-    _combine(anchor, changed, factors, correction)
+    _combine(frozen, changed, factors, correction)
     return True
 
 
 @compiled
 def _combine(
-    anchor: FrozenTangent, changed: NDArray[np.int64], factors: Array, correction: Correction
+    frozen: FrozenTangent, changed: NDArray[np.int64], factors: Array, correction: Correction
 ) -> None:
     """Add the kept columns, each by its factor, to the step, and F times them to the shift."""
     step, shift = correction.step, correction.shift
     for k in range(factors.size):
         if factors[k] != 0.0:
-            at = anchor.slot[changed[k // 3]]
-            step += factors[k] * anchor.columns[at, k % 3]
-            shift += factors[k] * anchor.moved[at, k % 3]
+            at = frozen.slot[changed[k // 3]]
+            step += factors[k] * frozen.columns[at, k % 3]
+            shift += factors[k] * frozen.moved[at, k % 3]

@@ -129,7 +129,7 @@ def solve_gap(
     tolerance: float = TOLERANCE,
     iterations: int = MAX_ITERATIONS,
 ) -> Equilibrium:
-    """Find the gaps in equilibrium with a thermal gap.
+    """Find the equilibrium gaps for a thermal gap.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ def solve_gap(
     tolerance : float
         Largest residual accepted, m.
     iterations : int
-        Most of them.
+        Largest number of iterations.
 
     Raises
     ------
     ConvergenceError
-        The residual stays above `tolerance`: `fesim.joint.relaxation.relax` goes further.
+        The residual stays above `tolerance`; `fesim.joint.relaxation.relax` may still succeed.
     """
     gap = guess
     traction = problem.law(gap, slip)
@@ -157,7 +157,7 @@ def solve_gap(
     full_steps = MAX_FULL_STEPS
     for iteration in range(iterations):
         size = float(np.abs(residual).max())
-        # The residual is a difference of gaps: where these are coarser, zero is only rounding.
+        # The residual is a difference of gaps: below their rounding, it cannot be smaller.
         if size <= tolerance and np.spacing(np.abs(gap).max()) <= tolerance:
             return Equilibrium(gap, traction, size, iteration)
         step = _newton_step(problem, traction, residual).reshape(gap.shape)
@@ -184,7 +184,7 @@ def solve_gap(
 
 
 def stalled(residual: float) -> ConvergenceError:
-    """Return the error of a line search that finds no descent any more."""
+    """Return the error of a line search without descent."""
     return ConvergenceError(
         f"gap equations: Newton's method stalled at a residual of {residual:.1e} m: perhaps no "
         "equilibrium is near"
@@ -207,7 +207,7 @@ def singular() -> ConvergenceError:
 
 
 def loose(sign: str) -> ConvergenceError:
-    """Return the error of a body that nothing holds, with what it is known by."""
+    """Return the error of an unconstrained body, with the details known."""
     return ConvergenceError(
         f"gap equations: {sign}: a body that the joint holds has come loose; support the body or "
         "raise preload_MPa"

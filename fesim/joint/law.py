@@ -59,7 +59,7 @@ class SurfaceNormalLaw:
 
     @property
     def limit(self) -> float:
-        """H/2, Pa: there the mean planes meet, and no asperities are left to carry more."""
+        """H/2, Pa: there the mean planes meet, and no asperities are left."""
         return 0.5 * self.hardness
 
     @property
@@ -120,7 +120,7 @@ class Friction:
     Attributes
     ----------
     coefficient : float
-        mu; zero is frictionless. An open joint slides however large it is.
+        mu; zero is frictionless. An open joint always slides.
     stiffness : float
         k_t: tangential stiffness while it sticks, Pa/m.
     """
@@ -131,7 +131,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class JointLaw:
-    """Everything that happens at a contact element.
+    """Properties of the joint at a contact element.
 
     Attributes
     ----------
@@ -142,10 +142,11 @@ class JointLaw:
     conductance : callable
         Pressure (Pa) to contact conductance, W/(m2 K).
     reference : NormalLaw, optional
-        Law whose state at opening zero is what springs, tangential stiffness and relative errors go
-        by; default `normal`. A joint without preload has no stiffness of its own there.
+        Law whose state at opening zero defines springs, tangential stiffness and relative errors;
+        default `normal`. A joint without preload has no stiffness there.
     gap : callable, optional
-        Opening from the start (m) to what the gap conducts beside the contact, W/(m2 K).
+        Opening from the start (m) to the conductance of the gap in parallel with the contact, W/(m2
+        K).
 
     Raises
     ------
@@ -160,9 +161,9 @@ class JointLaw:
     gap: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
-        """Check what a normal law promises."""
+        """Check the assumptions on the normal law."""
         at_rest = float(self.normal.pressure(np.zeros(1))[0])
-        # Without preload the pressure of rough surfaces at rest is next to none, not zero.
+        # Without preload the pressure of rough surfaces at rest is almost zero, but not exactly.
         if self.preload > 0.0 and abs(at_rest - self.preload) > 1e-9 * self.preload:
             raise InputError(
                 f"joint law: the pressure at opening zero is {at_rest:g} Pa, the preload "
@@ -176,12 +177,12 @@ class JointLaw:
 
     @property
     def reference_pressure(self) -> float:
-        """Preload, or the pressure that stands for it where there is none, Pa."""
+        """Preload, or the reference pressure where there is none, Pa."""
         return (self.reference or self.normal).preload
 
     @property
     def pressure_limit(self) -> float:
-        """Pressure beyond which the normal law means nothing, Pa."""
+        """Pressure beyond which the normal law is invalid, Pa."""
         normal = self.reference or self.normal
         return normal.limit if isinstance(normal, SurfaceNormalLaw) else math.inf
 
@@ -193,7 +194,7 @@ class JointLaw:
 
     @property
     def conducts_by_pressure(self) -> bool:
-        """Whether the pressure alone decides what the joint conducts."""
+        """Whether the conductance depends on the pressure alone."""
         return self.gap is None and not self._knows_temperature
 
     @property
@@ -223,7 +224,7 @@ def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:
     Parameters
     ----------
     laws : sequence of (JointLaw, int)
-        The law of each joint and how many contact elements it has.
+        The law of each joint and its number of contact elements.
     """
     parts = [np.tile(np.reshape(law.stiffness, (3, 1)), count) for law, count in laws]
     return np.concatenate([np.empty((3, 0)), *parts], axis=1).ravel()
@@ -267,11 +268,11 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     tangent = np.zeros((3, 3, gap.shape[1]))
     tangent[0, 0] = slope
     bound = limit * pressure
-    # A joint without pressure or friction slides even where it has not moved yet.
+    # A joint without pressure or friction slides even before it has moved.
     sliding = (size > bound) | (bound == 0.0)
     direction = np.divide(trial, size, out=np.zeros_like(trial), where=size > 0.0)
     shear = np.where(sliding, bound * direction, trial)
-    # Sticking: -k_t I. Sliding: the traction turns with the slip but grows only with pressure.
+    # Sticking: -k_t I. Sliding: the traction turns with the slip and grows only with pressure.
     ratio = np.divide(bound, size, out=np.zeros_like(size), where=sliding & (size > 0.0))
     for i in range(2):
         for j in range(2):

@@ -1,12 +1,12 @@
 """Detection of bodies that come loose when contact elements open or slide.
 
-What a contact element still holds is read from the law's tangent: along its normal while it is
+The constraints by a contact element are read from the law's tangent: along its normal while it is
 pressed, along its tangents while it sticks, across its slip while it slides. A body that slides as
-a whole has no stiffness along its slip, so that no equilibrium says where it is.
+a whole has no stiffness along its slip, so that its equilibrium position is undetermined.
 
-The check costs next to nothing in a step: three contact elements that stick and do not lie in a
-line hold all that a joint can hold. Where a joint has less, one small factorisation decides; where
-that leaves a doubt, `Constraints.unheld`.
+The check costs next to nothing per step: three sticking contact elements that are not on a line
+constrain everything that a joint can. Where a joint has fewer, a small factorisation decides; if
+that is inconclusive, `Constraints.unheld`.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from fesim.solid.rigid_motions import Constraints, described
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: A contact element under this share of its preload holds nothing; nor does it along a tangent with
-#: this share of its stiffness.
+#: A contact element below this fraction of its preload constrains nothing, nor does it along a
+#: tangent with this fraction of its stiffness.
 NOTHING = 1e-6
-#: A pivot of the factorisation above this, relative to the largest entry, is not rounding.
+#: A factorisation pivot above this, relative to the largest entry, is not rounding.
 SURE = 1e-7
-#: An equilibrium that cannot be followed further is judged by what holds with this to spare.
+#: An equilibrium that cannot be followed further is judged with this margin.
 SPARE = 1e-2
 
 #: Columns of the table of contact elements.
@@ -56,25 +56,25 @@ class Watch:
 
     Attributes
     ----------
-    holds : Constraints
-        What can hold the bodies.
+    constraints : Constraints
+        Possible constraints of the bodies.
     table : ndarray, shape (m, 6)
-        Least pressure that holds (Pa), tangential stiffness while sticking (Pa/m; 0 without
+        Smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0 without
         friction), group of elements between the same bodies, centre (m).
     needed : ndarray of int, shape (groups,)
-        How many sticking elements of a group, each further from the others' line than rounding,
-        hold as much as all of it: 1 to 3.
+        Number of sticking elements of a group, clearly off each other's line, that constrain as
+        much as the whole group: 1 to 3.
     rows : ndarray, shape (m, 3, 6 p)
-        Displacement of each contact element along normal and tangents by unit motions.
+        Displacement of each contact element along normal and tangents under unit motions.
     supports : ndarray, shape (6 p, 6 p)
-        Gram matrix of what the supports hold.
+        Gram matrix of the constraints by the supports.
     friction : ndarray, shape (m,)
         mu.
     preload : ndarray, shape (m,)
         Pa.
     """
 
-    holds: Constraints
+    constraints: Constraints
     table: Array
     needed: NDArray[np.int64]
     rows: Array
@@ -84,7 +84,7 @@ class Watch:
 
     @property
     def watched(self) -> Watched:
-        """The part of it that machine code knows."""
+        """Data for compiled code."""
         return Watched(
             self.table,
             np.asarray(self.needed, dtype=np.int64),
@@ -108,7 +108,7 @@ class Watch:
             return
         motions = self._unheld(pressure > self.table[:, _LEAST], tangent)
         if motions.shape[1]:
-            raise _loose(self.holds, motions)
+            raise _loose(self.constraints, motions)
 
     def explain(self, traction: Traction) -> None:
         """Raise ConvergenceError if a body is about to come loose in a state.
@@ -116,7 +116,7 @@ class Watch:
         Parameters
         ----------
         traction : Traction
-            The law in the last state that could be reached.
+            The law in the last state reached.
         """
         pressure = traction.value[0] + self.preload
         size = np.hypot(*traction.value[1:])
@@ -127,10 +127,10 @@ class Watch:
         tangent[1:, 1:] = np.where(slides, -self.table[:, _STIFFNESS] * across, tangent[1:, 1:])
         motions = self._unheld(pressure > SPARE / NOTHING * self.table[:, _LEAST], tangent)
         if motions.shape[1]:
-            raise _loose(self.holds, motions)
+            raise _loose(self.constraints, motions)
 
     def _unheld(self, pressed: NDArray[np.bool_], tangent: Array) -> Array:
-        normals, *tangents = self.holds.directions
+        normals, *tangents = self.constraints.directions
         stiffness = self.table[:, _STIFFNESS]
         shear = -np.moveaxis(tangent[1:, 1:], -1, 0)
         sizes, axes = np.linalg.eigh(0.5 * (shear + shear.transpose(0, 2, 1)))
@@ -138,28 +138,34 @@ class Watch:
         element, which = np.nonzero(held)
         along = np.einsum("ki,ikx->kx", axes[element, :, which], np.array(tangents)[:, element])
         own = np.flatnonzero(pressed)
-        return self.holds.unheld(np.concatenate([own, element]), np.vstack([normals[own], along]))
+        return self.constraints.unheld(
+            np.concatenate([own, element]), np.vstack([normals[own], along])
+        )
 
 
-def watch_of(holds: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
+def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
     """Prepare the check for the joints' laws and their numbers of contact elements."""
-    count = len(holds.centre)
+    count = len(constraints.centre)
     per_law = [(NOTHING * law.reference_pressure, _rough_stiffness(law)) for law, _ in laws]
     counts = [n for _, n in laws]
-    sides, group = np.unique(np.round(holds.share, 9), axis=0, return_inverse=True)
+    sides, group = np.unique(np.round(constraints.share, 9), axis=0, return_inverse=True)
     group = group.ravel()
     table = np.empty((count, 6))
     table[:, :_GROUP] = np.repeat(np.array(per_law).reshape(-1, 2), counts, axis=0)
     table[:, _GROUP] = group
-    table[:, _PLACE:] = holds.centre
-    rows = np.stack([holds.frame.rows(holds.centre, d) for d in holds.directions], axis=1)
-    width = holds.supports.shape[1]
+    table[:, _PLACE:] = constraints.centre
+    rows = np.stack(
+        [constraints.frame.rows(constraints.centre, d) for d in constraints.directions], axis=1
+    )
+    width = constraints.supports.shape[1]
     return Watch(
-        holds=holds,
+        constraints=constraints,
         table=table,
-        needed=np.array([_needed(holds.centre[group == k]) for k in range(len(sides))], dtype=int),
-        rows=np.einsum("mp,mdi->mdpi", holds.share, rows).reshape(count, 3, width),
-        supports=holds.supports.T @ holds.supports,
+        needed=np.array(
+            [_needed(constraints.centre[group == k]) for k in range(len(sides))], dtype=int
+        ),
+        rows=np.einsum("mp,mdi->mdpi", constraints.share, rows).reshape(count, 3, width),
+        supports=constraints.supports.T @ constraints.supports,
         friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
         preload=np.repeat([law.preload for law, _ in laws], counts),
     )
@@ -175,17 +181,17 @@ def _needed(centres: Array) -> int:
     return 1 + min(2, int(np.count_nonzero(sizes > 1e-6 * np.abs(centres).max())))
 
 
-def _loose(holds: Constraints, motions: Array) -> ConvergenceError:
+def _loose(constraints: Constraints, motions: Array) -> ConvergenceError:
     return ConvergenceError(
         f"a body has come loose: joints that are open or slide no longer keep "
-        f"{described(holds, motions)}; hold it in [supports], or raise preload_MPa, "
+        f"{described(constraints, motions)}; hold it in [supports], or raise preload_MPa, "
         "friction_coefficient or the number of contact elements"
     )
 
 
 @compiled
 def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[np.int64]) -> bool:
-    """Whether every group of contact elements surely holds all that it holds at rest."""
+    """Whether every group of contact elements certainly constrains all that it does at rest."""
     count, groups = table.shape[0], needed.size
     corner_count = np.zeros(groups, dtype=np.int64)
     whole = np.ones(groups, dtype=np.bool_)
@@ -224,7 +230,7 @@ def _off_line(table: Array, a: int, b: int, c: int) -> bool:
 def _surely_held(
     pressure: Array, tangent: Array, table: Array, rows: Array, supports: Array
 ) -> bool:
-    """Whether Cholesky's pivots of the stiffness left to the rigid motions are all clear of zero.
+    """Whether all Cholesky pivots of the stiffness against rigid motions are clearly positive.
 
     Each contact element has unit stiffness along its normal and while it sticks.
     """
@@ -265,7 +271,7 @@ def _surely_held(
 
 @compiled
 def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
-    """Whether nothing is watched, or a converged state surely leaves no body loose.
+    """Whether nothing is watched, or a converged state certainly leaves no body loose.
 
     Parameters
     ----------

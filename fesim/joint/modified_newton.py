@@ -1,14 +1,14 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
-Unknown: the tractions w = z(g) + k0 g that the springs lack, with g = J0^-1 g_T + F w. A Newton
-step solves (I - dT F) y = z(g) + k0 g - w by the inverse of an anchor
-(`fesim.joint.frozen_tangent`), which is moved where the iteration converges badly. With several
-blocks of contact elements a sweep over them, each by its own anchor with what those before it have
-moved (Gauss and Seidel), stands for it.
+Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. A Newton
+step solves (I - dT F) y = z(g) + k0 g - w by the inverse of a frozen tangent
+(`fesim.joint.frozen_tangent`), which is updated where the iteration converges badly. With several
+blocks of contact elements it is replaced by a Gauss-Seidel sweep over the blocks, each with its own
+frozen tangent.
 
 Start at `settle_near`; read `fesim.joint.gap` first, which solves the same equations plainly.
-`tests/fesim/joint/test_modified_newton.py` holds the equilibria of random joints to those of
-`solve_gap`, `tests/fesim/march/test_reduced_march.py` the march to that of `plainly_staggered`.
+`tests/fesim/joint/test_modified_newton.py` compares the equilibria of random joints with those of
+`solve_gap`, `tests/fesim/march/test_reduced_march.py` the march with that of `plainly_staggered`.
 """
 
 from __future__ import annotations
@@ -33,38 +33,38 @@ from fesim.joint.frozen_tangent import (
 )
 from thermojoint.artefacts.arrays import Array
 
-#: Iterations of a step, and how often anchors are moved in it, at most.
-MAX_ITERATIONS, MAX_ANCHORS = 40, 4
-#: An iteration that leaves more than this of what was lacking moves the anchor.
+#: Most iterations of a step, and most updates of the tangent in it.
+MAX_ITERATIONS, MOST_MOVES = 40, 4
+#: An iteration that leaves more than this fraction of the residual updates the tangent.
 SLOW = 0.3
-#: After a step of more iterations than this the anchor is moved in the next.
+#: After a step with more iterations than this the tangent is updated in the next one.
 PATIENCE = 8
-#: What is left to correct when a state is accepted, of the tolerance: the last iterations of
-#: Newton's own method leave as little, and friction remembers what is left.
+#: Residual of an accepted state, relative to the tolerance: the last iterations of Newton's own
+#: method leave as little, and friction remembers it.
 LEFT = 0.01
 
-#: What became of a correction: too much has changed for it; the anchor served; it was moved.
+#: Outcome of a correction: too much has changed; the frozen tangent was sufficient; it was updated.
 _FAILED, _CORRECTED, _MOVED = range(3)
 
 
 @compiled
 def _correct_or_move(
-    anchor: FrozenTangent,
+    frozen: FrozenTangent,
     block: Block,
     now: Lacking,
     stale: bool,
     may_move: bool,
     correction: Correction,
 ) -> int:
-    """`correct`, by an anchor that is moved before if it is stale, or if too much changed."""
-    move = stale or anchor.about[MADE] == 0
+    """`correct`, after updating the tangent if it is stale or too much has changed."""
+    move = stale or frozen.about[MADE] == 0
     while True:
         if move:
             if not may_move:
                 return _FAILED
-            anchor.tangent[:] = now.tangent
-            freeze_tangent(anchor, block)
-        if correct(anchor, block, now, correction):
+            frozen.tangent[:] = now.tangent
+            freeze_tangent(frozen, block)
+        if correct(frozen, block, now, correction):
             return _MOVED if move else _CORRECTED
         if move:
             return _FAILED
@@ -73,7 +73,7 @@ def _correct_or_move(
 
 @compiled
 def _sweep(
-    anchors: FrozenTangents,
+    tangents: FrozenTangents,
     columns: Array,
     now: Lacking,
     most: float,
@@ -82,15 +82,15 @@ def _sweep(
 ) -> int:
     """One sweep over the blocks.
 
-    The anchor of a block is moved whose own lack is above `most`, a gap in m.
+    Blocks whose residual is above `most`, a gap in m, update their tangent.
     """
     tangent, lack = now.tangent, now.lack
     step, shift = correction.step, correction.shift
     count, outcome = tangent.shape[1], _CORRECTED
     step[:] = 0.0
     shift[:] = 0.0
-    for k in range(anchors.blocks.starts.size - 1):
-        block = part_of(anchors.blocks, k)
+    for k in range(tangents.blocks.starts.size - 1):
+        block = part_of(tangents.blocks, k)
         elements, springs, size = block.elements, block.springs, block.elements.size
         own_now = Lacking(np.empty((6, size)), np.empty(3 * size), now.least)
         own, stale = Correction(np.empty(3 * size), np.empty(3 * size)), False
@@ -109,7 +109,7 @@ def _sweep(
                     + across * shift[2 * count + e]
                 )
         outcome_of = _correct_or_move(
-            block_tangent(anchors, k), block, own_now, stale, may_move, own
+            block_tangent(tangents, k), block, own_now, stale, may_move, own
         )
         if outcome_of == _FAILED:
             return _FAILED
@@ -143,15 +143,15 @@ def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
 def settle_near(
     kernel: GapKernel,
     columns: Array,
-    anchors: FrozenTangents,
+    tangents: FrozenTangents,
     free_gap: Array,
     slip: Array,
     trial: Trial,
 ) -> tuple[bool, float, int]:
     """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
 
-    Arguments as in `fesim.joint.compiled_gap.solve_in_place`; `columns` is F transposed. What is
-    accepted has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
+    Arguments as in `fesim.joint.compiled_gap.solve_in_place`; `columns` is F transposed. An
+    accepted state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     unknowns, flat = springs.size, gap.reshape(-1)
@@ -164,8 +164,8 @@ def settle_near(
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     now = Lacking(trial.tangent, lack, least)
-    single, first = anchors.blocks.starts.size == 2, block_tangent(anchors, 0)
-    whole = part_of(anchors.blocks, 0)
+    single, first = tangents.blocks.starts.size == 2, block_tangent(tangents, 0)
+    whole = part_of(tangents.blocks, 0)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)
         size = _lack(springs, trial, force, lack)
@@ -178,14 +178,14 @@ def settle_near(
             residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
                 if iteration > PATIENCE:
-                    anchors.every.about[:, MADE] = 0
+                    tangents.every.about[:, MADE] = 0
                 return True, residual, iteration
-        may_move = moves < MAX_ANCHORS
+        may_move = moves < MOST_MOVES
         if single:
             stale = size > SLOW * before
             outcome = _correct_or_move(first, whole, now, stale, may_move, correction)
         else:
-            outcome = _sweep(anchors, columns, now, SLOW * before, may_move, correction)
+            outcome = _sweep(tangents, columns, now, SLOW * before, may_move, correction)
         if outcome == _FAILED:
             return False, size, iteration
         moves += outcome == _MOVED

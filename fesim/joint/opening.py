@@ -1,8 +1,8 @@
 """Normal laws of joints without preload, with openings counted from first contact.
 
-Rough surfaces have no first touch in the surface model: its pressure fades without end. They touch
-here at `TOUCHING` of the hardness, 4.75 roughnesses apart; from there on a pressure of less than
-that is left, and soon none. A law with an approach touches where the approach is zero.
+The surface model has no first contact: its pressure decays without end. Here rough surfaces are in
+contact from `TOUCHING` of the hardness, 4.75 roughnesses apart; beyond, the pressure is smaller and
+soon zero. A law with an approach has its first contact at zero approach.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.special import erfcinv
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
 from thermojoint.artefacts.arrays import Array
 
-#: p/H at which two rough surfaces touch.
+#: p/H at the first contact of two rough surfaces.
 TOUCHING = 1e-6
 
 
@@ -26,9 +26,9 @@ class OpenLaw:
     Attributes
     ----------
     law : SurfaceNormalLaw or BackBurdekinLaw
-        Its preload is the reference pressure: there springs and tangential stiffness are taken.
+        Its preload is the reference pressure, which defines springs and tangential stiffness.
     opening : ndarray, shape (m,)
-        Of each contact element at the start, from where the surfaces touch, m.
+        Initial opening of each contact element since first contact, m.
     """
 
     law: SurfaceNormalLaw | BackBurdekinLaw
@@ -41,7 +41,7 @@ class OpenLaw:
 
     @property
     def shift(self) -> Array:
-        """Opening at the start from where `law` has its reference pressure, m, shape (m,)."""
+        """Initial opening from the state where `law` has its reference pressure, m, shape (m,)."""
         return np.asarray(self.opening + touching_opening(self.law), dtype=np.float64)
 
     def pressure(self, opening: Array) -> Array:
@@ -54,12 +54,12 @@ class OpenLaw:
 
 
 def touching_distance(roughness: float) -> float:
-    """Return the distance of the mean planes of two rough surfaces that touch, m."""
+    """Return the distance of the mean planes of two rough surfaces at first contact, m."""
     return float(np.sqrt(2.0) * roughness * erfcinv(2.0 * TOUCHING))
 
 
 def touching_opening(law: SurfaceNormalLaw | BackBurdekinLaw) -> float:
-    """Return the opening, from the state at its preload, at which the surfaces touch, m."""
+    """Return the opening, from the state at its preload, at first contact, m."""
     if isinstance(law, SurfaceNormalLaw):
         return touching_distance(law.roughness) - law.separation
     return float(law.coefficient * law.preload**law.exponent)

@@ -1,15 +1,15 @@
 """Snap-through to another equilibrium by viscous relaxation of the gap equations.
 
 Friction can end a branch of equilibria: a contact element begins to slide, its neighbours cannot
-take what it lets go, and no equilibrium is near any more. Newton's method then has nowhere to go,
-however short the step. A real joint snaps, to an equilibrium tens of micrometres away. Dampers of
-c k0 (Pa s/m) across the joint make a way there. An implicit Euler step of it solves
+carry the released load, and no equilibrium is near any more. Newton's method then fails, however
+short the step. A real joint snaps to an equilibrium tens of micrometres away. Dampers of c k0 (Pa
+s/m) across the joint provide a path there. Its implicit Euler step solves
 
     r(g) + d F k0 (g - g_before) = 0,    d = c / (length of the step),
 
-which is the gap problem with a damped law. With d large it has one solution, near by. Steps grow as
+which is the gap problem with a damped law. For large d it has one solution, near by. Steps grow as
 long as they are easy, until no damper is needed (pseudo-transient continuation, Kelley & Keyes
-1998): what is returned solves the equations without dampers, to the same tolerance.
+1998): the result solves the equations without dampers, to the same tolerance.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from fesim.joint.law import Traction
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Viscous steps at most, those that failed included.
+#: Most viscous steps, including failed ones.
 MAX_STEPS = 500
-#: Newton iterations of a viscous step: one that needs more is too long.
+#: Most Newton iterations of a viscous step; one that needs more is too long.
 MAX_ITERATIONS = 12
-#: A viscous step is solved to this part of the residual that it starts with.
+#: Tolerance of a viscous step, relative to its initial residual.
 ROUGHLY = 1e-2
-#: What d is multiplied by after a step that was solved, and after one that was not.
+#: Factors on d after a successful step, and after a failed one.
 LONGER, SHORTER = 0.25, 8.0
-#: From this d down Newton's method is tried without dampers.
+#: Below this d, Newton's method is tried without dampers.
 WEAK = 0.02
-#: Weaker dampers change nothing, stiffer ones let nothing move: what is left then is rounding.
+#: Weaker dampers have no effect, stiffer ones prevent any motion: only rounding is left.
 WEAKEST, STIFFEST = 1e-12, 1e12
-#: A gap that nothing holds any more, m.
+#: Gap of an unconstrained body, m.
 ADRIFT = 1.0
 
 
@@ -47,7 +47,7 @@ def relax(
     gap: Array,
     tolerance: float = TOLERANCE,
 ) -> tuple[Equilibrium, int]:
-    """Return the equilibrium to which an overdamped joint comes, and the viscous steps it took.
+    """Return the equilibrium reached by an overdamped joint, and its number of viscous steps.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ def relax(
     slip : ndarray, shape (2, m)
         Irreversible slip at the start of the step, m.
     gap : ndarray, shape (3, m)
-        Where the joint starts from, m.
+        Initial gaps of the joint, m.
     tolerance : float
         Largest residual accepted, m.
 
     Raises
     ------
     ConvergenceError
-        The joint comes to no rest.
+        The joint does not come to rest.
     """
     if not np.isfinite(thermal_gap).all():
         raise ConvergenceError(
@@ -104,7 +104,7 @@ def relax(
 def _damped(
     problem: GapProblem, damping: float, before: Array, gap: Array, slip: Array
 ) -> Traction:
-    """The joint's law with dampers beside it."""
+    """The joint's law with dampers in parallel."""
     traction = problem.law(gap, slip)
     dampers = damping * problem.springs.reshape(before.shape)
     tangent = traction.tangent.copy()

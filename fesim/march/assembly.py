@@ -1,7 +1,7 @@
 """A machine whose bolts are tightened, before anything else acts on it.
 
-All bolts are tightened at once. Then they pull with given forces, whatever the structure does: a
-load, and the joints settle under it. From there on the bolts are springs.
+All bolts are tightened at once. While they are tightened, their forces are given, whatever the
+structure does: a load under which the joints settle. From then on the bolts are springs.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Bolts:
     Attributes
     ----------
     names : tuple of str
-        What they are called.
+        Their names.
     loose : CondensedMachine
         The machine before they are tightened: see `fesim.solid.bolts.fastened`.
     springs : BoltSprings
-        What they are.
+        Properties of the bolts.
     force : MechanicalOutputs
         Their forces, N, as functions of a step of the machine with bolts.
     """
@@ -50,7 +50,7 @@ def tightened(
     names, loose, springs
         As for `Bolts`.
     forces : ndarray, shape (b,)
-        Which each has after all are tight, N.
+        Force of each bolt after all are tight, N.
 
     Raises
     ------

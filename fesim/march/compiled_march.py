@@ -1,7 +1,7 @@
 """JIT-compiled time integration with staggered steps and frozen tangents.
 
-Nothing is factorised anew in a step as long as what is kept serves: for the gap equations that of
-`fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.
+A step factorises nothing as long as the stored factorisations are usable: for the gap equations
+that of `fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from fesim.march.compiled_step import (
 from fesim.march.joint_flows import Flows, solve_flows
 from thermojoint.artefacts.arrays import Array
 
-#: Rows of the anchor (7, m) of a `State`: six entries of the tangent, then what was conducted.
-ANCHOR_TANGENT, ANCHOR_CONDUCTED = slice(0, 6), 6
-#: Why a march stopped: it is through; a joint has no equilibrium near; a body may have come loose.
+#: Rows of `State.frozen` (7, m): six entries of the frozen tangent, then the frozen conductance.
+FROZEN_TANGENT, FROZEN_CONDUCTED = slice(0, 6), 6
+#: Reason for the end of a march: complete; no equilibrium near; a body may have come loose.
 THROUGH, SNAPS, LOOSE = range(3)
 
 
@@ -56,13 +56,13 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
-    anchors : FrozenTangents
+    tangents : FrozenTangents
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
     """
 
-    anchors: FrozenTangents
+    tangents: FrozenTangents
     flows: Flows
 
 
@@ -82,7 +82,7 @@ class Record(NamedTuple):
     ----------
     conducted : ndarray, shape (n, m)
         Conductance times area, W/K.
-    anchor : ndarray, shape (n, 7, m)
+    frozen : ndarray, shape (n, 7, m)
         As in `fesim.march.machine.State`.
     """
 
@@ -91,7 +91,7 @@ class Record(NamedTuple):
     slip: Array
     pressure: Array
     change: Array
-    anchor: Array
+    frozen: Array
     conducted: Array
     heat_flow: Array
     displacement: Array
@@ -108,13 +108,13 @@ def _settle(
     trial.gap[:] = now.gap + now.change
     try:
         solved, residual, iterations = settle_near(
-            gap_kernel(joint), joint.columns, kept.anchors, free_gap, now.slip, trial
+            gap_kernel(joint), joint.columns, kept.tangents, free_gap, now.slip, trial
         )
     except Exception:  # a singular tangent
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
-    kept.anchors.every.about[:, MADE] = 0
+    kept.tangents.every.about[:, MADE] = 0
     trial.gap[:] = now.gap + now.change
     return settle_by_newton(joint, free_gap, now, trial)
 
@@ -174,5 +174,5 @@ def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> No
     record.heat_flow[k] = solved.flow
     record.residual[k] = solved.residual
     record.iterations[k] = solved.iterations
-    record.anchor[k, ANCHOR_CONDUCTED] = kept.flows.conducted
-    put_tangents(kept.anchors, record.anchor[k, ANCHOR_TANGENT])
+    record.frozen[k, FROZEN_CONDUCTED] = kept.flows.conducted
+    put_tangents(kept.tangents, record.frozen[k, FROZEN_TANGENT])

@@ -40,8 +40,8 @@ class ContactProblem:
         The law of each joint and how many contact elements it has, in their order.
     gap_tolerance : float, optional
         Largest residual of the gap equations, m; default `SHARE` of what closes the stiffest joint.
-    holds : Constraints, optional
-        What holds the bodies; with it, a step in which one comes loose is an error.
+    constraints : Constraints, optional
+        Constraints of the bodies; with them, a step in which a body comes loose is an error.
     loads : LoadInfluence, optional
         Mechanical loads; their factors stand behind the other inputs of a step.
     """
@@ -49,7 +49,7 @@ class ContactProblem:
     elastic: ElasticCondensation
     laws: Laws
     gap_tolerance: float | None = None
-    holds: Constraints | None = None
+    constraints: Constraints | None = None
     loads: LoadInfluence | None = None
 
     @property
@@ -87,7 +87,7 @@ class ContactProblem:
         # Here, not above, as in `gap_solver`.
         from fesim.joint.loosening import watch_of
 
-        return None if self.holds is None else watch_of(self.holds, self.laws)
+        return None if self.constraints is None else watch_of(self.constraints, self.laws)
 
     def slices(self) -> Iterator[tuple[JointLaw, slice]]:
         """Yield the law of each joint and where its contact elements are."""

@@ -24,8 +24,8 @@ from fesim.joint.frozen_tangent import (
 from fesim.joint.law import JointLaw, PowerLawConductance
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import (
-    ANCHOR_CONDUCTED,
-    ANCHOR_TANGENT,
+    FROZEN_CONDUCTED,
+    FROZEN_TANGENT,
     LOOSE,
     Kept,
     MarchKernel,
@@ -61,7 +61,7 @@ class StepKernel:
         Parameters
         ----------
         kept : Kept
-            Of the march, written in place: made again if it is not that of the state's anchor.
+            Of the march, written in place; made again if it does not match the state.
         state : State
             Where to go on.
         inputs : ndarray, shape (n, k + l)
@@ -76,8 +76,8 @@ class StepKernel:
         loose : bool
             A body may have come loose in the last one.
         """
-        if not np.array_equal(_anchor(kept), state.anchor):
-            self._make(kept, state.anchor)
+        if not np.array_equal(_frozen(kept), state.frozen):
+            self._make(kept, state.frozen)
         temperature, *joint = (
             np.array(array, dtype=np.float64, order="C")
             for array in (state.temperature, state.gap, state.slip, state.pressure, state.change)
@@ -88,27 +88,27 @@ class StepKernel:
         taken, why = march_steps(self.machine, kept, driven, now, record)
         return Record._make(column[:taken] for column in record), taken, why == LOOSE
 
-    def _make(self, kept: Kept, anchor: Array) -> None:
-        """Make what is kept from an anchor (7, m), as in `State`: it follows from that alone."""
-        kept.anchors.every.about[:, MADE] = 0
+    def _make(self, kept: Kept, frozen: Array) -> None:
+        """Make the stored data from the frozen tangent (7, m) of a `State`, which determines it."""
+        kept.tangents.every.about[:, MADE] = 0
         for k in range(self.blocks.starts.size - 1):
             block = part_of(self.blocks, k)
-            tangent = anchor[ANCHOR_TANGENT, block.elements]
+            tangent = frozen[FROZEN_TANGENT, block.elements]
             if tangent.any():
-                own = block_tangent(kept.anchors, k)
+                own = block_tangent(kept.tangents, k)
                 own.tangent[:] = tangent
                 freeze_tangent(own, block)
-        conducted = np.ascontiguousarray(anchor[ANCHOR_CONDUCTED])
+        conducted = np.ascontiguousarray(frozen[FROZEN_CONDUCTED])
         kept.flows.conducted[:] = 0.0
         if conducted.any():
             invert(self.machine.heat.joint_influence, conducted, kept.flows)
 
 
-def _anchor(kept: Kept) -> Array:
-    """The anchor (7, m) of what is kept, as in `State`."""
+def _frozen(kept: Kept) -> Array:
+    """The frozen tangent (7, m) of the stored data, as in `State`."""
     stored = np.empty((7, kept.flows.conducted.size))
-    put_tangents(kept.anchors, stored[ANCHOR_TANGENT])
-    stored[ANCHOR_CONDUCTED] = kept.flows.conducted
+    put_tangents(kept.tangents, stored[FROZEN_TANGENT])
+    stored[FROZEN_CONDUCTED] = kept.flows.conducted
     return stored
 
 
@@ -126,7 +126,7 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
         slip=np.empty((steps, 2, count)),
         pressure=np.empty((steps, count)),
         change=np.empty((steps, 3, count)),
-        anchor=np.empty((steps, 7, count)),
+        frozen=np.empty((steps, 7, count)),
         conducted=np.empty((steps, count)),
         heat_flow=np.empty((steps, count)),
         displacement=np.empty((steps, axes)),
@@ -195,12 +195,12 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
 
 
 def _blocks(contact: ContactProblem, joint: JointKernel) -> Blocks:
-    """What of the contact elements hardly feels each other; all is one where no holds are known."""
-    linear, holds = (joint.springs, joint.compliance, joint.columns), contact.holds
-    if holds is None:
+    """Weakly coupled blocks of contact elements; a single block if no constraints are known."""
+    linear, constraints = (joint.springs, joint.compliance, joint.columns), contact.constraints
+    if constraints is None:
         return one_block(*linear)
     counts = [count for _, count in contact.laws]
-    return blocks_of(*linear, counts, holds.share, holds.supports)
+    return blocks_of(*linear, counts, constraints.share, constraints.supports)
 
 
 def _own(values: Array) -> Array:

@@ -109,7 +109,7 @@ class State:
         By how much the last step changed the gaps, m: the next step's first guess goes on so.
     model : str
         Whose temperature it is: the `model` of the `ThermalCondensation`.
-    anchor : ndarray, shape (7, m)
+    frozen : ndarray, shape (7, m)
         Where the inverses were made that machine code keeps from step to step: six entries of the
         joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
     turning : ndarray, shape (2, m)
@@ -125,7 +125,7 @@ class State:
     pressure: Array
     change: Array
     model: str
-    anchor: Array
+    frozen: Array
     turning: Array
     taken_over: bool
 

@@ -67,7 +67,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
         pressure=machine.contact.preload.copy(),
         change=np.zeros((3, count)),
         model=machine.thermal.model,
-        anchor=np.zeros((7, count)),
+        frozen=np.zeros((7, count)),
         turning=np.zeros((2, count)),
         taken_over=False,
     )

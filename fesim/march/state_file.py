@@ -24,7 +24,7 @@ SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 6
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "anchor", "turning")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "frozen", "turning")
 
 
 def fingerprint(case: Case) -> str:
@@ -96,7 +96,7 @@ def load_state(path: Path, case: Case) -> State:
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
-        "anchor": (7, count),
+        "frozen": (7, count),
         "turning": (2, count),
     }
     usable = (

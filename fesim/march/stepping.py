@@ -335,7 +335,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
             pressure=pressure,
             change=settled.gap - state.gap,
             model=machine.thermal.model,
-            anchor=np.zeros_like(state.anchor),
+            frozen=np.zeros_like(state.frozen),
             turning=state.turning,
             taken_over=state.taken_over,
         ),

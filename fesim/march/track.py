@@ -37,7 +37,7 @@ class Track:
         As in `Step`.
     secant_residual : ndarray
         As in `Step`.
-    temperature, gap, slip, pressure, change, anchor, turning, taken_over : ndarray
+    temperature, gap, slip, pressure, change, frozen, turning, taken_over : ndarray
         As in `State`.
     model : str
         As in `State`.
@@ -59,7 +59,7 @@ class Track:
     slip: Array
     pressure: Array
     change: Array
-    anchor: Array
+    frozen: Array
     turning: Array
     taken_over: NDArray[np.bool_]
     model: str
@@ -78,7 +78,7 @@ class Track:
             pressure=self.pressure[at],
             change=self.change[at],
             model=self.model,
-            anchor=self.anchor[at],
+            frozen=self.frozen[at],
             turning=self.turning[at],
             taken_over=bool(self.taken_over[at]),
         )
@@ -169,7 +169,7 @@ def _kernel_track(
         slip=record.slip,
         pressure=record.pressure,
         change=record.change,
-        anchor=record.anchor,
+        frozen=record.frozen,
         turning=np.broadcast_to(state.turning, (taken, *state.turning.shape)),
         taken_over=np.broadcast_to(state.taken_over, taken),
         model=state.model,

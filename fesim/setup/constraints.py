@@ -22,14 +22,14 @@ CLOSED = 1e-9
 def checked_constraints(
     case: Case, structure: Structure, joints: Sequence[PairedJoint], bolts: Sequence[Bolt] = ()
 ) -> Constraints:
-    """Return what holds the bodies of a case.
+    """Return the constraints of a case's bodies.
 
     Raises
     ------
     InputError
-        Nothing holds one of them.
+        A body is not constrained.
     """
-    holds = constraints_of(
+    constraints = constraints_of(
         structure,
         joints,
         fixed_surfaces(case),
@@ -37,8 +37,8 @@ def checked_constraints(
         spring_stiffnesses(case, structure),
         bolts,
     )
-    check_held(holds, with_friction(case, joints), start_closed(case, joints))
-    return holds
+    check_held(constraints, with_friction(case, joints), start_closed(case, joints))
+    return constraints
 
 
 def fixed_surfaces(case: Case) -> list[str]:

@@ -84,8 +84,8 @@ class Setup(Described):
         Their rows, of nodal temperatures or of the reduced model's amplitudes.
     modes : ThermalModes or None
         The reduced thermal model; None if the march has the full one.
-    holds : Constraints
-        What holds the bodies.
+    constraints : Constraints
+        Constraints of the bodies.
     forces : ndarray, shape (n, l + b)
         Nodal forces of the mechanical loads at factor one, then of the bolts per N, N.
     outputs : MechanicalOutputs or None
@@ -104,7 +104,7 @@ class Setup(Described):
     probes: dict[str, Probe]
     probe_rows: csr_array | NDArray[np.float64]
     modes: ThermalModes | None
-    holds: Constraints
+    constraints: Constraints
     forces: NDArray[np.float64]
     outputs: MechanicalOutputs | None
     bolts: Bolts | None
@@ -232,7 +232,7 @@ def set_up(case: Case) -> Setup:
         probes=parts.probes,
         probe_rows=whole.rows if modes is None else whole.rows @ modes.basis,
         modes=modes,
-        holds=parts.holds,
+        constraints=parts.constraints,
         forces=forces,
         outputs=outputs,
         bolts=bolts,
@@ -340,7 +340,7 @@ def _machine(
         elastic = project_elasticity(condensed, modes)
     return CondensedMachine(
         thermal,
-        ContactProblem(elastic, parts.laws, holds=parts.holds, loads=loads),
+        ContactProblem(elastic, parts.laws, constraints=parts.constraints, loads=loads),
         start=start_field(heat, whole.warm, modes),
         variable=variable_heat(
             case, parts.structure, whole.spaces.heat, whole.materials, parts.joints, heat
@@ -361,7 +361,9 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     """
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
-    check_held(setup.holds, with_friction(case, setup.joints), start_closed(case, setup.joints))
+    check_held(
+        setup.constraints, with_friction(case, setup.joints), start_closed(case, setup.joints)
+    )
     if setup.bolts is None:
         return replace(setup, machine=setup.machine.with_laws(laws))
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs

@@ -40,8 +40,8 @@ class Parts:
         In the order of the contact elements.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
-    holds : Constraints
-        What holds the bodies; checked.
+    constraints : Constraints
+        Constraints of the bodies; checked.
     laws : list of (JointLaw, int)
         The law of each joint and how many contact elements it has.
     bolts : list of Bolt
@@ -51,7 +51,7 @@ class Parts:
     structure: Structure
     joints: tuple[PairedJoint, ...]
     probes: dict[str, Probe]
-    holds: Constraints
+    constraints: Constraints
     laws: list[tuple[JointLaw, int]]
     bolts: list[Bolt]
 
@@ -80,8 +80,8 @@ def make_parts(case: Case) -> Parts:
     laws = joint_laws(case, structure, body_materials(case, structure), joints)
     bolts = bolts_of(case, structure)
     first_forces(case)
-    holds = checked_constraints(case, structure, joints, bolts)
-    return Parts(structure, joints, probes, holds, laws, bolts)
+    constraints = checked_constraints(case, structure, joints, bolts)
+    return Parts(structure, joints, probes, constraints, laws, bolts)
 
 
 def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:

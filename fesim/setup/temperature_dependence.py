@@ -42,16 +42,16 @@ def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str,
 
 
 def reference_coefficients(case: Case) -> dict[str, float]:
-    """Return the constant film of every surface, W/(m2 K): convection and linear radiation."""
-    films = dict(case.convection_W_m2K)
+    """Return the constant coefficients by surface, W/(m2 K): convection and linear radiation."""
+    coefficients = dict(case.convection_W_m2K)
     for name, section in case.convection_factor.items():
-        films[name] *= factor_of(section).middle
+        coefficients[name] *= factor_of(section).middle
     for name, radiation in case.radiation.items():
-        film = radiation_coefficient(radiation.emissivity, radiation.ambient_degC)
-        films[name] = films.get(name, 0.0) + film
+        coefficient = radiation_coefficient(radiation.emissivity, radiation.ambient_degC)
+        coefficients[name] = coefficients.get(name, 0.0) + coefficient
     for cavity in case.cavities.values():
-        films |= dict.fromkeys(cavity.surfaces, cavity.film_W_m2K)
-    return films
+        coefficients |= dict.fromkeys(cavity.surfaces, cavity.film_W_m2K)
+    return coefficients
 
 
 def variable_heat(

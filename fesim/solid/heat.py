@@ -54,7 +54,7 @@ class ThermalLoads:
 
     Attributes
     ----------
-    films : mapping
+    convection : mapping
         Surface name to its convection coefficient, W/(m2 K).
     sources : sequence of HeatSource
         Heat sources.
@@ -63,7 +63,7 @@ class ThermalLoads:
         Where two of them meet, the first one applies.
     """
 
-    films: Mapping[str, float] = field(default_factory=dict)
+    convection: Mapping[str, float] = field(default_factory=dict)
     sources: Sequence[HeatSource] = ()
     held: Mapping[str, OfPosition | None] = field(default_factory=dict)
 
@@ -173,7 +173,7 @@ def heat_operators(
     capacity = diags_array(np.asarray(consistent.sum(axis=1)).ravel(), format="csr")
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
-    for name, coefficient in loads.films.items():
+    for name, coefficient in loads.convection.items():
         convection = convection + coefficient * convection_matrix(structure, basis, name, joints)
     layout = InputLayout(len(loads.sources), len(loads.held))
     inputs = np.zeros((basis.N, layout.count))

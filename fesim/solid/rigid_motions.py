@@ -205,13 +205,13 @@ def constraints_of(
 
 
 def check_held(
-    holds: Constraints, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
+    constraints: Constraints, sticks: NDArray[np.bool_], closed: NDArray[np.bool_] | None = None
 ) -> None:
     """Refuse a structure with an unconstrained rigid motion at rest.
 
     Parameters
     ----------
-    holds : Constraints
+    constraints : Constraints
         Possible constraints.
     sticks : ndarray of bool, shape (m,)
         Which contact elements have friction.
@@ -223,20 +223,20 @@ def check_held(
     InputError
         Names the body and its motions.
     """
-    count = len(holds.pieces)
+    count = len(constraints.pieces)
     closed = np.ones(len(sticks), dtype=bool) if closed is None else closed
-    joined = holds.share[closed].any(axis=0)
-    touched = holds.supports.reshape(-1, count, 6).any(axis=(0, 2)) | joined
+    joined = constraints.share[closed].any(axis=0)
+    touched = constraints.supports.reshape(-1, count, 6).any(axis=(0, 2)) | joined
     open_ones = "" if closed.all() else "; a joint that starts open holds nothing"
     if not touched.all():
-        alone = holds.pieces[int(np.argmin(touched))]
+        alone = constraints.pieces[int(np.argmin(touched))]
         raise InputError(
             f"supports: {alone} has no support, spring or joint; hold it in [supports] or join it "
             f"to another body{open_ones}"
         )
     every, stuck = np.flatnonzero(closed), np.flatnonzero(sticks & closed)
-    normal, first, second = holds.directions
-    motions = holds.unheld(
+    normal, first, second = constraints.directions
+    motions = constraints.unheld(
         np.concatenate([every, stuck, stuck]),
         np.vstack([normal[every], first[stuck], second[stuck]]),
     )
@@ -244,29 +244,29 @@ def check_held(
         # A contact element acts at its centre alone: one of them is a hinge.
         instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
         raise InputError(
-            f"supports: no support, spring or joint keeps {described(holds, motions)}; hold it in "
-            f"[supports], or give its joints {instead}{open_ones}"
+            f"supports: no support, spring or joint keeps {described(constraints, motions)}; "
+            f"hold it in [supports], or give its joints {instead}{open_ones}"
         )
 
 
-def described(holds: Constraints, motions: Array) -> str:
+def described(constraints: Constraints, motions: Array) -> str:
     """Describe free motions of bodies, e.g. "body 'bolt' from moving along x and y".
 
     Parameters
     ----------
-    holds : Constraints
+    constraints : Constraints
         Names of the pieces.
     motions : ndarray, shape (6 p, k)
         Orthonormal motions, k at least 1; bodies that move on their own are named first.
     """
-    count = len(holds.pieces)
+    count = len(constraints.pieces)
     # The projector on the motions does not depend on their basis: its blocks link what moves.
     linked = np.linalg.norm((motions @ motions.T).reshape(count, 6, count, 6), axis=(1, 3)) > NAMED
     _, group = connected_components(linked, directed=False)
     moving = [int(i) for i in np.flatnonzero(linked.diagonal())]
     alone = [i for i in moving if _only(motions, [i]).shape[1]]
     members = [alone[0]] if alone else [i for i in moving if group[i] == group[moving[0]]]
-    names = [holds.pieces[i] for i in members]
+    names = [constraints.pieces[i] for i in members]
     who = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} together"
     own = _only(motions, members)[6 * members[0] : 6 * members[0] + 6]
     shift = own[:3] @ _null(own[3:])

@@ -5,7 +5,7 @@ Time stepping uses constant operators K and H. The additional heat flow is
     N(T) = sum_b K_b (theta_b(T) - m_b T) + sum_s A_s (q_s(T, T_a) - h_s (T - T_a)),
 
 both sums over nodal values: theta is Kirchhoff's transform of a body's conductivity, whose constant
-part in K is m_b k_b; q_s the heat flux of a film or of radiation, whose constant part in H is h_s.
+part in K is m_b k_b; q_s the heat flux of convection or radiation, whose constant part in H is h_s.
 Enclosed air has no heat capacity: its temperature is the mean of its walls, and its convection in H
 is one to the ambient. `fesim.march.secant_step` finds the T of each step that satisfies M dT/dt +
 (K + H) T + N(T) = P u.
@@ -71,12 +71,12 @@ def convection_potential(coefficient: float, factor: TemperatureFactor) -> Poten
     return potential
 
 
-def air_potential(film: float, walls: Array) -> Potential:
+def air_potential(coefficient: float, walls: Array) -> Potential:
     """Return h (T_a - T_c), W/m2: air at T_c, the mean of its walls, instead of the ambient.
 
     Parameters
     ----------
-    film : float
+    coefficient : float
         h, W/(m2 K), on all walls.
     walls : ndarray, shape (n,)
         Area of the walls at each node, m2.
@@ -84,7 +84,7 @@ def air_potential(film: float, walls: Array) -> Potential:
     weights = walls / walls.sum()
 
     def potential(temperature: Array, ambient: float) -> Array:
-        return np.full(len(temperature), film * (ambient - float(weights @ temperature)))
+        return np.full(len(temperature), coefficient * (ambient - float(weights @ temperature)))
 
     return potential
 
@@ -97,11 +97,11 @@ def radiation_coefficient(emissivity: float, ambient_degc: float) -> float:
 def radiation_potential(emissivity: float, ambient_degc: float) -> Potential:
     """Return eps sigma (T^4 - T_a^4), absolute, minus its part in `radiation_coefficient`, W/m2."""
     absolute = zero_Celsius + ambient_degc
-    film = radiation_coefficient(emissivity, ambient_degc)
+    coefficient = radiation_coefficient(emissivity, ambient_degc)
 
     def potential(temperature: Array, ambient: float) -> Array:
         exchanged = (absolute + temperature) ** 4 - (absolute + ambient) ** 4
-        flux = emissivity * Stefan_Boltzmann * exchanged - film * (temperature - ambient)
+        flux = emissivity * Stefan_Boltzmann * exchanged - coefficient * (temperature - ambient)
         return np.asarray(flux)
 
     return potential

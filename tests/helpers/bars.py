@@ -106,7 +106,7 @@ def conduct(
     structure,
     *,
     materials=(IRON, IRON),
-    films=None,
+    convection=None,
     sources=None,
     held=(),
     grid=(3, 2),
@@ -123,7 +123,7 @@ def conduct(
         structure,
         spaces.heat,
         by_body,
-        ThermalLoads(films or {}, given, dict.fromkeys(held)),
+        ThermalLoads(convection or {}, given, dict.fromkeys(held)),
         joints,
     )
     return HeatParts(

@@ -13,7 +13,7 @@ def bars_of(step=2.0, friction=0.3):
     return assemble(
         two_bars(left=(4, 4, 2), right=(4, 4, 2)),
         law=surface_law(friction),
-        films={"bottom": 50.0},
+        convection={"bottom": 50.0},
         sources={"left_top": 1.0},
         fixed=["left_end", "right_end"],
         step=step,

@@ -33,24 +33,24 @@ def convection_of(modes: Modes) -> Convection:
 
 
 def convected(
-    film: Convection, amplitudes: Array, ambient: float, factor: float, length: float
+    convection: Convection, amplitudes: Array, ambient: float, factor: float, length: float
 ) -> Array:
-    """Return the amplitudes (r,) after what a film has beyond the calibrated one.
+    """Return the amplitudes (r,) after a step of the convection beyond the calibrated one.
 
     Parameters
     ----------
-    film : Convection
+    convection : Convection
         As calibrated.
     amplitudes : ndarray, shape (r,)
         Before.
     ambient : float
         K.
     factor : float
-        The film relative to the calibrated one.
+        The convection relative to the calibrated one.
     length : float
         s.
     """
-    beyond = amplitudes - ambient * film.ambient
-    lost = np.expm1((1.0 - factor) * length * film.rates)
-    after: Array = amplitudes + film.turn @ (lost * (film.turn.T @ beyond))
+    beyond = amplitudes - ambient * convection.ambient
+    lost = np.expm1((1.0 - factor) * length * convection.rates)
+    after: Array = amplitudes + convection.turn @ (lost * (convection.turn.T @ beyond))
     return after

@@ -75,9 +75,9 @@ def plate_temperature(elements: int) -> float:
     divisions = (elements, round(elements * height / width), 1)
     structure = block(box_grid("hexahedra", divisions, (width, height, 0.01)))
     basis = make_spaces(structure.mesh).heat
-    films = {"x1": 750.0, "y1": 750.0}
+    convection = {"x1": 750.0, "y1": 750.0}
     heat = heat_operators(
-        structure, basis, {"block": material}, ThermalLoads(films, held={"y0": None})
+        structure, basis, {"block": material}, ThermalLoads(convection, held={"y0": None})
     )
     inputs = np.array([0.0, 100.0])
     temperature, _ = heat_step(alone(heat, FOREVER), np.zeros(basis.N), inputs, NO_JOINT)

@@ -15,7 +15,7 @@ from fesim.joint.blocks import (
     side_by_side,
     unknowns_of,
 )
-from fesim.joint.frozen_tangent import ANCHORED, frozen_tangents
+from fesim.joint.frozen_tangent import FROZEN, frozen_tangents
 from fesim.joint.gap import solve_gap
 from fesim.march.kernel import step_kernel
 from fesim.march.settling import initial_state
@@ -146,19 +146,19 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
     np.testing.assert_allclose(slip, theirs.traction.slip, rtol=1e-9, atol=1e-13)
 
 
-def test_only_the_anchor_of_a_joint_that_changes_is_moved():
+def test_only_the_frozen_tangent_of_a_joint_that_changes_is_updated():
     problem, thermal_gap = coupled_problem(3, 1e-7, 0.15)
     blocks, zero = divided(problem), np.zeros((3, TOTAL))
-    anchors, laws = frozen_tangents(blocks), [(surface_law(0.15), TOTAL)]
+    tangents, laws = frozen_tangents(blocks), [(surface_law(0.15), TOTAL)]
     own = np.zeros_like(thermal_gap)
     own[unknowns_of(JOINTS[1], TOTAL)] = thermal_gap[unknowns_of(JOINTS[1], TOTAL)]
     gap, slip = zero, zero[1:]
     for factor in np.linspace(0.0, 8.0, 40):
-        driven = problem, laws, factor * own, slip, gap, anchors
+        driven = problem, laws, factor * own, slip, gap, tangents
         solved, _, gap, slip = settled(*driven, tolerance=1e-13)
         assert solved
-    assert anchors.every.about[1, ANCHORED] > 2
-    assert anchors.every.about[[0, 2], ANCHORED].tolist() == [1, 1]
+    assert tangents.every.about[1, FROZEN] > 2
+    assert tangents.every.about[[0, 2], FROZEN].tolist() == [1, 1]
 
 
 def test_one_block_holds_all_rows_in_their_order():
@@ -198,4 +198,4 @@ def test_a_march_in_blocks_goes_on_from_a_saved_state_with_the_same_bits(pillar)
     state = whole.step(24).state
     (rest,) = marched(machine, inputs[25:], state)
     np.testing.assert_array_equal(rest.displacement, whole.displacement[25:])
-    np.testing.assert_array_equal(rest.anchor, whole.anchor[25:])
+    np.testing.assert_array_equal(rest.frozen, whole.frozen[25:])

@@ -87,7 +87,7 @@ def test_a_march_is_that_of_the_plain_method(friction):
     machine = assemble(
         two_bars(left=(2, 3, 1), right=(2, 2, 1)),
         law=surface_law(friction),
-        films={"bottom": 50.0},
+        convection={"bottom": 50.0},
         sources={"left_top": 400.0},
         fixed=["left_end", "right_end"],
         grid=(3, 2),

@@ -8,12 +8,12 @@ from random_joints import TIGHT, law_of, powers, problems, random_problem, settl
 
 from fesim.joint.blocks import one_block, part_of
 from fesim.joint.compiled_gap import compile_gap
-from fesim.joint.frozen_tangent import ANCHORED, block_tangent, freeze_tangent, frozen_tangents
+from fesim.joint.frozen_tangent import FROZEN, block_tangent, freeze_tangent, frozen_tangents
 from fesim.joint.gap import solve_gap
 
 
 def nowhere(problem):
-    """The anchor of one block that has not been anywhere."""
+    """Storage of one block without a frozen tangent yet."""
     columns = np.ascontiguousarray(problem.compliance.T)
     return frozen_tangents(one_block(problem.springs, problem.compliance, columns))
 
@@ -41,7 +41,7 @@ def test_it_finds_the_equilibrium_of_the_plain_method(seed, count, size, frictio
 
 @settings(max_examples=150, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), friction=st.sampled_from([0.05, 0.15, 0.3]))
-def test_an_anchor_far_away_changes_nothing(seed, friction):
+def test_a_tangent_frozen_far_away_changes_nothing(seed, friction):
     """Other contact elements slide, stick and are open there: they are corrected exactly."""
     count, law = 6, surface_law(friction)
     problem, thermal_gap = random_problem(seed, count, 1e-6, friction, law=law)
@@ -56,27 +56,27 @@ def test_an_anchor_far_away_changes_nothing(seed, friction):
         zero,
     )
     normal = elsewhere.traction.tangent
-    anchor = block_tangent(far, 0)
-    anchor.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
-    freeze_tangent(anchor, part_of(far.blocks, 0))
+    frozen = block_tangent(far, 0)
+    frozen.tangent[:] = [normal[i, j] for i, j in ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2))]
+    freeze_tangent(frozen, part_of(far.blocks, 0))
     second, _, other, moved = settled(problem, [(law, count)], thermal_gap, zero[1:], zero, far)
     if first and second:
         np.testing.assert_allclose(other, gap, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(moved, slip, rtol=1e-9, atol=1e-13)
 
 
-def test_a_joint_that_has_slipped_and_sticks_keeps_its_anchor():
+def test_a_joint_that_has_slipped_and_sticks_keeps_its_frozen_tangent():
     """The rounding of k0 (g - s), another in every iteration, is no change of a state."""
     count, law = 12, surface_law(0.6)
     problem, thermal_gap = random_problem(5, count, 1e-7, 0.6, law=law)
     slip = 1e-8 * np.random.default_rng(5).normal(size=(2, count))
-    anchors, gap = nowhere(problem), np.vstack([np.zeros((1, count)), slip])
+    tangents, gap = nowhere(problem), np.vstack([np.zeros((1, count)), slip])
     for factor in np.linspace(0.0, 1.0, 20):
-        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, anchors)
+        driven = (problem, [(law, count)], factor * thermal_gap, slip, gap, tangents)
         solved, _, gap, moved = settled(*driven, tolerance=1e-13)
         assert solved
         np.testing.assert_array_equal(moved, slip)
-    assert anchors.every.about[0, ANCHORED] <= 3
+    assert tangents.every.about[0, FROZEN] <= 3
 
 
 def test_a_tolerance_out_of_reach_is_not_reached():

@@ -36,7 +36,7 @@ def machines(draw):
         "structure": structure,
         "materials": (draw(material), draw(material)),
         "law": law,
-        "films": {"bottom": draw(st.floats(0.0, 200.0))},
+        "convection": {"bottom": draw(st.floats(0.0, 200.0))},
         "sources": {"left_top": 1.0},
         "fixed": ["left_end", "right_end"],
         "grid": (draw(st.integers(1, 3)), draw(st.integers(1, 2))),

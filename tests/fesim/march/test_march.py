@@ -31,7 +31,7 @@ def heated_bars(step=2.0, friction=0.3):
     return assemble(
         two_bars(left=(2, 3, 1), right=(2, 2, 1)),
         law=surface_law(friction),
-        films={"bottom": 50.0},
+        convection={"bottom": 50.0},
         sources={"left_top": 300.0},
         fixed=["left_end", "right_end"],
         step=step,

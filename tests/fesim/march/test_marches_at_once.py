@@ -59,5 +59,5 @@ def test_two_threads_that_march_one_machine_do_not_touch_each_other(machines):
     alone = [marched(one, inputs) for one, inputs in zip(machines, HEATS, strict=False)]
     for calls in range(0, 400, 4):
         for own, expected in zip(within_each_other(machines[2], calls), alone, strict=True):
-            for name in ("displacement", "gap", "pressure", "anchor", "heat_flow"):
+            for name in ("displacement", "gap", "pressure", "frozen", "heat_flow"):
                 np.testing.assert_array_equal(getattr(own, name), getattr(expected, name))

@@ -22,7 +22,7 @@ def heated_bars(friction, **changes):
     """Heated on the top of the left bar, so that the joint turns, slides and partly opens."""
     given = {
         "law": surface_law(friction),
-        "films": {"bottom": 50.0},
+        "convection": {"bottom": 50.0},
         "sources": {"left_top": 400.0},
         "fixed": ["left_end", "right_end"],
         "grid": (3, 2),
@@ -113,7 +113,7 @@ def test_both_solvers_condense_to_the_same_machine():
 
 def test_the_step_length_changes_the_heat_equation_only():
     two, four = (
-        conduct(two_bars(), films={"bottom": 50.0}, sources={"left_top": 1.0}, step=step)
+        conduct(two_bars(), convection={"bottom": 50.0}, sources={"left_top": 1.0}, step=step)
         for step in (2.0, 4.0)
     )
     np.testing.assert_allclose(

@@ -78,8 +78,8 @@ def test_a_covered_surface_convects_as_one_that_was_split_by_hand():
     side = structure.surfaces["joint.b"]
     y = structure.mesh.p[1, structure.mesh.facets[:, side]].mean(axis=0)
     split = replace(structure, surfaces=structure.surfaces | {"rest": side[y > WIDTH]})
-    listed = conduct(split, films={"joint.b": 50.0, "top": 20.0}, sources={"left_end": 1.0})
-    by_hand = conduct(split, films={"rest": 50.0, "top": 20.0}, sources={"left_end": 1.0})
+    listed = conduct(split, convection={"joint.b": 50.0, "top": 20.0}, sources={"left_end": 1.0})
+    by_hand = conduct(split, convection={"rest": 50.0, "top": 20.0}, sources={"left_end": 1.0})
     for ours, theirs in (
         (listed.heat.convection.toarray(), by_hand.heat.convection.toarray()),
         (listed.heat.inputs, by_hand.heat.inputs),
@@ -90,7 +90,7 @@ def test_a_covered_surface_convects_as_one_that_was_split_by_hand():
 def test_heat_goes_through_a_listed_joint_as_through_a_wall():
     """1/U = L1/k + 1/h_c + L2/k + 1/h: no heat is lost on the way."""
     films = {"joint.a": 400.0, "joint.b": 400.0, "right_end": 500.0}
-    made = conduct(two_bars(), films=films, sources={"left_end": 1.0}, step=1e10)
+    made = conduct(two_bars(), convection=films, sources={"left_end": 1.0}, step=1e10)
     conductance, power = 4000.0, 20.0
     after, flow = heat_step(
         made.thermal,

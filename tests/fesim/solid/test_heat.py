@@ -81,9 +81,9 @@ def test_operators_hold_the_energy(kind):
     """Conduction makes no heat, the capacity is the body's, films and sources are what is said."""
     structure, _ = block(kind)
     basis = make_spaces(structure.mesh).heat
-    films, source = {"all": 6.0, "hot": 4.0}, HeatSource(90.0, surface="cold")
+    convection, source = {"all": 6.0, "hot": 4.0}, HeatSource(90.0, surface="cold")
     heat = heat_operators(
-        structure, basis, {"left": IRON, "right": STEEL}, ThermalLoads(films, [source])
+        structure, basis, {"left": IRON, "right": STEEL}, ThermalLoads(convection, [source])
     )
     np.testing.assert_allclose(heat.conduction.sum(axis=0), 0.0, atol=1e-12 * IRON.conductivity)
     stored = [m.density * m.heat_capacity for m in (IRON, STEEL)]
@@ -97,7 +97,7 @@ def test_operators_hold_the_energy(kind):
 
 @pytest.mark.parametrize("mesh", MESHES)
 def test_joint_takes_from_one_side_what_it_gives_to_the_other(mesh):
-    made = conduct(MESHES[mesh], films={"left_end": 10.0})
+    made = conduct(MESHES[mesh], convection={"left_end": 10.0})
     jump = made.operators.jump
     np.testing.assert_allclose(jump.sum(axis=1), 0.0, atol=1e-13)
     assert made.operators.area.sum() == pytest.approx(AREA, rel=1e-12, abs=0.0)
@@ -113,7 +113,7 @@ def test_two_bars_in_series_through_a_joint(mesh, pressure):
     made = conduct(
         MESHES[mesh],
         materials=(IRON, STEEL),
-        films={"left_end": film_1, "right_end": film_2},
+        convection={"left_end": film_1, "right_end": film_2},
         sources={"left_end": power},
         step=FOREVER,
     )
@@ -148,7 +148,7 @@ def test_jump_is_the_mean_over_each_contact_element_also_where_they_differ_in_si
     kept = side[(y < WIDTH / 2) | (z < DEPTH / 2)]
     made = conduct(
         replace(bars, surfaces=bars.surfaces | {"joint.b": kept}),
-        films={"left_end": 1.0},
+        convection={"left_end": 1.0},
         grid=(3, 1),
     )
     share = np.array([1.0, 0.75, 0.5])
@@ -165,7 +165,7 @@ def test_an_uneven_joint_conducts_where_it_is_pressed():
     """Contact elements 1 and 3 of three carry all the heat when 2 is open."""
     made = conduct(
         MESHES["not matching"],
-        films={"left_end": 1e-3, "right_end": 500.0},
+        convection={"left_end": 1e-3, "right_end": 500.0},
         sources={"left_end": 10.0},
         grid=(3, 1),
         step=FOREVER,
@@ -182,7 +182,7 @@ def test_an_uneven_joint_conducts_where_it_is_pressed():
 def transient(step, count):
     made = conduct(
         MESHES["matching"],
-        films={"right_end": 500.0},
+        convection={"right_end": 500.0},
         sources={"left_end": 10.0},
         step=step,
     )
@@ -219,7 +219,9 @@ def test_implicit_euler_is_of_first_order_and_keeps_the_balance():
 @pytest.mark.parametrize("mesh", ["matching", "not matching"])
 def test_nothing_gets_colder_when_heat_comes_in(mesh):
     """Steps far shorter than the time heat takes through an element: no undershoot."""
-    made = conduct(MESHES[mesh], films={"right_end": 50.0}, sources={"left_end": 10.0}, step=0.5)
+    made = conduct(
+        MESHES[mesh], convection={"right_end": 50.0}, sources={"left_end": 10.0}, step=0.5
+    )
     temperature = np.zeros(made.spaces.heat.N)
     joint = 18806.0 * made.operators.area
     for _ in range(20):
@@ -230,7 +232,9 @@ def test_nothing_gets_colder_when_heat_comes_in(mesh):
 
 def test_the_ambient_carries_a_body_along():
     """A body that nothing heats ends at the temperature of the air around it."""
-    made = conduct(MESHES["matching"], films={"right_end": 50.0, "left_end": 6.0}, step=FOREVER)
+    made = conduct(
+        MESHES["matching"], convection={"right_end": 50.0, "left_end": 6.0}, step=FOREVER
+    )
     joint = 18806.0 * made.operators.area
     warm, flow = heat_step(made.thermal, np.zeros(made.spaces.heat.N), np.array([7.0]), joint)
     np.testing.assert_allclose(warm, 7.0, rtol=1e-9)
@@ -251,7 +255,7 @@ def test_held_ends_drive_the_heat_of_two_bars_in_series(mesh):
 
 
 def test_heat_through_held_surfaces_is_in_the_balance():
-    made = conduct(MESHES["not matching"], films={"top": 80.0}, held=["left_end"], step=5.0)
+    made = conduct(MESHES["not matching"], convection={"top": 80.0}, held=["left_end"], step=5.0)
     joint = 18806.0 * made.operators.area
     before, inputs = np.zeros(made.spaces.heat.N), np.array([2.0, 50.0])
     for _ in range(10):
@@ -277,7 +281,7 @@ def test_heat_in_a_volume_raises_the_whole_body_evenly_at_first():
 @pytest.mark.parametrize("mesh", MESHES)
 def test_one_condensed_step_is_the_uncondensed_one(mesh):
     """W and S are exact: no approximation in Eq. (I + A h S) j = A h B y."""
-    made = conduct(MESHES[mesh], films={"right_end": 50.0}, sources={"left_end": 10.0})
+    made = conduct(MESHES[mesh], convection={"right_end": 50.0}, sources={"left_end": 10.0})
     rng = np.random.default_rng(2)
     before = rng.uniform(0.0, 10.0, made.spaces.heat.N)
     joint = 10.0 ** rng.uniform(1.0, 5.0, made.operators.area.size) * made.operators.area

@@ -53,11 +53,11 @@ class Problem:
         return np.array(states) @ (self.outputs @ found.basis).T, np.array(states)
 
 
-def bars_problem(films=None):
+def bars_problem(convection=None):
     """Two bars, 1 kW on top of one of them and 1 kW shared by the joint's contact elements."""
     parts = conduct(
         two_bars(left=(6, 5, 3), right=(6, 5, 3)),
-        films={"bottom": 50.0} if films is None else films,
+        convection={"bottom": 50.0} if convection is None else convection,
         sources={"left_top": 1.0},
     )
     structure, jump = parts.structure, parts.operators.jump.toarray()
@@ -158,7 +158,7 @@ def test_a_first_cut_too_coarse_is_refined(problem, monkeypatch):
 
 def test_what_gives_off_no_heat_is_reduced_too():
     """It gets hotter and hotter: as many rates are zero as there are bodies."""
-    problem = bars_problem(films={})
+    problem = bars_problem(convection={})
     found = problem.reduce()
     assert found.error <= 1.0
     np.testing.assert_allclose(found.rates[:2], 0.0, atol=1e-14)
@@ -167,7 +167,7 @@ def test_what_gives_off_no_heat_is_reduced_too():
 
 def test_heat_a_thousand_times_too_large_does_not_spoil_the_modes():
     """Rounding of huge responses is not taken for directions."""
-    problem = bars_problem(films={})
+    problem = bars_problem(convection={})
     drives = problem.drives * np.concatenate([[1e3], np.ones(problem.drives.shape[1] - 1)])
     found = Problem(problem.capacity, problem.conduction, drives, problem.outputs).reduce()
     stored = found.basis.T @ (problem.capacity[:, None] * found.basis)
@@ -184,7 +184,7 @@ def test_four_times_the_contact_elements_take_far_less_than_four_times_the_modes
             structure,
             fixed=["left_end", "right_end"],
             grid=grid,
-            films={"bottom": 50.0},
+            convection={"bottom": 50.0},
             sources={"left_top": 1.0},
         )
         parts = bars.parts
@@ -209,25 +209,25 @@ def chains(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     capacity = 10.0 ** rng.uniform(0.0, 4.0, count)
     between = 10.0 ** rng.uniform(-2.0, 2.0, count - 1)
-    films = (
+    convection = (
         draw(st.sampled_from([0.0, 1.0]))
         * rng.choice([0.0, 1.0], count)
         * 10.0 ** rng.uniform(-3.0, 0.0, count)
     )
-    diagonal = films.copy()
+    diagonal = convection.copy()
     diagonal[:-1] += between
     diagonal[1:] += between
     matrix = diags_array([diagonal, -between, -between], offsets=[0, 1, -1], format="csr")
     places = rng.choice(count, 3, replace=False)
     unit = np.eye(count)[places]
     drives = 100.0 * np.column_stack([unit[0], unit[1] - unit[2]])
-    return Problem(capacity, csr_array(matrix), drives, unit / 1e-2), films
+    return Problem(capacity, csr_array(matrix), drives, unit / 1e-2), convection
 
 
 @settings(max_examples=25, deadline=None)
 @given(chains())
 def test_a_reduced_model_never_grows_by_itself_and_loses_no_heat(chain):
-    problem, films = chain
+    problem, convection = chain
     found = problem.reduce()
     assert found.rates.min() >= 0.0
     levels = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 2))
@@ -237,8 +237,8 @@ def test_a_reduced_model_never_grows_by_itself_and_loses_no_heat(chain):
         given_heat = problem.drives.sum(axis=0) @ levels.T
         before = np.vstack([np.zeros(field.shape[1]), field[:-1]])
         stored = (field - before) / step * problem.capacity
-        left = given_heat - stored.sum(axis=1) - field @ films
-        moved = np.abs(stored).sum(axis=1) + np.abs(field) @ films
+        left = given_heat - stored.sum(axis=1) - field @ convection
+        moved = np.abs(stored).sum(axis=1) + np.abs(field) @ convection
         np.testing.assert_array_less(np.abs(left), 1e-9 * moved)
 
 
@@ -246,7 +246,7 @@ def test_many_inputs_are_sampled_and_each_is_checked(monkeypatch):
     """More contact elements than a sample has columns: the error is still that of every one."""
     parts = conduct(
         two_bars(left=(3, 5, 5), right=(3, 5, 5)),
-        films={"bottom": 50.0},
+        convection={"bottom": 50.0},
         sources={"left_top": 1.0},
         grid=(6, 6),
     )

@@ -116,9 +116,9 @@ def test_what_conducts_and_radiates_more_is_cooler(tmp_path):
 
 
 def test_radiation_is_a_film_for_small_differences(tmp_path):
-    film = 4.0 * 0.9 * 5.670374419e-8 * 293.15**3
+    convection = 4.0 * 0.9 * 5.670374419e-8 * 293.15**3
     weak = {"sources": {"heat": {"surface": "x0", "reference_power_W": 0.05}}}
-    linear = run(driven(tmp_path, convection_W_m2K={"x1": film}, **weak), tmp_path)
+    linear = run(driven(tmp_path, convection_W_m2K={"x1": convection}, **weak), tmp_path)
     radiation = {"x1": {"emissivity": 0.9, "ambient_degC": 20.0}}
     quartic = run(driven(tmp_path, convection_W_m2K={}, radiation=radiation, **weak), tmp_path)
     np.testing.assert_allclose(quartic["temperature"], linear["temperature"], rtol=1e-3, atol=1e-9)
