@@ -18,8 +18,6 @@ from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement.fchs import with_roles
 from estimator.baselines.kind import regressions
-from estimator.baselines.linear import Linear
-from estimator.baselines.none import Nothing
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimator, follow
 from fesim.case.schema import Case, read_case
@@ -91,8 +89,6 @@ def main() -> None:
     calibrated = chain.calibrate_responses(base, others)
     assembly = assemble(calibrated.model, FINE, RUN_LENGTH)
     estimators = [
-        Nothing(assembly.axes),
-        Linear(assembly),
         *regressions(baselines_of(calibrated, [base, *others.values()]), FINE),
         Fchs(assembly),
     ]

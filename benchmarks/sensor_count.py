@@ -163,7 +163,7 @@ def study() -> dict[str, Any]:
     """Return all figures."""
     model, other = candidates_on(MODEL), candidates_on(PLANT)
     rng = np.random.default_rng(SEED)
-    heat = random_levels(rng, plant_family.DURATION, STEP, 2.0, model.power.size)
+    heat = random_levels(rng, plant_family.USUAL.duration, STEP, 2.0, model.power.size)
     ambient = np.cumsum(rng.normal(size=len(heat)))
     ambient *= 3.0 / np.abs(ambient).max()
     day = np.column_stack([heat * model.power, ambient])

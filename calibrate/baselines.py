@@ -1,8 +1,8 @@
 """Calibration of the baselines from the responses of the generalised models.
 
-Multiple linear regression is plain least squares. For ridge and ARX every temperature is uncertain
-by `DEVIATION_UNCERTAINTY`, as in the fit of Eq. 18: their penalty stands for errors of that size
-and is not tuned to the validation.
+Multiple linear regression is plain least squares. For ridge and ARX every temperature has the
+uncertainty of the placement rule, as in the fit of Eq. 18: their penalty stands for errors of that
+size and is not tuned to the validation.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from calibrate.chain import Calibrated
 from calibrate.linear import SLOWEST
-from calibrate.placement.fchs import DEVIATION_UNCERTAINTY, with_roles
+from calibrate.placement.fchs import RULE, with_roles
 from calibrate.ridge import linear_weights, ridge_weights
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
@@ -163,8 +163,8 @@ def _relaxed(times: Array, inputs: Array, constants: Sequence[float], interval: 
 
 
 def _ridge(features: Array, target: Array) -> Array:
-    """Return weights for features with errors of `DEVIATION_UNCERTAINTY` rms."""
-    return ridge_weights(features, target, len(features) * DEVIATION_UNCERTAINTY**2)
+    """Return weights for features with the rms errors of the placement rule."""
+    return ridge_weights(features, target, len(features) * RULE.deviation_uncertainty**2)
 
 
 def _by_axis(axes: Sequence[str], weights: Array) -> dict[str, tuple[float, ...]]:

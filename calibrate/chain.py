@@ -19,8 +19,7 @@ from calibrate.linear import (
     with_direct_models,
 )
 from calibrate.placement.fchs import (
-    APART,
-    DEVIATION_UNCERTAINTY,
+    RULE,
     Placement,
     choose_heat_pair,
     rank_joint_pairs,
@@ -159,7 +158,7 @@ def _place_and_calibrate(
             refused = str(error)
     if not refused:
         raise InputError(
-            f"placement: no two candidates at the joint lie {APART:g} m apart; give more "
+            f"placement: no two candidates at the joint lie {RULE.apart:g} m apart; give more "
             "[[candidates]] there"
         )
     raise InputError(
@@ -271,7 +270,7 @@ def _driven_models(
         seen = readings(rest[level], tuple(model.linear.direct))
         heat = blocks.heat_part(assembly, times, seen.delta_T)
         runs.append(blocks.deviations(assembly, times, heat, seen.temperatures))
-    still = uncertain_signals(times, DEVIATION_UNCERTAINTY, assembly.n_sources, SEED)
+    still = uncertain_signals(times, RULE.deviation_uncertainty, assembly.n_sources, SEED)
     strengths = np.stack(
         [blocks.source_part(assembly, times, run)[after] for run in (*runs, *still)]
     ).transpose(2, 0, 1)

@@ -12,8 +12,8 @@ from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
 from calibrate.joint_aware.calibration import Effort, calibrate_machine, report
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
+from calibrate.joint_aware.physics_fit import Search
 from estimator.baselines.kind import regressions
-from estimator.baselines.none import Nothing
 from estimator.fchs.judging import validate
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
@@ -66,13 +66,13 @@ class Calibrated(NamedTuple):
 def joint_aware(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the joint-aware estimator."""
     # One search for each: that others come to the same is reported for single machines.
-    found = calibrate_machine(machine, responses, effort=Effort(starts=0))
+    found = calibrate_machine(machine, responses, effort=Effort(Search(starts=0)))
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
 def kalman_linear(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the Kalman filter on the machine with a linear joint."""
-    found = calibrate_linear_joint(machine, responses, effort=Effort(starts=0))
+    found = calibrate_linear_joint(machine, responses, effort=Effort(Search(starts=0)))
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
@@ -119,10 +119,10 @@ def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> C
 
     def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
         del warm
-        rows = np.column_stack((response["time"].to_numpy(), rises(response))).tolist()
-        found = {}
-        for one in (Nothing(machine.axes), *fitted):
-            samples = [row[: 1 + len(one.channels)] for row in rows]
+        samples = np.column_stack((response["time"].to_numpy(), rises(response))).tolist()
+        nothing = -columns_of(response, "displacement", machine.axes)
+        found = {"none": Errors(machine.axes, nothing, None)}
+        for one in fitted:
             told = [each for _, each in follow(one, samples, one.initial_state())]
             actual = columns_of(response, "displacement", one.axes)
             error = np.array([each.displacement for each in told]) - actual

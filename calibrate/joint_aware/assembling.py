@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,14 +20,37 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 
+
+@dataclass(frozen=True)
+class Past:
+    """Past heating and cooling that a warm start considers.
+
+    Attributes
+    ----------
+    shortest, longest, times : float, float, int
+        Range and number of heating and cooling times, s, evenly spaced in their logarithm.
+    ambient : float
+        Change of the ambient, K.
+    columns : int
+        Columns of the covariance factor during a run.
+    """
+
+    shortest: float = 60.0
+    longest: float = 6e4
+    times: int = 8
+    ambient: float = 3.0
+    columns: int = 12
+
+    @property
+    def lengths(self) -> Array:
+        """Heating and cooling times, s, shape (times,)."""
+        return np.geomspace(self.shortest, self.longest, self.times)
+
+
+#: The defaults.
+PAST = Past()
 #: Model errors persist over a hundred samples: as white noise they count this many times.
 LASTS = 10.0
-#: Columns of the covariance factor during a run.
-COLUMNS = 12
-#: Past heating and cooling times considered by a warm start, s.
-PASTS = np.geomspace(60.0, 6e4, 8)
-#: ... and change of the ambient, K.
-AMBIENT_CHANGE = 3.0
 
 
 def make_observer(
@@ -113,18 +136,18 @@ def make_observer(
 
 
 def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, scale: Array) -> Array:
-    """Return the covariance factor L of an unknown start, shape (n, COLUMNS).
+    """Return the covariance factor L of an unknown start, shape (n, columns of `PAST`).
 
-    Any past is a sum of heating periods: the columns span those of `PASTS`, for every source at
+    Any past is a sum of heating periods: the columns span those of `PAST`, for every source at
     `power` (W) and for a change of the ambient.
     """
-    rates = fit.discrepancy.rates
+    pasts, rates = PAST.lengths, fit.discrepancy.rates
     count, sources = modes.rates.size, power.size
     columns = []
     for given in range(sources + 1):
-        strength = power[given] if given < sources else AMBIENT_CHANGE
-        for lasted in PASTS:
-            for ago in (0.0, *PASTS):
+        strength = power[given] if given < sources else PAST.ambient
+        for lasted in pasts:
+            for ago in (0.0, *pasts):
                 column = np.zeros(system.size)
                 column[:count] = strength * modes.drive[:, given] * answer(modes.rates, lasted, ago)
                 if given < sources:
@@ -134,8 +157,8 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
                 if ago == 0.0:
                     column[system.decay.size + given] = strength
                 columns.append(column)
-    every = np.column_stack(columns) / np.sqrt(PASTS.size)
-    return compressed(every, scale, COLUMNS)
+    every = np.column_stack(columns) / np.sqrt(pasts.size)
+    return compressed(every, scale, PAST.columns)
 
 
 def answer(rates: Array, lasted: float, ago: float) -> Array:

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run
 from calibrate.joint_aware.open_band import Drawing, open_band
-from calibrate.joint_aware.physics_fit import STARTS, Fit, fit_physics
+from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
@@ -36,13 +36,13 @@ class Effort:
 
     Attributes
     ----------
-    starts : int
-        Searches from random draws of the prior, beside the one from the case's values.
+    search : Search
+        Effort and tolerances of the search for parameters.
     drawing : Drawing
         Plants and histories from which the bands are learned.
     """
 
-    starts: int = STARTS
+    search: Search = SEARCH
     drawing: Drawing = field(default_factory=Drawing)
 
 
@@ -141,7 +141,7 @@ def calibrate_machine(
     """Return the observer of an already reduced machine; see `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     runs = [run_in(response, machine, name) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, fitted, effort.starts)
+    fit = fit_physics(machine, runs, fitted, effort.search)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     band = open_band(machine, runs, fit, model, noise, effort.drawing)
     model = replace(model, band=band)

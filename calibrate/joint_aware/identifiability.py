@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibrate.joint_aware.misfit import (
-    MOST_SAMPLES,
+    SIGMAS,
     Problem,
     Run,
     coarser,
@@ -26,25 +26,50 @@ from calibrate.joint_aware.misfit import (
     residuals,
     sampled,
 )
-from calibrate.joint_aware.physics_fit import DIFFERENCE, SEARCH_STEPS, Fit
+from calibrate.joint_aware.physics_fit import SEARCH, Fit
 from calibrate.joint_aware.random_heat import random_levels
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import simulate_known
 
-#: Points of a profile, in standard deviations from the fit, and iterations for the others.
-POINTS, IMPROVED = (-2.0, -1.0, 0.0, 1.0, 2.0), 2
-#: A parameter whose uncertainty is still this fraction of the prior one is undetermined.
-PREDICTION_ONLY = 0.7
 #: Candidate runs: heating time and cooling time, s.
 CANDIDATES = {
     "cool-down of 4 h": (2100.0, 12300.0),
     "step of 4 h": (14400.0, 0.0),
     "step of 35 min": (2100.0, 0.0),
 }
-#: The day, s, its steps, and the seed of its heat.
-DAY, DAY_STEPS, SEED = 8 * 3600.0, 480, 2
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """Points of a profile, and the day to which uncertainty is carried.
+
+    Attributes
+    ----------
+    points : tuple of float
+        Of a profile, in standard deviations from the fit.
+    improved : int
+        Iterations for the other parameters at each point.
+    prediction_only : float
+        A parameter whose uncertainty is still this fraction of the prior one is undetermined: the
+        data contain less information about it than the prior (1/sqrt(2) is equal information).
+    day : float
+        Length of the day of random heat, s.
+    steps, seed : int
+        Its steps and the seed of its heat.
+    """
+
+    points: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)
+    improved: int = 2
+    prediction_only: float = 0.7
+    day: float = 8 * 3600.0
+    steps: int = 480
+    seed: int = 2
+
+
+#: The defaults.
+INQUIRY = Inquiry()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +90,11 @@ class Profile:
     cost: Array
 
 
-def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Profile]:
+def profiles(
+    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
+) -> list[Profile]:
     """Return the profile of every fitted parameter."""
-    problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    problem = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
     at_fit = fit.logarithms / fit.spread
     # Correct the coarse march by its difference from the machine's own march.
     defect = fit.residuals - residuals(problem, fit.parameters, fit.logarithms)
@@ -84,13 +111,13 @@ def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Pro
         others = np.arange(at_fit.size) != k
         improve = np.linalg.pinv(whole[:, others])
         values, costs = [], []
-        for point in POINTS:
+        for point in inquiry.points:
             scaled = at_fit.copy()
             scaled[k] += point * deviation[k]
             # Follow the valley by the tangent, then by Newton's method with a frozen tangent.
             scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
             now = at(scaled)
-            for _ in range(IMPROVED):
+            for _ in range(inquiry.improved):
                 trial = scaled.copy()
                 trial[others] -= improve @ now
                 after = at(trial)
@@ -122,11 +149,14 @@ class FurtherRun:
     day: Array
 
 
-def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
+def further_runs(
+    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
+) -> list[FurtherRun]:
     """Return the uncertainty of the parameters and of a day, without and with each further run."""
     heat = max(float(np.abs(run.inputs[:, :-1] / machine.power).max()) for run in runs)
-    levels = random_levels(SEED, DAY, DAY / DAY_STEPS, heat, machine.power.size)
-    day = _planned(machine, fit, levels, DAY)
+    step = inquiry.day / inquiry.steps
+    levels = random_levels(inquiry.seed, inquiry.day, step, heat, machine.power.size)
+    day = _planned(machine, fit, levels, inquiry.day)
     moved = _day_sensitivity(machine, runs, day, fit)
     further = []
     planned = (
@@ -156,7 +186,7 @@ def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> R
     step = length / len(heat)
     inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
     physics = physics_with(machine, factors_of(fit.parameters, fit.logarithms))
-    times = np.linspace(step, length, MOST_SAMPLES)
+    times = np.linspace(step, length, SIGMAS.samples)
     nothing = np.zeros((times.size, 0))
     run = Run(inputs, times, nothing, nothing, step)
     sensed, moved = (sampled(values, run) for values in simulate_known(physics, inputs, step))
@@ -165,25 +195,25 @@ def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> R
 
 def _heated(machine: ReducedMachine, fit: Fit, heat: float, on: float, off: float) -> Run:
     length = on + off
-    times = length / SEARCH_STEPS * np.arange(1, SEARCH_STEPS + 1)
+    times = length / SEARCH.steps * np.arange(1, SEARCH.steps + 1)
     level = np.where(times <= on, heat, 0.0)
     return _planned(machine, fit, np.tile(level[:, None], (1, machine.power.size)), length)
 
 
 def _steps(fit: Fit) -> Array:
     """Logarithms next to the fit, one parameter changed in each row, (k, k)."""
-    return np.asarray(fit.logarithms + DIFFERENCE * np.diag(fit.spread))
+    return np.asarray(fit.logarithms + SEARCH.difference * np.diag(fit.spread))
 
 
 def _jacobian(problem: Problem, fit: Fit) -> Array:
     here = residuals(problem, fit.parameters, fit.logarithms)
     beside = [residuals(problem, fit.parameters, at) for at in _steps(fit)]
-    return (np.column_stack(beside) - here[:, None]) / DIFFERENCE
+    return (np.column_stack(beside) - here[:, None]) / SEARCH.difference
 
 
 def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit: Fit) -> Array:
     """Displacement in the day per prior standard deviation of each parameter, (n, axes, k), m."""
-    known = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    known = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
     planned = make_problem(machine, [day])
 
     def moved(logarithms: Array) -> Array:
@@ -192,4 +222,4 @@ def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit
         return np.asarray(planned.states @ gains.displacement.T - physics)
 
     here = moved(fit.logarithms)
-    return np.stack([(moved(at) - here) / DIFFERENCE for at in _steps(fit)], axis=2)
+    return np.stack([(moved(at) - here) / SEARCH.difference for at in _steps(fit)], axis=2)

@@ -29,18 +29,41 @@ from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
 from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
 from thermojoint.reduced.physics import Physics, make_physics, simulate_known
 
-#: Most samples of a run that are used.
-MOST_SAMPLES = 120
-#: Assumed model error for every sample: temperature, K, and displacement, m. Model errors persist
-#: from sample to sample, so that a whole run has little more information than one sample: these are
-#: errors of 0.03 K and 0.05 um that last for a run.
-TEMPERATURE_SIGMA, DISPLACEMENT_SIGMA = 0.3, 0.5e-6
-#: ... and for the discrepancy, which follows the rest sample by sample.
-DISCREPANCY_TEMPERATURE, DISCREPANCY_DISPLACEMENT = 0.03, 1e-7
-#: Sensors with errors below this, K, or below the median error have equal weight.
-ALIKE = 0.005
-#: Prior standard deviation of a sensor's offset, K.
-OFFSET = 0.3
+
+@dataclass(frozen=True)
+class Sigmas:
+    """Errors of model and sensors that a fit assumes.
+
+    The confidence bands that follow from them are checked on drawn machines (``make plants``,
+    docs/joint-aware.md).
+
+    Attributes
+    ----------
+    samples : int
+        Most samples of a run that are used.
+    temperature, displacement : float
+        Assumed model error for every sample, K and m. Model errors persist from sample to sample,
+        so that a whole run has little more information than one sample: these are errors of 0.03 K
+        and 0.05 um that last for a run.
+    discrepancy_temperature, discrepancy_displacement : float
+        The same for the discrepancy, which follows the rest sample by sample, K and m.
+    alike : float
+        Sensors with errors below this, K, or below the median error have equal weight.
+    offset : float
+        Prior standard deviation of a sensor's offset, K.
+    """
+
+    samples: int = 120
+    temperature: float = 0.3
+    displacement: float = 0.5e-6
+    discrepancy_temperature: float = 0.03
+    discrepancy_displacement: float = 1e-7
+    alike: float = 0.005
+    offset: float = 0.3
+
+
+#: The defaults.
+SIGMAS = Sigmas()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +121,9 @@ class Problem:
     displacement : tuple of Channel
         Axis by axis.
     trust : ndarray, shape (p,)
-        Factor on `TEMPERATURE_SIGMA` for every sensor.
+        Factor on the error of a temperature for every sensor.
+    sigmas : Sigmas
+        Assumed errors.
     """
 
     machine: ReducedMachine
@@ -109,6 +134,7 @@ class Problem:
     temperature: tuple[Channel, ...]
     displacement: tuple[Channel, ...]
     trust: Array
+    sigmas: Sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +163,7 @@ class Channel:
         return self.ridge.gains(errors, sigma, self.tau)
 
 
-def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
+def make_problem(machine: ReducedMachine, runs: Sequence[Run], sigmas: Sigmas = SIGMAS) -> Problem:
     """Return the calibration problem of a machine and its runs."""
     rates = relaxation_rates()
     sources = machine.power.size
@@ -156,18 +182,20 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     def taus(values: Sequence[Array]) -> Array:
         return SHARE / level * np.max([np.abs(value).max(axis=0) for value in values], axis=0)
 
+    def with_offset(tau: float) -> Array:
+        return np.append(shape, sigmas.offset / tau if tau else 0.0)
+
+    sensed = taus([run.temperature for run in runs])
     return Problem(
         machine,
         runs,
         rates,
         states,
         shape,
-        tuple(
-            Channel(make_ridge(constant, np.append(shape, OFFSET / tau if tau else 0.0)), tau)
-            for tau in taus([run.temperature for run in runs])
-        ),
+        tuple(Channel(make_ridge(constant, with_offset(tau)), tau) for tau in sensed),
         tuple(Channel(moved, tau) for tau in taus([run.displacement for run in runs])),
         np.ones(len(machine.sensors)),
+        sigmas,
     )
 
 
@@ -231,13 +259,13 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: A
     return np.concatenate(
         [
             *(
-                channel.whitened(column, trust * TEMPERATURE_SIGMA)
+                channel.whitened(column, trust * problem.sigmas.temperature)
                 for channel, column, trust in zip(
                     problem.temperature, temperature.T, problem.trust, strict=True
                 )
             ),
             *(
-                channel.whitened(column, DISPLACEMENT_SIGMA)
+                channel.whitened(column, problem.sigmas.displacement)
                 for channel, column in zip(problem.displacement, displacement.T, strict=True)
             ),
         ]
@@ -268,11 +296,11 @@ class Linear:
 def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Linear:
     """Return the discrepancy and the offsets that explain the errors, and the residual."""
     sensed = [
-        channel.gains(column, DISCREPANCY_TEMPERATURE)
+        channel.gains(column, problem.sigmas.discrepancy_temperature)
         for channel, column in zip(problem.temperature, temperature.T, strict=True)
     ]
     moved = [
-        channel.gains(column, DISCREPANCY_DISPLACEMENT)
+        channel.gains(column, problem.sigmas.discrepancy_displacement)
         for channel, column in zip(problem.displacement, displacement.T, strict=True)
     ]
     gains = np.array([gain for gain, _ in sensed])
@@ -293,7 +321,7 @@ def trust_in(problem: Problem, left: Array) -> Array:
     """
     own = np.mean(left**2, axis=0) - reading_noise(problem, left) ** 2
     errs = np.sqrt(np.maximum(own, 0.0))
-    return np.asarray(np.maximum(errs / max(float(np.median(errs)), ALIKE), 1.0))
+    return np.asarray(np.maximum(errs / max(float(np.median(errs)), problem.sigmas.alike), 1.0))
 
 
 def reading_noise(problem: Problem, left: Array) -> Array:

@@ -20,9 +20,6 @@ from scipy.stats import t as student
 
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import (
-    DISCREPANCY_DISPLACEMENT,
-    DISCREPANCY_TEMPERATURE,
-    OFFSET,
     Problem,
     Run,
     coarser,
@@ -31,7 +28,7 @@ from calibrate.joint_aware.misfit import (
     make_problem,
     physics_with,
 )
-from calibrate.joint_aware.physics_fit import SEARCH_STEPS, Fit
+from calibrate.joint_aware.physics_fit import SEARCH, Fit
 from calibrate.joint_aware.random_heat import random_levels
 from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
@@ -122,7 +119,7 @@ def open_band(
     histories = [
         _history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
     ]
-    problem = make_problem(slow, [coarser(run, SEARCH_STEPS) for run in runs])
+    problem = make_problem(slow, [coarser(run, SEARCH.steps) for run in runs])
     errors_of_draws: list[Array] = []
     while len(errors_of_draws) < drawing.draws:
         try:
@@ -211,14 +208,15 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: flo
         + moved[0].discrepancy.displacement
         - moved[1].discrepancy.displacement
     )
+    sigmas = problem.sigmas
     for row in temperature:
-        tau = _size(row[:-1], DISCREPANCY_TEMPERATURE, least_share)
-        row += _unknown(
-            rng, constant, np.append(tau * problem.shape, OFFSET), DISCREPANCY_TEMPERATURE
-        )
+        tau = _size(row[:-1], sigmas.discrepancy_temperature, least_share)
+        shape = np.append(tau * problem.shape, sigmas.offset)
+        row += _unknown(rng, constant, shape, sigmas.discrepancy_temperature)
     for row in displacement:
-        tau = _size(row, DISCREPANCY_DISPLACEMENT, least_share)
-        row += _unknown(rng, problem.states, tau * problem.shape, DISCREPANCY_DISPLACEMENT)
+        tau = _size(row, sigmas.discrepancy_displacement, least_share)
+        shape = tau * problem.shape
+        row += _unknown(rng, problem.states, shape, sigmas.discrepancy_displacement)
     return _Drawn(
         factors_of(fit.parameters, logarithms),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),

@@ -35,16 +35,48 @@ from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import Parameter, active
 
-#: Steps of a run in a search.
-SEARCH_STEPS = 150
-#: Relative step of the difference quotients, and tolerance of the parameters.
-DIFFERENCE, CLOSE = 1e-3, 1e-4
-MOST_EVALUATIONS = 20
-#: Most rounds of the defect correction, and tolerance of the last change in standard deviations.
-MOST_ROUNDS, SETTLED = 6, 0.05
-#: Searches beside the one from the case's values start from draws of the prior; their seed, and
-#: their tolerance.
-STARTS, SEED, ROUGHLY = 3, 1, 1e-3
+
+@dataclass(frozen=True)
+class Search:
+    """Effort and tolerances of the search for parameters.
+
+    Attributes
+    ----------
+    steps : int
+        Steps of a run during the search; the error of so coarse a march is corrected (module
+        docstring).
+    difference : float
+        Step of the difference quotients, in standard deviations of the prior: far above the
+        tolerance of a march, and small enough for the residuals to be linear.
+    close, roughly : float
+        Relative change of parameters and cost at the end of the last search, and of the searches
+        from several starts.
+    evaluations : int
+        Most evaluations of a search.
+    rounds : int
+        Most rounds of the defect correction.
+    settled : float
+        Change of the last round, in posterior standard deviations.
+    starts, seed : int
+        Searches from random draws of the prior, beside the one from the case's values.
+    furthest : float
+        Largest distance of a draw from the case's values, in standard deviations of the prior.
+    """
+
+    steps: int = 150
+    difference: float = 1e-3
+    close: float = 1e-4
+    roughly: float = 1e-3
+    evaluations: int = 20
+    rounds: int = 6
+    settled: float = 0.05
+    starts: int = 3
+    seed: int = 1
+    furthest: float = 2.0
+
+
+#: The defaults.
+SEARCH = Search()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +162,7 @@ def fit_physics(
     machine: ReducedMachine,
     runs: Sequence[Run],
     fitted: Sequence[str] | None = None,
-    starts: int = STARTS,
+    search: Search = SEARCH,
 ) -> Fit:
     """Fit a machine's parameters, its discrepancy and its sensors' offsets.
 
@@ -143,8 +175,8 @@ def fit_physics(
     fitted : sequence of str, optional
         Names of the parameters to fit; default all that the machine has. If empty, only the
         discrepancy and the offsets are fitted.
-    starts : int
-        Searches from draws of the prior, beside the one from the case's values.
+    search : Search
+        Effort and tolerances.
 
     Raises
     ------
@@ -157,13 +189,13 @@ def fit_physics(
     whole = make_problem(machine, runs)
     if not parameters:
         return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
-    problem = make_problem(machine, [coarser(run, SEARCH_STEPS) for run in runs])
+    problem = make_problem(machine, [coarser(run, search.steps) for run in runs])
     spread = np.array([parameter.spread for parameter in parameters])
-    now = np.zeros(spread.size)
+    now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
     defect, evaluations, tried = _defect(whole, problem, parameters, now), 2, []
-    for begun in _starts(parameters, starts):
+    for begun in _starts(parameters, search):
         try:
-            result = _search(problem, parameters, begun, defect, ROUGHLY)
+            result = _search(problem, parameters, begun, defect, rough)
         except ConvergenceError:
             if not begun.any():
                 raise
@@ -171,24 +203,24 @@ def fit_physics(
         tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
         evaluations += _counted(result)
     now = min(tried, key=lambda start: start.cost).reached / spread
-    for _ in range(MOST_ROUNDS):
+    for _ in range(search.rounds):
         left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
         trust = trust_in(whole, left)
         whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
-        result = _search(problem, parameters, now, defect, CLOSE)
+        result = _search(problem, parameters, now, defect, search)
         evaluations += 3 + _counted(result)
         before, now = now, result.x
         # In posterior standard deviations.
         step = np.append(result.jac[: defect.size] @ (now - before), now - before)
-        if np.linalg.norm(step) <= SETTLED:
+        if np.linalg.norm(step) <= search.settled:
             break
     return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
 
 
-def _starts(parameters: tuple[Parameter, ...], count: int) -> list[Array]:
-    rng = np.random.default_rng(SEED)
-    drawn = np.clip(rng.normal(size=(count, len(parameters))), -2.0, 2.0)
+def _starts(parameters: tuple[Parameter, ...], search: Search) -> list[Array]:
+    drawn = np.random.default_rng(search.seed).normal(size=(search.starts, len(parameters)))
+    drawn = np.clip(drawn, -search.furthest, search.furthest)
     return [np.zeros(len(parameters)), *drawn]
 
 
@@ -205,7 +237,7 @@ def _search(
     parameters: tuple[Parameter, ...],
     start: Array,
     defect: Array,
-    close: float,
+    search: Search,
 ) -> OptimizeResult:
     spread = np.array([parameter.spread for parameter in parameters])
     first: list[Array] = []
@@ -225,13 +257,13 @@ def _search(
     return least_squares(
         of,
         start,
-        diff_step=DIFFERENCE,
+        diff_step=search.difference,
         x_scale=1.0,
         bounds=(-3.0, 3.0),
-        xtol=close,
-        ftol=close,
+        xtol=search.close,
+        ftol=search.close,
         gtol=1e-8,
-        max_nfev=MOST_EVALUATIONS,
+        max_nfev=search.evaluations,
     )
 
 

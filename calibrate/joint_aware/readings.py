@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from calibrate.joint_aware.misfit import MOST_SAMPLES, Run
+from calibrate.joint_aware.misfit import SIGMAS, Run
 from estimator.joint_aware.readings import ambient_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -44,7 +44,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     driven = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
     # The first sample, at rest, determines the offsets.
-    kept = slice(None, None, max(1, int(np.ceil(times.size / MOST_SAMPLES))))
+    kept = slice(None, None, max(1, int(np.ceil(times.size / SIGMAS.samples))))
     return Run(
         inputs=np.column_stack([driven, ambient]),
         times=times[kept],

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import (
-    PREDICTION_ONLY,
+    INQUIRY,
     further_runs,
     profiles,
 )
@@ -45,7 +45,7 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
         "prediction_only": [
             name
             for name, share in zip(names, after / fit.spread, strict=True)
-            if share > PREDICTION_ONLY
+            if share > INQUIRY.prediction_only
         ],
         "starts": _starts(fit),
         "profiles": [

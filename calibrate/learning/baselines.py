@@ -13,13 +13,8 @@ import numpy as np
 
 from calibrate.learning.blocks import Blocks, Sums, held_out, weights_of
 from calibrate.learning.selection import Fitted
-from calibrate.learning.structures import SLOW
 from calibrate.ridge import linear_weights
 from thermojoint.artefacts.arrays import Array
-
-#: Penalties to choose from, of standardised temperatures.
-PENALTIES = tuple(10.0 ** (0.5 * k) for k in range(-10, 3))
-KINDS = ("linear", "ridge", "arx")
 
 
 def linear(blocks: Blocks, index: list[int]) -> Fitted:
@@ -27,12 +22,14 @@ def linear(blocks: Blocks, index: list[int]) -> Fitted:
     return _penalised(blocks, index, (1e-9,))
 
 
-def ridge(blocks: Blocks, index: list[int]) -> Fitted:
+def ridge(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
     """Return ridge on the standardised features of an index, its penalty chosen by blocks."""
-    return _penalised(blocks, index, PENALTIES)
+    return _penalised(blocks, index, penalties)
 
 
-def autoregressive_tau(rows: Array, features: int, now: list[int], interval: float) -> float:
+def autoregressive_tau(
+    rows: Array, features: int, now: list[int], interval: float, slowest: float
+) -> float:
     """Return the time constant of ARX: that of its pole in one-step predictions, s, and bounded.
 
     Parameters
@@ -45,6 +42,8 @@ def autoregressive_tau(rows: Array, features: int, now: list[int], interval: flo
         Which of them are temperatures as they are.
     interval : float
         Between rows, s.
+    slowest : float
+        Its bound, s.
     """
     inputs, told = rows[:, now], rows[:, features:]
     inputs, told = inputs - inputs.mean(axis=0), told - told.mean(axis=0)
@@ -53,7 +52,7 @@ def autoregressive_tau(rows: Array, features: int, now: list[int], interval: flo
         table = np.column_stack((own[:-1], inputs[1:]))
         poles.append(linear_weights(table, own[1:])[0])
     pole = float(np.clip(np.median(poles), 0.0, 1.0 - 1e-9))
-    return float(np.clip(-interval / np.log(max(pole, 1e-6)), interval, SLOW[-1]))
+    return float(np.clip(-interval / np.log(max(pole, 1e-6)), interval, slowest))
 
 
 def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:

@@ -45,6 +45,7 @@ class _Rows:
     """Rows of a log as used by a kind of model, µm."""
 
     features: tuple[Feature, ...]
+    sizes: Array
     inputs: Array
     outputs: Array
     margin: int
@@ -146,37 +147,39 @@ def _possible(cleaned: Cleaned, kind: Kind) -> bool:
 
 def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
     """Return the rows for a kind of model, and how it is fitted."""
-    features = candidates(cleaned)
+    features = candidates(cleaned, rules.features)
     if kind in ("linear", "arx"):
         features = tuple(
             feature for feature in features if not feature.exponent and not feature.tau_s
         )
     elif kind == "ridge":
         features = tuple(feature for feature in features if not feature.exponent)
-    inputs, outputs = design(cleaned, features)
+    inputs, outputs = design(cleaned, features, rules.features)
     interval = cleaned.table.interval
     if kind == "arx":
+        now, slowest = list(range(len(features))), rules.features.slow[-1]
         tau = baselines.autoregressive_tau(
-            np.hstack((inputs, outputs)), len(features), list(range(len(features))), interval
+            np.hstack((inputs, outputs)), len(features), now, interval, slowest
         )
         features += tuple(
             Feature(feature.column, tau, reference=feature.reference) for feature in features
         )
-        inputs, outputs = design(cleaned, features)
+        inputs, outputs = design(cleaned, features, rules.features)
     every = list(range(len(features)))
-    kinds = structures(bool(cleaned.drives), float(np.ptp(cleaned.table.times)))
+    length = float(np.ptp(cleaned.table.times))
+    kinds = structures(bool(cleaned.drives), length, rules.features)
 
     def fitted(some: Array, told: Array) -> Fitted:
         blocks = blocks_of(np.hstack((some, told)), len(features), interval, rules.fitting)
         if kind == "linear":
             return baselines.linear(blocks, every)
         if kind != "learned":
-            return baselines.ridge(blocks, every)
+            return baselines.ridge(blocks, every, rules.fitting.penalties)
         sensors = choose(blocks, features, cleaned.sensors, kinds, most)
         return fit(blocks, features, sensors, kinds)
 
     margin = int(np.ceil(rules.fitting.margin / interval))
-    return _Rows(features, inputs, outputs, margin, fitted)
+    return _Rows(features, sizes(features, rules.features), inputs, outputs, margin, fitted)
 
 
 class _Judged(NamedTuple):
@@ -269,7 +272,7 @@ def _model(
 ) -> LearnedModel:
     """Return the model of a fit, without unused features."""
     used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
-    size = sizes(rows.features)[used] / MEGA
+    size = rows.sizes[used] / MEGA
     weights = size[:, None] * fitted.weights[used]
     features = tuple(rows.features[k] for k in used)
     columns = {feature.column for feature in features}

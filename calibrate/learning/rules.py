@@ -82,6 +82,39 @@ class Cleaning:
 
 
 @dataclass(frozen=True)
+class Features:
+    """Features on which a displacement may depend.
+
+    Attributes
+    ----------
+    slow, heat : tuple of float
+        Relaxations of a temperature, in addition to itself, and of a heat, s.
+    exponents : tuple of float
+        Heat of a bearing as a power of the speed; a power or load counts as heat directly.
+    slowest_share : float
+        Relaxations slower than this fraction of the run are not observable in it.
+    gain, heat_gain : float
+        A priori size of a weight, um: per kelvin (steel over half a metre), and of the largest
+        heat.
+    before, given_up : float
+        Time for which heat from before a run has an effect, s (twice the slowest relaxation of a
+        heat), and the largest fraction of the run discarded for it.
+    standstill : float
+        A run that starts below this fraction of the largest drive starts at rest.
+    """
+
+    slow: tuple[float, ...] = (3600.0, 7200.0)
+    heat: tuple[float, ...] = (900.0, 5400.0)
+    exponents: tuple[float, ...] = (1.0, 1.5, 2.0)
+    slowest_share: float = 1.0 / 3.0
+    gain: float = 5.0
+    heat_gain: float = 20.0
+    before: float = 10800.0
+    given_up: float = 0.2
+    standstill: float = 0.02
+
+
+@dataclass(frozen=True)
 class Fitting:
     """Fitting of weights with held-out blocks of time.
 
@@ -99,6 +132,8 @@ class Fitting:
         A structure is weighted by this power of its mean square error.
     noise : float
         Errors below this are measurement noise, um.
+    penalties : tuple of float
+        Candidates of the baseline `ridge`, for standardised temperatures; held-out blocks decide.
     """
 
     hours: float = 2.5
@@ -109,6 +144,7 @@ class Fitting:
     priors: tuple[float, ...] = (0.1, 1.0)
     sharpness: float = 2.0
     noise: float = 0.1
+    penalties: tuple[float, ...] = tuple(10.0 ** (0.5 * k) for k in range(-10, 3))
 
 
 @dataclass(frozen=True)
@@ -138,5 +174,6 @@ class Rules:
 
     thinning: Thinning = field(default_factory=Thinning)
     cleaning: Cleaning = field(default_factory=Cleaning)
+    features: Features = field(default_factory=Features)
     fitting: Fitting = field(default_factory=Fitting)
     judging: Judging = field(default_factory=Judging)

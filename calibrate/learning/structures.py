@@ -8,25 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibrate.learning.cleaning import Cleaned
+from calibrate.learning.rules import Features
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import Feature, features_of
-
-#: Relaxations of a temperature, in addition to itself, and of a heat, s.
-SLOW = (3600.0, 7200.0)
-HEAT = (900.0, 5400.0)
-#: Heat of a bearing as a power of the speed; a power or load counts as heat directly.
-EXPONENTS = (1.0, 1.5, 2.0)
-#: Relaxations slower than this fraction of the run are not observable in it.
-SLOWEST_SHARE = 1.0 / 3.0
-#: A priori size of a weight, µm: per kelvin (steel over half a metre), and of the largest heat.
-GAIN = 5.0
-HEAT_GAIN = 20.0
-#: Time for which heat from before a run has an effect, s, and the largest fraction of the run
-#: discarded for it.
-BEFORE = 2.0 * HEAT[-1]
-_GIVEN_UP = 0.2
 
 
 @dataclass(frozen=True)
@@ -45,27 +31,27 @@ class Structure:
     exponent: float
 
 
-def structures(drives: bool, length: float) -> tuple[Structure, ...]:
+def structures(drives: bool, length: float, rules: Features) -> tuple[Structure, ...]:
     """Return the candidate structures for a run of `length` seconds."""
-    slow = [tau for tau in SLOW if tau <= SLOWEST_SHARE * length]
+    slow = [tau for tau in rules.slow if tau <= rules.slowest_share * length]
     relaxations = [(), *((tau,) for tau in slow)]
-    exponents = EXPONENTS if drives else (0.0,)
+    exponents = rules.exponents if drives else (0.0,)
     return tuple(Structure(taus, p) for taus in relaxations for p in exponents)
 
 
-def candidates(cleaned: Cleaned) -> tuple[Feature, ...]:
+def candidates(cleaned: Cleaned, rules: Features) -> tuple[Feature, ...]:
     """Return all possible features of a structure."""
     quantities = {column.name: column.quantity for column in cleaned.table.columns}
     features = []
     for name in cleaned.sensors:
         values = cleaned.at(name)
-        for tau in (0.0, *SLOW):
+        for tau in (0.0, *rules.slow):
             features.append(Feature(name, tau, reference=float(np.mean(values))))
     for name in cleaned.drives:
         largest = float(np.abs(cleaned.at(name)).max())
-        exponents = EXPONENTS if quantities[name] == "speed" else (1.0,)
+        exponents = rules.exponents if quantities[name] == "speed" else (1.0,)
         features += [
-            Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in HEAT
+            Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in rules.heat
         ]
     return tuple(features)
 
@@ -93,7 +79,7 @@ def index_of(
     ]
 
 
-def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Array]:
+def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> tuple[Array, Array]:
     """Return features (k, n) in units of their prior and displacements (k, axes), µm.
 
     Rows without a displacement are left out; of several runs, each of which has its own zero, only
@@ -101,7 +87,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     """
     table = cleaned.table
     names = [column.name for column in table.columns]
-    size = sizes(features)
+    size = sizes(features, rules)
     at = [names.index(name) for name in cleaned.displacements]
     ends = [*table.starts[1:], len(table.times)]
     inputs, outputs = [], []
@@ -109,7 +95,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
         run = table.times[first:end], table.values[first:end]
         values = size * features_of(features, names, run)
         told = MEGA * table.values[first:end][:, at]
-        full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end))
+        full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end), rules)
         if not full.any():
             continue
         inputs.append(values[full])
@@ -119,7 +105,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...]) -> tuple[Array, Arra
     return _within_runs(inputs), _within_runs(outputs)
 
 
-def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
+def _known(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:
     """Return which rows of a run are independent of earlier heat, shape (k,) of bool.
 
     A run that starts at standstill is assumed to start at rest.
@@ -127,10 +113,10 @@ def _known(cleaned: Cleaned, run: slice) -> NDArray[np.bool_]:
     times = cleaned.table.times[run]
     since = times - times[0]
     warm = any(
-        abs(cleaned.at(name)[run][0]) > 0.02 * np.abs(cleaned.at(name)).max()
+        abs(cleaned.at(name)[run][0]) > rules.standstill * np.abs(cleaned.at(name)).max()
         for name in cleaned.drives
     )
-    return np.asarray(since >= min(BEFORE, _GIVEN_UP * since[-1]) * warm)
+    return np.asarray(since >= min(rules.before, rules.given_up * since[-1]) * warm)
 
 
 def _within_runs(runs: list[Array]) -> Array:
@@ -141,6 +127,6 @@ def _within_runs(runs: list[Array]) -> Array:
     return np.concatenate([run - run.mean(axis=0) for run in runs]) + whole.mean(axis=0)
 
 
-def sizes(features: tuple[Feature, ...]) -> Array:
+def sizes(features: tuple[Feature, ...], rules: Features) -> Array:
     """Return the a priori size of each weight, µm, shape (n,)."""
-    return np.array([HEAT_GAIN if feature.exponent else GAIN for feature in features])
+    return np.array([rules.heat_gain if one.exponent else rules.gain for one in features])

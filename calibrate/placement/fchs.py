@@ -3,17 +3,17 @@
 It uses the responses to the calibration steps, never a validation case. All choices are judged by
 the displacement error, so both halves of the rule are in micrometres.
 
-Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input within
-`PROPORTIONAL`, larger than `SMALLEST_DIFFERENCE` and monotone. Of these take the `SHORTLIST` that
-respond fastest (a fast pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and
-choose the pair whose estimated linear displacement is best at all calibration inputs.
+Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input, large and
+monotone (`Rule` has the bounds). Of these take a shortlist of those that respond fastest (a fast
+pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and choose the pair whose
+estimated linear displacement is best at all calibration inputs.
 
 Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
-the nonlinear displacement at the calibration inputs with each pair, regularised for an uncertainty
-of `DEVIATION_UNCERTAINTY`. Rank the pairs by the residual; sensors closer than `APART` would see
-one source twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last. The
-first pair whose source model has a stable inverse is used. Fictitious source i lies at the contact
-element nearest to T_i, which determines r_ij.
+the nonlinear displacement at the calibration inputs with each pair, regularised for the uncertainty
+of a deviation. Rank the pairs by the residual; sensors that are too close would see one source
+twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last. The first pair
+whose source model has a stable inverse is used. Fictitious source i lies at the contact element
+nearest to T_i, which determines r_ij.
 """
 
 from __future__ import annotations
@@ -41,19 +41,48 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-PROPORTIONAL = 1e-3
-SMALLEST_DIFFERENCE = 4.0
-SHORTLIST = 60
-#: s: the larger the fraction of a difference reached by now, the faster the pair.
-EARLY = 30.0
-#: K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
-#: calibrated (`calibrate.chain`), for temperature deviations with this rms uncertainty.
-DEVIATION_UNCERTAINTY = 0.12
-APART = 0.1
-#: An axis with a nonlinear displacement below this fraction of the largest does not rank the pairs.
-FAINT_AXIS = 1e-3
-#: Tolerance of the rational approximations while pairs are compared.
-_SCREENING = 1e-5
+@dataclass(frozen=True)
+class Rule:
+    """Bounds of the placement rule; docs/calibration.md gives the reasons.
+
+    Attributes
+    ----------
+    proportional : float
+        Largest deviation of a difference from proportionality, relative to its final value.
+    smallest_difference : float
+        K per unit of heat input.
+    falls : float
+        A monotone difference falls by less than this from sample to sample, relative to its final
+        value.
+    shortlist : int
+        Number of pairs that Eq. 2 is fitted to.
+    early : float
+        The larger the fraction of a difference reached at this time, s, the faster the pair.
+    deviation_uncertainty : float
+        K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
+        calibrated (`calibrate.chain`), for temperature deviations with this rms uncertainty.
+    apart : float
+        Sensors closer than this would see one source twice, m.
+    faint_axis : float
+        An axis with a nonlinear displacement below this fraction of the largest does not rank the
+        pairs.
+    screening : float
+        Tolerance of the rational approximations while pairs are compared.
+    """
+
+    proportional: float = 1e-3
+    smallest_difference: float = 4.0
+    falls: float = 1e-6
+    shortlist: int = 60
+    early: float = 30.0
+    deviation_uncertainty: float = 0.12
+    apart: float = 0.1
+    faint_axis: float = 1e-3
+    screening: float = 1e-5
+
+
+#: The defaults.
+RULE = Rule()
 
 
 @dataclass(frozen=True)
@@ -153,7 +182,7 @@ def choose_heat_pair(
     others: Mapping[float, xr.Dataset],
     deformation: Mapping[str, DeformationModel],
     candidates: list[str],
-    shortlist: int = SHORTLIST,
+    rule: Rule = RULE,
 ) -> HeatPair:
     """Choose a and b.
 
@@ -167,8 +196,8 @@ def choose_heat_pair(
         Eq. 8 of every relevant axis.
     candidates : list of str
         Probes to choose from.
-    shortlist : int
-        Number of pairs that Eq. 2 is fitted to.
+    rule : Rule
+        Bounds of the rule.
 
     Raises
     ------
@@ -187,23 +216,23 @@ def choose_heat_pair(
         size = difference[-1]
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.max([np.abs(s[:, [i]] - s - difference).max(0) for s in scaled], axis=0) / size
-            early = _at(t, difference, t[0] + EARLY) / size
-        falls = (np.diff(difference, axis=0) < -1e-6 * np.abs(size)).any(axis=0)
-        good = (size > SMALLEST_DIFFERENCE) & (off < PROPORTIONAL) & ~falls
+            early = _at(t, difference, t[0] + rule.early) / size
+        falls = (np.diff(difference, axis=0) < -rule.falls * np.abs(size)).any(axis=0)
+        good = (size > rule.smallest_difference) & (off < rule.proportional) & ~falls
         good_pairs += [
             (-float(early[j]), i, int(j), float(size[j]), float(off[j]))
             for j in np.flatnonzero(good)
         ]
     good_pairs.sort()
     pairs: list[HeatPair] = []
-    for _, i, j, size, off in good_pairs[:shortlist]:
+    for _, i, j, size, off in good_pairs[: rule.shortlist]:
         try:
             ring, fit = fit_ring(
                 t, unit_responses[:, i] - unit_responses[:, j], starts=6, polished=1
             )
             regularisation = choose_regularisation(ring, interval)
             inverse = inverse_bank(
-                [[ring]], [regularisation], interval, float(t[-1]), _SCREENING, "candidate pair"
+                [[ring]], [regularisation], interval, float(t[-1]), rule.screening, "candidate pair"
             )
         except ThermojointError:
             continue  # no stable inverse: the pair is out
@@ -227,12 +256,13 @@ def rank_joint_pairs(
     others: Mapping[float, xr.Dataset],
     axes: list[str],
     candidates: list[str],
+    rule: Rule = RULE,
 ) -> Iterator[JointPair]:
     """Yield pairs T1, T2 in the order of the rule, best first.
 
     Parameters
     ----------
-    reference, others, candidates
+    reference, others, candidates, rule
         As in `choose_heat_pair`.
     axes : list of str
         Relevant directions of the displacement.
@@ -258,16 +288,16 @@ def rank_joint_pairs(
         raise InputError(
             "placement: the displacement is proportional to the heat input; no joint acts on it"
         )
-    counts = power > FAINT_AXIS**2 * power.max()
+    counts = power > rule.faint_axis**2 * power.max()
     gram = features.T @ features
     drive = features.T @ target
     wide = len(UNCERTAIN_TIMES)
-    ridge = len(target) * DEVIATION_UNCERTAINTY**2 * np.eye(2 * wide)
+    ridge = len(target) * rule.deviation_uncertainty**2 * np.eye(2 * wide)
     order: list[tuple[bool, float, int, int]] = []
     for i, j in combinations(range(len(candidates)), 2):
-        if np.linalg.norm(at[i] - at[j]) < APART:
+        if np.linalg.norm(at[i] - at[j]) < rule.apart:
             continue
-        faint = bool(min(signals[[i, j]]) < DEVIATION_UNCERTAINTY)
+        faint = bool(min(signals[[i, j]]) < rule.deviation_uncertainty)
         own = np.r_[wide * i : wide * (i + 1), wide * j : wide * (j + 1)]
         inner = gram[np.ix_(own, own)]
         weights = np.linalg.solve(inner + ridge, drive[own])

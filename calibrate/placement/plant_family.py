@@ -1,6 +1,6 @@
 """Machines with indistinguishable calibration responses, and their responses to a day.
 
-Parameters are drawn from the posterior after steps of `LEVELS`; each machine has the linear
+Parameters are drawn from the posterior after a calibration by steps; each machine has the linear
 discrepancy that gives it the nominal responses to those steps. Minutes matter here, not seconds:
 marches use `STEP`, on the few modes that this needs.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr
 
-from calibrate.joint_aware.assembling import PASTS, answer
+from calibrate.joint_aware.assembling import PAST, answer
 from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.random_heat import random_levels
@@ -24,20 +24,46 @@ from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.physics import make_physics, simulate_known
 
-#: Plants of the family, and its seed.
-PLANTS, SEED = 12, 2
-#: Number of sensors in their calibration.
-SEEN = 4
 #: Step of the marches and of the filter while sensors are compared, s.
 STEP = 60.0
-#: Calibration steps of a plant: heat inputs and length, s.
-LEVELS, CALIBRATED = (0.5, 1.0, 2.0), 2100.0
-#: Length of the day, s, and its highest heat.
-DURATION, HIGHEST = 8 * 3600.0, 2.0
-#: Random walk of the ambient over the day, K.
-AMBIENT = 3.0
 #: Fields smaller than this fraction of the largest get no mode.
 NEGLIGIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Size of the family, its calibration and its day (docs/sensor-placement.md).
+
+    Attributes
+    ----------
+    plants, seed : int
+        Number to draw, of which those that cannot be marched are left out; seed of plants and day.
+    seen : int
+        Number of sensors in the calibration, as in the paper.
+    levels : tuple of float
+        Heat inputs of the calibration steps, as in the paper.
+    calibrated : float
+        Their length, s, as in the paper.
+    duration : float
+        Length of the day, s.
+    highest : float
+        Its highest heat, that of the calibration.
+    ambient : float
+        Random walk of the ambient over the day, K.
+    """
+
+    plants: int = 12
+    seed: int = 2
+    seen: int = 4
+    levels: tuple[float, ...] = (0.5, 1.0, 2.0)
+    calibrated: float = 2100.0
+    duration: float = 8 * 3600.0
+    highest: float = 2.0
+    ambient: float = 3.0
+
+
+#: The defaults.
+USUAL = Drawing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +82,7 @@ class Family:
     displacement: Array
 
 
-def make_family(
-    machine: ReducedMachine, plants: int = PLANTS, seed: int = SEED, seen: int = SEEN
-) -> Family:
+def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
     """Draw machines that a calibration cannot distinguish, and march them through one day.
 
     The calibration uses the nominal machine as plant, with steps of `LEVELS`. It has the
@@ -69,33 +93,29 @@ def make_family(
     ----------
     machine : ReducedMachine
         Nominal; its sensors are the candidates.
-    plants : int
-        Number to draw. One that cannot be marched is left out.
-    seed : int
-        Of plants and day.
-    seen : int
-        Number of sensors in the calibration.
+    drawing : Drawing
+        Size of the family, its calibration and its day.
 
     Raises
     ------
     ConvergenceError
         No plant, or not even the nominal machine, can be marched.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(drawing.seed)
     slow = replace(machine, step=STEP)
-    runs = [_calibration(slow, level) for level in LEVELS]
+    runs = [_calibration(slow, level, drawing.calibrated) for level in drawing.levels]
     temperatures = np.vstack([run.temperature for run in runs])
-    at = qr(temperatures, mode="r", pivoting=True)[1][:seen]
+    at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
     few = replace(
         slow, sensors=slow.sensors[at], sensor_names=tuple(slow.sensor_names[k] for k in at)
     )
     fit = fit_physics(few, [replace(run, temperature=run.temperature[:, at]) for run in runs])
-    day, states = _day(rng, slow)
+    day, states = _day(rng, slow, drawing)
     nominal, problem = _answers(slow, day), make_problem(slow, runs)
     values, turn = np.linalg.eigh(fit.covariance)
     spread = turn * np.sqrt(np.maximum(values, 0.0))
     readings, displacement = [], []
-    for drawn in rng.normal(size=(plants, values.size)):
+    for drawn in rng.normal(size=(drawing.plants, values.size)):
         logarithms = spread @ drawn
         plant = with_factors(slow, factors_of(fit.parameters, logarithms))
         try:
@@ -110,19 +130,21 @@ def make_family(
     return Family(np.stack(readings, axis=-1), np.stack(displacement, axis=-1))
 
 
-def _calibration(machine: ReducedMachine, level: float) -> Run:
+def _calibration(machine: ReducedMachine, level: float, length: float) -> Run:
     """A step from rest, with the machine's own response."""
-    count = round(CALIBRATED / machine.step)
+    count = round(length / machine.step)
     inputs = np.tile(np.append(level * machine.power, 0.0), (count, 1))
     times: Array = machine.step * np.arange(1.0, count + 1.0)
     return Run(inputs, times, *_answers(machine, inputs), machine.step)
 
 
-def _day(rng: np.random.Generator, machine: ReducedMachine) -> tuple[Array, Array]:
+def _day(
+    rng: np.random.Generator, machine: ReducedMachine, drawing: Drawing
+) -> tuple[Array, Array]:
     """Inputs (n, s + 1) of a day, and the relaxed heat."""
-    heat = random_levels(rng, DURATION, machine.step, HIGHEST, machine.power.size)
+    heat = random_levels(rng, drawing.duration, machine.step, drawing.highest, machine.power.size)
     walk = np.cumsum(rng.normal(size=len(heat)))
-    ambient = AMBIENT * walk / np.abs(walk).max()
+    ambient = drawing.ambient * walk / np.abs(walk).max()
     states = relaxed(heat, relaxation_rates(), machine.step)
     return np.column_stack([heat * machine.power, ambient]), states
 
@@ -148,8 +170,8 @@ def fewer_modes(
     """Return a machine with the few modes that its inputs excite at the times of a run.
 
     The fields that every source at its power, the ambient and flows across the joint leave after
-    `PASTS`, (M / time + K + H) T = input, span them, but for what is smaller than `NEGLIGIBLE` of
-    the largest. Its 300 modes resolve seconds everywhere; here minutes are enough.
+    the times of `PAST`, (M / time + K + H) T = input, span them, but for what is smaller than
+    `NEGLIGIBLE` of the largest. Its 300 modes resolve seconds everywhere; here minutes are enough.
 
     Parameters
     ----------
@@ -162,12 +184,13 @@ def fewer_modes(
     """
     flow = (noise or Noise()).joint_flow
     inputs = np.column_stack(
-        [machine.sources * machine.power, AMBIENT * machine.ambient, flow * machine.jump.T]
+        [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * machine.jump.T]
     )
     linear = machine.conduction + machine.convection
     linear = linear + machine.jump.T @ (machine.at_preload[:, None] * machine.jump)
     fields = [
-        np.linalg.solve(machine.capacity / time + linear, inputs) for time in (shortest, *PASTS)
+        np.linalg.solve(machine.capacity / time + linear, inputs)
+        for time in (shortest, *PAST.lengths)
     ]
     # Fields are compared by their heat content: in coordinates in which M is the identity.
     root = np.linalg.cholesky(machine.capacity).T

@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
+from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in
 from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
@@ -28,30 +29,56 @@ from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
 from thermojoint.models.learned import FILE, LearnedModel, at_rest, signals
 
-#: Size of the drift relative to the held-out errors, which come from hours next to those used for
-#: learning, and its decay time, s.
-DRIFT_SIZE = 2.0
-DRIFT_TIME = 4.0 * 3600.0
-#: Time after which the weights are as uncertain again as after learning, s.
-MEMORY = 30.0 * 86400.0
-#: A reading further from the estimate than this many standard deviations is refused; a second
-#: agreeing reading means that the zero has shifted.
-REFUSED = 4.0
-#: A log that starts within this time after the end of the learning log continues it, s.
-GOES_ON = 3600.0
-#: An estimate is flagged where it leaves the log's range of displacements by more than this
-#: fraction of it, on either side.
-REACH = 0.5
-WITHIN = 1.96
 _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "torque": "N m"}
+
+
+@dataclass(frozen=True)
+class Following:
+    """How displacement readings are followed, and what is flagged.
+
+    The band's cover and the use of readings were measured on held-out days of a logged machine
+    (``python -m benchmarks.measured_machine``, docs/measured-machines.md).
+
+    Attributes
+    ----------
+    drift_size : float
+        Size of the drift relative to the held-out errors, which come from hours next to those used
+        for learning.
+    drift_time : float
+        Decay time of the drift, s.
+    memory : float
+        Time after which the weights are as uncertain again as after learning, s.
+    refused : float
+        A reading further from the estimate than this many standard deviations is refused; a second
+        agreeing reading means that the zero has shifted.
+    goes_on : float
+        A log that starts within this time after the end of the learning log continues it, s.
+    reach : float
+        An estimate is flagged where it leaves the log's range of displacements by more than this
+        fraction of it, on either side.
+    within : float
+        Half-width of the band, 95 %, in standard deviations.
+    """
+
+    drift_size: float = 2.0
+    drift_time: float = 4.0 * 3600.0
+    memory: float = 30.0 * 86400.0
+    refused: float = 4.0
+    goes_on: float = 3600.0
+    reach: float = 0.5
+    within: float = 1.96
+
+    def reached(self, span: tuple[float, float]) -> tuple[float, float]:
+        """Return the limits of an estimate for a log's range of displacements, m."""
+        low, high = span
+        return low - self.reach * (high - low), high + self.reach * (high - low)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Learned(Described):
     """A learned model with the common interface.
 
-    Its state is (time of the last sample, start of the run, last values, relaxations; then for each
-    displacement zero, drift, weights, the last refused innovation, and their covariance).
+    Its state is `estimator.learned.state.State`.
 
     Attributes
     ----------
@@ -59,10 +86,13 @@ class Learned(Described):
         The model.
     reading_noise : float
         Standard deviation of a displacement reading, m.
+    following : Following
+        How readings are followed.
     """
 
     model: LearnedModel
     reading_noise: float = READING_NOISE
+    following: Following = Following()
     schema: str = FILE.schema
 
     def _facts(self) -> dict[str, str]:
@@ -100,19 +130,25 @@ class Learned(Described):
         size = 2 + len(self.model.features)
         prior = np.zeros((len(self.axes), size, size))
         for own, channel in zip(prior, self.model.channels, strict=True):
-            own[0, 0], own[1, 1] = channel.drift**2, (DRIFT_SIZE * channel.drift) ** 2
-            own[2:, 2:] = channel.covariance
+            own[ZERO, ZERO] = channel.drift**2
+            own[DRIFT, DRIFT] = (self.following.drift_size * channel.drift) ** 2
+            own[WEIGHTS, WEIGHTS] = channel.covariance
         return prior
 
     def initial_state(self) -> Array:
         """Return the state before any sample."""
-        inputs = len(self.model.columns) + len(self.model.features)
-        means = [
-            np.concatenate(([channel.zero, 0.0], channel.weights, [0.0]))
-            for channel in self.model.channels
-        ]
-        start = np.full(2 + inputs, np.nan)
-        return np.concatenate([start, *means, self._prior.ravel()])
+        model = self.model
+        return flat(
+            State(
+                time=np.nan,
+                begun=np.nan,
+                values=np.full(len(model.columns), np.nan),
+                relaxations=np.full(len(model.features), np.nan),
+                mean=np.array([(one.zero, 0.0, *one.weights) for one in model.channels]),
+                refused=np.zeros(len(model.channels)),
+                covariance=self._prior,
+            )
+        )
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.
@@ -126,11 +162,12 @@ class Learned(Described):
         values : sequence of float
             As in `channels`; NaN where missing. It may end before the displacement readings.
         """
-        if not np.isfinite(time) or time <= state[0]:
+        last = state_in(state, self.model)
+        if not np.isfinite(time) or time <= last.time:
             raise InputError(
-                f"time {time:g} s does not come after {state[0]:g} s; drop or re-order the sample"
+                f"time {time:g} s does not come after {last.time:g} s; drop or re-order the sample"
             )
-        columns, features = len(self.model.columns), len(self.model.features)
+        columns = len(self.model.columns)
         unread = [math.nan] * len(self.axes) if len(values) == columns else []
         told = np.array([*values, *unread], dtype=float)
         if told.shape != (columns + len(self.axes),) or np.isinf(told).any():
@@ -138,44 +175,36 @@ class Learned(Described):
                 f"{told.size} values, or one that is infinite; give {columns + len(self.axes)}, "
                 "NaN where a reading is missing"
             )
-        now, last = told[:columns], state[2 : 2 + columns]
+        now, readings = told[:columns], told[columns:]
         status = Status.READING_MISSING if np.isnan(now).any() else Status.OK
-        fresh = np.isnan(state[0])
-        now = np.where(np.isnan(now), self._middle if fresh else last, now)
-        new = signals(self.model.features, self.model.columns, now)
-        begun = time if fresh else float(state[1])
-        end = self.model.log_end
-        if not fresh:
-            before = state[2 + columns : 2 + columns + features]
-            low = self._relaxed(before, last, new, time - float(state[0]))
-        elif end and 0.0 < time - end.time_s <= GOES_ON:
-            low = self._relaxed(
-                np.array(end.relaxations), np.array(end.values), new, time - end.time_s
-            )
-        else:
-            low = np.where(self.model.taus > 0.0, at_rest(self.model.features, new), new)
-        means, spread = self._filters(state)
-        if not fresh:
-            means, spread = self._forgotten(means, spread, time - float(state[0]))
+        now = np.where(np.isnan(now), self._middle if last.fresh else last.values, now)
+        low = self._relaxations(last, time, now)
+        if not last.fresh:
+            last = self._forgotten(last, time - last.time)
         row = np.concatenate(([1.0, 1.0], low))
-        refused = False
-        for c, reading in enumerate(told[columns:]):
-            if not np.isnan(reading):
-                means[c], spread[c], wrong = self._corrected(
-                    means[c], spread[c], row, float(reading), c
-                )
-                refused |= wrong
-        if refused:
-            status |= Status.READING_REFUSED
-        estimate = means[:, :-1] @ row
-        band = WITHIN * self._widening * np.sqrt(np.einsum("i,cij,j->c", row, spread, row))
+        for c in np.flatnonzero(~np.isnan(readings)):
+            if self._correct(last, int(c), row, float(readings[c])):
+                status |= Status.READING_REFUSED
+        estimate = last.mean @ row
+        variance = np.einsum("i,cij,j->c", row, last.covariance, row)
+        band = self.following.within * self._widening * np.sqrt(variance)
+        begun = time if last.fresh else last.begun
         status |= self._status(now, estimate, time - begun)
-        after = np.concatenate(([time, begun], now, low, means.ravel(), spread.ravel()))
-        return after, Estimate(time, estimate, band, status, np.empty(0))
+        after = last._replace(time=time, begun=begun, values=now, relaxations=low)
+        return flat(after), Estimate(time, estimate, band, status, np.empty(0))
 
-    def _relaxed(self, before: Array, last: Array, new: Array, dt: float) -> Array:
-        old = signals(self.model.features, self.model.columns, last)
-        return relaxed(before, old, new, dt, self.model.taus)
+    def _relaxations(self, last: State, time: float, now: Array) -> Array:
+        """Relaxations of the features at `time`, s, with values now: (n,)."""
+        model, end = self.model, self.model.log_end
+        new = signals(model.features, model.columns, now)
+        if last.fresh and end and 0.0 < time - end.time_s <= self.following.goes_on:
+            begun, values, since = np.array(end.relaxations), np.array(end.values), end.time_s
+        elif last.fresh:
+            return np.where(model.taus > 0.0, at_rest(model.features, new), new)
+        else:
+            begun, values, since = last.relaxations, last.values, last.time
+        old = signals(model.features, model.columns, values)
+        return relaxed(begun, old, new, time - since, model.taus)
 
     @cached_property
     def _middle(self) -> Array:
@@ -186,46 +215,39 @@ class Learned(Described):
     def _widening(self) -> Array:
         return np.array([channel.widening for channel in self.model.channels])
 
-    def _filters(self, state: Array) -> tuple[Array, Array]:
-        """Return means (axes, 3 + features), with the refused innovation last, and covariances."""
-        size, axes = 2 + len(self.model.features), len(self.axes)
-        first = 2 + len(self.model.columns) + len(self.model.features)
-        split = first + axes * (size + 1)
-        means = state[first:split].reshape(axes, size + 1)
-        return means.copy(), state[split:].reshape(axes, size, size).copy()
-
-    def _forgotten(self, means: Array, spread: Array, dt: float) -> tuple[Array, Array]:
+    def _forgotten(self, state: State, dt: float) -> State:
         """Return the filters one interval later: each part relaxes towards its prior."""
-        size = spread.shape[1]
-        keep = np.full(size, np.exp(-dt / MEMORY))
-        keep[0], keep[1] = 1.0, np.exp(-dt / DRIFT_TIME)
-        means[:, 1] *= keep[1]
-        both = np.outer(keep, keep)
-        return means, both * spread + (1.0 - both) * self._prior
+        keep = np.full(state.mean.shape[1], np.exp(-dt / self.following.memory))
+        keep[ZERO], keep[DRIFT] = 1.0, np.exp(-dt / self.following.drift_time)
+        mean, both = state.mean.copy(), np.outer(keep, keep)
+        mean[:, DRIFT] *= keep[DRIFT]
+        covariance = both * state.covariance + (1.0 - both) * self._prior
+        return state._replace(mean=mean, covariance=covariance)
 
-    def _corrected(
-        self, mean: Array, spread: Array, row: Array, reading: float, c: int
-    ) -> tuple[Array, Array, bool]:
-        """Return one filter after a reading, and whether the reading was refused."""
-        noise = self.reading_noise**2
+    def _correct(self, state: State, c: int, row: Array, reading: float) -> bool:
+        """Correct filter c by a reading, m, in place; return whether the reading was refused."""
+        noise, mean, spread = self.reading_noise**2, state.mean[c], state.covariance[c]
         cross = spread @ row
         variance = float(row @ cross)
-        innovation = reading - float(mean[:-1] @ row)
-        limit = REFUSED * np.sqrt(self._widening[c] ** 2 * variance + noise)
+        innovation = reading - float(mean @ row)
+        limit = self.following.refused * np.sqrt(self._widening[c] ** 2 * variance + noise)
         if abs(innovation) > limit:
-            before = float(mean[-1])
+            before = float(state.refused[c])
             if not before or abs(innovation - before) > limit:
-                return np.append(mean[:-1], innovation), spread, True
+                state.refused[c] = innovation
+                return True
             # A second agreeing reading: the zero has shifted.
-            spread = spread.copy()
-            spread[0, 0] += innovation**2
+            spread[ZERO, ZERO] += innovation**2
             cross = spread @ row
             variance = float(row @ cross)
         gain = cross / (variance + noise)
         left = np.eye(len(gain)) - np.outer(gain, row)
         # Joseph's form stays symmetric and positive.
         after = left @ spread @ left.T + noise * np.outer(gain, gain)
-        return np.append(mean[:-1] + gain * innovation, 0.0), 0.5 * (after + after.T), False
+        mean += gain * innovation
+        spread[:] = 0.5 * (after + after.T)
+        state.refused[c] = 0.0
+        return False
 
     def _status(self, now: Array, estimate: Array, elapsed: float) -> Status:
         status = Status.OK
@@ -239,8 +261,8 @@ class Learned(Described):
                     Status.BEYOND_TEMPERATURE if name in self.model.sensors else Status.BEYOND_HEAT
                 )
         for value, channel in zip(estimate, self.model.channels, strict=True):
-            low, high = channel.span
-            if not low - REACH * (high - low) <= value <= high + REACH * (high - low):
+            low, high = self.following.reached(channel.span)
+            if not low <= value <= high:
                 status |= Status.BEYOND_DISPLACEMENT
         return status
 

@@ -16,7 +16,7 @@ import numpy as np
 from estimator.export.program import Contents, Interface, Operations, Variable, distinct, listed
 from estimator.export.recorded import duty_cycle
 from estimator.interface import Status
-from estimator.learned.estimator import DRIFT_SIZE, REACH, WITHIN, Learned
+from estimator.learned.estimator import Learned
 from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -73,7 +73,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
     """
     if not 0.0 < interval < np.inf:
         raise InputError(f"export: an interval of {interval:g} s; give a positive one")
-    model = estimator.model
+    model, own = estimator.model, estimator.following
     columns, count, axes = len(model.columns), len(model.features), len(model.channels)
     features = [
         Filtered(
@@ -96,7 +96,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
     ranges = [model.spans[name] for name in model.columns]
     return Contents(
         # The program does not know the log's clock: it starts a new run.
-        Learned(replace(model, log_end=None), estimator.reading_noise),
+        replace(estimator, model=replace(model, log_end=None)),
         _interface(estimator, interval),
         values={
             "features": features,
@@ -104,9 +104,11 @@ def contents(estimator: Learned, interval: float) -> Contents:
             "zeros": [channel.zero for channel in model.channels],
             "weights": np.array([channel.weights for channel in model.channels]),
             "spreads": np.array([channel.covariance for channel in model.channels]),
-            "unexplained": [(1.0 + DRIFT_SIZE**2) * channel.drift**2 for channel in model.channels],
-            "widths": [WITHIN * channel.widening for channel in model.channels],
-            "reaches": [_reach(channel.span) for channel in model.channels],
+            "unexplained": [
+                (1.0 + own.drift_size**2) * channel.drift**2 for channel in model.channels
+            ],
+            "widths": [own.within * channel.widening for channel in model.channels],
+            "reaches": [own.reached(channel.span) for channel in model.channels],
             "limits": [with_slack(limits) for limits in ranges],
             "middles": [0.5 * (low + high) for low, high in ranges],
             "temperatures": [name in model.sensors for name in model.columns],
@@ -141,11 +143,6 @@ def gains(taus: Array, interval: float) -> Array:
     g = -np.expm1(-x)
     h = np.where(x < 1.0, series, 1.0 - g / x)
     return np.stack((np.where(slow, g, 1.0), np.where(slow, h, 1.0)), axis=1)
-
-
-def _reach(span: tuple[float, float]) -> tuple[float, float]:
-    low, high = span
-    return low - REACH * (high - low), high + REACH * (high - low)
 
 
 def _interface(estimator: Learned, interval: float) -> Interface:

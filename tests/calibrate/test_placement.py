@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from calibrate.placement.fchs import (
-    APART,
-    DEVIATION_UNCERTAINTY,
-    PROPORTIONAL,
-    SMALLEST_DIFFERENCE,
+    RULE,
+    Rule,
     choose_heat_pair,
     rank_joint_pairs,
     sources_for,
@@ -89,14 +87,14 @@ def test_the_pair_that_eq_2_describes_is_found_warmer_first():
     assert 0.0 < pair.displacement_error < 0.02 * largest
 
 
-@pytest.mark.parametrize("bend", [2.0 * PROPORTIONAL, -2.0 * PROPORTIONAL])
+@pytest.mark.parametrize("bend", [2.0 * RULE.proportional, -2.0 * RULE.proportional])
 def test_a_better_but_disproportionate_difference_is_never_chosen(bend):
     unit = {"cold": 0.0 * TIMES, "hot": ring(), "bent": ring(K=3.0 * RING.K, r=0.15)}
     straight = choose(*near_source(unit))
     assert "bent" in (straight.a, straight.b)  # it wins where it is proportional
     chosen = choose(*near_source(unit, {"bent": bend}))
     assert (chosen.a, chosen.b) == ("hot", "cold")
-    assert chosen.disproportion < PROPORTIONAL
+    assert chosen.disproportion < RULE.proportional
 
 
 def test_of_two_proportional_pairs_the_one_whose_displacement_is_right_wins_not_the_faster():
@@ -123,15 +121,15 @@ def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(every):
     thinned = slice(None, None, every)
     base = base.isel(time=thinned)
     others = {level: response.isel(time=thinned) for level, response in others.items()}
-    assert choose(base, others, shortlist=1).a == "ahead"
+    assert choose(base, others, rule=Rule(shortlist=1)).a == "ahead"
 
 
 @pytest.mark.parametrize(
     ("rise", "bend"),
     [
-        (ring(r=0.15) * 0.9 * SMALLEST_DIFFERENCE / ring(r=0.15)[-1], 0.0),
+        (ring(r=0.15) * 0.9 * RULE.smallest_difference / ring(r=0.15)[-1], 0.0),
         (ring(r=0.15), 0.1),
-        (2.0 * SMALLEST_DIFFERENCE * np.exp(-(((TIMES - 500.0) / 600.0) ** 2)), 0.0),
+        (2.0 * RULE.smallest_difference * np.exp(-(((TIMES - 500.0) / 600.0) ** 2)), 0.0),
     ],
     ids=["too small", "disproportionate", "falls again"],
 )
@@ -155,7 +153,7 @@ OTHER = np.sin(TIMES / 90.0)
 PLACES = {
     "high": (0.65, 0.7, 0.1),
     "low": (0.65, 0.4, 0.1),
-    "twin": (0.65, 0.4 + 0.9 * APART, 0.1),
+    "twin": (0.65, 0.4 + 0.9 * RULE.apart, 0.1),
     "stray": (0.65, 0.55, 0.1),
     "faint": (0.65, 0.9, 0.1),
 }
@@ -171,7 +169,7 @@ def at_joint():
             "low": 6.0 * FAST,
             "twin": 6.0 * LATE,
             "stray": 6.0 * OTHER,
-            "faint": 0.4 * DEVIATION_UNCERTAINTY * LATE,
+            "faint": 0.4 * RULE.deviation_uncertainty * LATE,
         }
         temperatures = {name: level * COMMON + off * part for name, part in seen.items()}
         moved = level * deformation.step_response(TIMES, SHAPE) + off * 1e-6 * (FAST - 2.0 * LATE)
@@ -199,7 +197,7 @@ def test_pairs_come_by_misfit_and_pairs_with_a_faint_sensor_last(ranked):
     assert len(faint) == len(PLACES) - 1
     assert min(faint) < max(clear)  # so that it is not the misfit that puts them last
     for pair in ranked:
-        weak = pair.signal < DEVIATION_UNCERTAINTY
+        weak = pair.signal < RULE.deviation_uncertainty
         assert weak == ("faint" in (pair.T1, pair.T2))
 
 
@@ -209,7 +207,7 @@ def test_every_two_sensors_that_are_apart_are_ranked_once_and_no_others(ranked):
         frozenset((one, two))
         for one in PLACES
         for two in PLACES
-        if np.linalg.norm(np.subtract(PLACES[one], PLACES[two])) >= APART
+        if np.linalg.norm(np.subtract(PLACES[one], PLACES[two])) >= RULE.apart
     }
     assert len(found) == len(set(found))
     assert set(found) == expected

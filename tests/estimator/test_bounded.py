@@ -15,8 +15,6 @@ from calibrate import chain
 from calibrate.baselines import bounded_past, fit_baselines
 from calibrate.linear import FADING, SLOWEST
 from estimator.baselines.kind import regressions
-from estimator.baselines.linear import Linear
-from estimator.baselines.none import Nothing
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from fesim.case.schema import case_from_data
@@ -42,8 +40,7 @@ CALIBRATED = 35.0
 DAY, WEEK = 8 * 60.0, 7 * 24 * 60.0
 STEP = 30.0
 #: The estimators that know of a heat.
-PHYSICAL = ("linear", "fchs")
-KINDS = ("none", "linear", "mlr", "ridge", "arx", "fchs")
+KINDS = ("mlr", "ridge", "arx", "fchs")
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +86,7 @@ def test_baselines_take_runs_of_other_lengths(calibration):
 @pytest.fixture(scope="module")
 def estimators(model, baselines):
     assembly = assemble(model, STEP, 7200.0)
-    found = [Nothing(AXES), Linear(assembly), *regressions(baselines, STEP), Fchs(assembly)]
+    found = [*regressions(baselines, STEP), Fchs(assembly)]
     return {one.kind: one for one in found}
 
 
@@ -97,8 +94,6 @@ def estimated(estimator, response):
     """Run an estimator on the temperatures of a response: displacements (k, axes) and statuses."""
     seen = readings(response)
     inputs = {
-        0: np.empty((len(seen.times), 0)),
-        1: seen.delta_T[:, None],
         3: np.column_stack((seen.delta_T, seen.temperatures)),
         4: rises(response),
     }[len(estimator.channels)]
@@ -134,12 +129,11 @@ def test_an_estimator_calibrated_for_35_minutes_is_bounded_for_as_long_as_it_run
         hottest = np.abs(rises(calibration[2.0])).max() / 2.0 * heat
         reach = 1.5 * np.abs(rises(response)).max() / hottest
     assert np.abs(displacement).max() < reach * largest
-    if kind != "none":
-        assert Status.BEYOND_TIME in status[-1]
-        assert (Status.BEYOND_HEAT in status[-1]) == (run == "day at 3" and kind in PHYSICAL)
+    assert Status.BEYOND_TIME in status[-1]
+    assert (Status.BEYOND_HEAT in status[-1]) == (run == "day at 3" and kind == "fchs")
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize("kind", KINDS)
 def test_inside_the_calibration_nothing_is_flagged_and_the_estimate_is_near(
     estimators, calibration, kind
 ):
@@ -245,18 +239,6 @@ def test_a_sample_that_goes_back_in_time_is_refused_and_the_state_stays(estimato
     with pytest.raises(InputError, match="does not increase"):
         one.sample(state, 10.0, values)
     assert np.array_equal(state, kept)
-
-
-def test_eq_8_alone_is_the_linear_part_of_fchs(estimators, calibration):
-    response = calibration[2.0]
-    alone, _ = estimated(estimators["linear"], response)
-    fchs = estimators["fchs"]
-    seen = readings(response)
-    samples = np.column_stack((seen.times, seen.delta_T, seen.temperatures)).tolist()
-    names = [channel.name for channel in fchs.details]
-    at = [names.index(f"linear_{axis}") for axis in AXES]
-    found = [e.details[at] for _, e in follow(fchs, samples, fchs.initial_state())]
-    assert alone == pytest.approx(np.array(found), rel=1e-9, abs=1e-15)
 
 
 def test_baselines_come_back_from_their_file(baselines, tmp_path):

@@ -17,7 +17,7 @@ from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.misfit import Run, make_problem, residuals
 from calibrate.joint_aware.open_band import Drawing, open_band
-from calibrate.joint_aware.physics_fit import fit_physics
+from calibrate.joint_aware.physics_fit import Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
 from estimator.interface import Status, follow
@@ -386,7 +386,7 @@ def test_offsets_and_noise_of_the_sensors_are_found(machine, plant, fit):
         for one in plant
     ]
     small = along(machine, ["x", "y"])
-    found = fit_physics(small, runs, list(TRUE), starts=0)
+    found = fit_physics(small, runs, list(TRUE), Search(starts=0))
     assert found.offset == pytest.approx(offset, abs=0.05)
     assert found.noise == pytest.approx(np.full(4, noise), rel=0.5)
     assert np.all(np.abs(found.logarithms - fit.logarithms) < 0.5 * fit.spread)

@@ -50,7 +50,7 @@ def machine(whole):
 
 @pytest.fixture(scope="module")
 def family(machine):
-    return plant_family.make_family(machine, plants=2)
+    return plant_family.make_family(machine, plant_family.Drawing(plants=2))
 
 
 def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):

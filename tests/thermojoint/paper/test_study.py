@@ -16,8 +16,7 @@ from short_runs import SHORT
 
 from calibrate import chain
 from calibrate.placement.fchs import (
-    APART,
-    DEVIATION_UNCERTAINTY,
+    RULE,
     rank_joint_pairs,
     sources_for,
     with_roles,
@@ -278,12 +277,12 @@ def test_joint_pairs_come_best_first_and_apart(responses):
     others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
     names = [str(n) for n in base["probe"].to_numpy() if str(n).startswith("s65")]
     pairs = list(rank_joint_pairs(base, others, list(AXES), names))
-    order = [(pair.signal < DEVIATION_UNCERTAINTY, pair.misfit) for pair in pairs]
+    order = [(pair.signal < RULE.deviation_uncertainty, pair.misfit) for pair in pairs]
     assert order == sorted(order)
     assert 0.0 < order[0][1] < 1.0
     for pair in pairs:
         low, high = (base["probe_position"].sel(probe=n).to_numpy() for n in (pair.T1, pair.T2))
-        assert np.linalg.norm(low - high) >= APART
+        assert np.linalg.norm(low - high) >= RULE.apart
         assert low[1] <= high[1]
 
 

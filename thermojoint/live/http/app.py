@@ -50,8 +50,6 @@ from thermojoint.live.publication import as_json
 MOST_POINTS, MOST_EVENTS = 5000, 1000
 #: How far back they go where nobody says, s.
 USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
-#: A file of which the address names the digest never changes, s.
-YEAR = 31_536_000
 #: Largest body of a log-in, bytes.
 LARGEST_LOGIN = 4096
 #: Requests that read the history side by side; others wait.

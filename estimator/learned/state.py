@@ -1,0 +1,71 @@
+"""State of a learned estimator by name, and as the flat array that is kept and written."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.models.learned import LearnedModel
+
+#: Entries of a filter's mean and of its covariance: (zero, drift, weights).
+ZERO, DRIFT, WEIGHTS = 0, 1, slice(2, None)
+
+
+class State(NamedTuple):
+    """State after a sample of c columns, n features and a displacements.
+
+    Attributes
+    ----------
+    time, begun : float
+        Time of the last sample and start of the run, s; NaN before any sample.
+    values : ndarray, shape (c,)
+        Last values of the columns, SI.
+    relaxations : ndarray, shape (n,)
+        Of the features.
+    mean : ndarray, shape (a, 2 + n)
+        Zero, drift and weights of each displacement, m.
+    refused : ndarray, shape (a,)
+        Innovation of the last refused reading of each displacement, m; 0 after an accepted one.
+    covariance : ndarray, shape (a, 2 + n, 2 + n)
+        Of `mean`, m2.
+    """
+
+    time: float
+    begun: float
+    values: Array
+    relaxations: Array
+    mean: Array
+    refused: Array
+    covariance: Array
+
+    @property
+    def fresh(self) -> bool:
+        """Whether there has been no sample yet."""
+        return bool(np.isnan(self.time))
+
+
+def flat(state: State) -> Array:
+    """Return a state as one array: each mean is followed by its refused innovation."""
+    filters = np.column_stack((state.mean, state.refused))
+    head = [state.time, state.begun], state.values, state.relaxations
+    return np.concatenate((*head, filters.ravel(), state.covariance.ravel()))
+
+
+def state_in(array: Array, model: LearnedModel) -> State:
+    """Return the state of a model in an array of `flat`; nothing in it is shared with the array."""
+    columns, features, axes = len(model.columns), len(model.features), len(model.channels)
+    size = 2 + features
+    ends = np.cumsum([2, columns, features, axes * (size + 1)])
+    clock, values, relaxations, filters, covariance = np.split(array.copy(), ends)
+    filters = filters.reshape(axes, size + 1)
+    return State(
+        float(clock[0]),
+        float(clock[1]),
+        values,
+        relaxations,
+        filters[:, :-1],
+        filters[:, -1],
+        covariance.reshape(axes, size, size),
+    )
