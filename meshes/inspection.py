@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -159,7 +160,10 @@ def inspect(structure: Structure) -> Inspection:
             *_joint_warnings(joints),
             *_bare_warnings(structure, joints),
             *_partner_warnings(structure),
-            *_facing_warnings(structure),
+            *facing_warnings(
+                structure,
+                [structure.surfaces[side] for pair in structure.joints.values() for side in pair],
+            ),
         ),
     )
 
@@ -345,20 +349,38 @@ def _partner_warnings(structure: Structure) -> list[str]:
     ]
 
 
-def _facing_warnings(structure: Structure) -> list[str]:
-    """Boundary facets of two bodies that touch, but are in no joint."""
-    mesh = structure.mesh
-    sides = [structure.surfaces[side] for pair in structure.joints.values() for side in pair]
+def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) -> list[str]:
+    """Return a line about every two bodies that touch where there is no joint.
+
+    Parameters
+    ----------
+    structure : Structure
+        With its bodies.
+    sides : sequence of ndarray of int
+        Facets of the sides of its joints.
+    """
+    mesh, names = structure.mesh, list(structure.bodies)
     free = np.setdiff1d(mesh.boundary_facets(), np.concatenate([np.empty(0, int), *sides]))
+    near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
+    owner = np.empty(mesh.nelements, dtype=int)
+    for k, cells in enumerate(structure.bodies.values()):
+        owner[cells] = k
+    body, corners = owner[mesh.f2t[0, free]], facet_corners(mesh, free)
+    # Where no other body is anywhere near nothing touches: most facets need no further look.
+    close = np.zeros(len(free), dtype=bool)
+    for k, cells in enumerate(structure.bodies.values()):
+        points = mesh.p[:, np.unique(mesh.t[:, cells])]
+        low, high = points.min(axis=1) - near, points.max(axis=1) + near
+        inside = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(
+            axis=1
+        )
+        close |= inside & (body != k)
+    free, body, corners = free[close], body[close], corners[close]
     if not free.size:
         return []
     vectors = outward_areas(mesh, free)
     area = np.linalg.norm(vectors, axis=1)
-    normals, centres = vectors / area[:, None], facet_corners(mesh, free).mean(axis=1)
-    owner = np.empty(mesh.nelements, dtype=int)
-    for k, cells in enumerate(structure.bodies.values()):
-        owner[cells] = k
-    body = owner[mesh.f2t[0, free]]
+    normals, centres = vectors / area[:, None], corners.mean(axis=1)
     # Meshes need not match: a touching facet's centre is within about one facet's size.
     pairs = cKDTree(centres).query_pairs(float(np.sqrt(area.max())), output_type="ndarray")
     if not pairs.size:
@@ -370,10 +392,9 @@ def _facing_warnings(structure: Structure) -> list[str]:
     touching = (
         (body[facet] != body[other])
         & (np.einsum("pi,pi->p", normals[facet], normals[other]) < -0.98)
-        & (apart < TOUCHING * float(np.ptp(mesh.p, axis=1).max()))
+        & (apart < near)
         & (beside < 0.5 * np.sqrt(np.maximum(area[facet], area[other])))
     )
-    names = list(structure.bodies)
     facing: dict[tuple[int, int], set[int]] = {}
     for i, j in pairs[touching]:
         first, second = (i, j) if body[i] < body[j] else (j, i)

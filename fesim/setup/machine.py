@@ -37,7 +37,8 @@ from fesim.setup.discretised import Discretised, discretised, load_forces, relat
 from fesim.setup.elastic import elastic_structure
 from fesim.setup.laws import joint_laws
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
-from fesim.setup.parts import make_parts
+from fesim.setup.parts import Parts, make_parts
+from fesim.setup.soundness import explained_by_size
 from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
@@ -208,7 +209,12 @@ def set_up(case: Case) -> Setup:
     """
     before = thermal_key(case)
     parts = make_parts(case)
-    keys = _keys(case, before)
+    with explained_by_size(parts.structure):
+        return _condensed(case, parts, _keys(case, before))
+
+
+def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
+    """Condense what was built and checked."""
     whole = discretised(case, parts)
     condensed, field = _condensed_elasticity(whole, keys)
     forces = load_forces(whole)

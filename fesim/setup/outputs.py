@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import block_diag, csr_array
 
 from fesim.case.schema import Case
 from fesim.setup.constraints import fixed_surfaces
@@ -17,7 +18,7 @@ from fesim.solid.outputs import (
     reaction_rows,
     with_stresses,
 )
-from fesim.solid.spaces import probe_cells
+from fesim.solid.spaces import cells_around, probe_cells
 from fesim.solid.stress import stress_rows
 from thermojoint.artefacts.arrays import Array
 
@@ -59,8 +60,12 @@ def mechanical_outputs(
     rows = reaction_rows(structure, spaces, field, whole.springs, forces, supports)
     if case.output.stress_probes:
         probes = {name: structure.probes[name] for name in case.output.stress_probes}
-        points = np.array([probe.position for probe in probes.values()]).T
-        cells = probe_cells(structure, probes)
-        stresses = stress_rows(structure, spaces, whole.materials, points, cells)
-        rows = with_stresses(rows, *stresses)
+        probe_cells(structure, probes)  # a point in no cell, or between bodies that part
+        around = [cells_around(structure, probe) for probe in probes.values()]
+        count = [len(cells) for cells in around]
+        points = np.array([probe.position for probe in probes.values()]).T.repeat(count, axis=1)
+        stresses = stress_rows(structure, spaces, whole.materials, points, np.concatenate(around))
+        # At a node, the stress of one of its cells would depend on which is found first.
+        mean = block_diag([np.tile(np.eye(6) / n, n) for n in count], format="csr")
+        rows = with_stresses(rows, *(csr_array(mean @ one) for one in stresses))
     return condense_outputs(field, rows, forces)

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fesim.case.history import read_history
 from fesim.case.schema import Case
-from meshes.inspection import TOUCHING, area_of, pieces
+from meshes.covered import covered_areas
+from meshes.inspection import TOUCHING, area_of, facing_warnings, pieces
 from meshes.pairing import EXCESS, PairedJoint, outward_areas
 from meshes.structure import Structure
-from thermojoint.artefacts.errors import InputError, shown_point
+from meshes.units import USUAL_SIZE
+from thermojoint.artefacts.errors import ConvergenceError, InputError, shown_point
 from thermojoint.artefacts.settings.toml import as_key
 
 #: Sides of a preloaded joint further apart than this share of its width were never in contact. The
 #: facets of a round bore may leave a few per cent.
 APART = 0.05
+#: Temperatures of the ambient at time zero that differ by more than this contradict each other, K.
+SAME_AMBIENT = 0.5
 
 
 def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
@@ -36,7 +42,8 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
     ------
     InputError
         A body has pieces that touch without a common node; joints lie on each other; the sides of
-        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap.
+        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap; joints
+        cover all of a cavity; radiation goes to another ambient than that of the case.
     """
     check_whole(structure)
     check_covered_once(structure, joints)
@@ -47,6 +54,65 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
     check_apart(structure, case.radiation, "radiation")
     in_cavities = [name for cavity in case.cavities.values() for name in cavity.surfaces]
     check_apart(structure, in_cavities, "cavities")
+    check_open(case, structure, joints)
+    check_one_ambient(case)
+
+
+def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
+    """Return a line about whatever may be meant, but hardly is: bodies that touch without a joint.
+
+    Parameters
+    ----------
+    structure, joints
+        As for `check_sound`.
+    """
+    return facing_warnings(
+        structure, [side for joint in joints for side in (joint.facets_a, joint.facets_b)]
+    )
+
+
+@contextmanager
+def explained_by_size(structure: Structure) -> Iterator[None]:
+    """Add to an error about a structure of implausible size that its unit may be the cause."""
+    try:
+        yield
+    except (InputError, ConvergenceError) as error:
+        size = float(np.ptp(structure.mesh.p, axis=1).max())
+        if USUAL_SIZE[0] <= size <= USUAL_SIZE[1]:
+            raise
+        raise type(error)(
+            f"{error}; the structure is {size:.3g} m long: perhaps structure.unit is another one"
+        ) from error
+
+
+def check_open(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
+    """Refuse a cavity whose walls joints cover all over: there is no air in it."""
+    for name, cavity in case.cavities.items():
+        where = f"cavities.{name}.surfaces"
+        whole = sum(area_of(structure, structure.surface(one, where)) for one in cavity.surfaces)
+        covered = sum(covered_areas(structure, cavity.surfaces, joints).values())
+        if covered >= (1.0 - EXCESS) * whole:
+            raise InputError(
+                f"cavities.{name}: joints cover all of its surfaces, so it holds no air; leave it "
+                "out, or name surfaces that face it"
+            )
+
+
+def check_one_ambient(case: Case) -> None:
+    """Refuse radiation to an ambient that is not that of time zero, or not the same everywhere."""
+    given = {f"radiation.{name}": one.ambient_degC for name, one in case.radiation.items()}
+    if not given:
+        return
+    where, ambient = next(iter(given.items()))
+    if case.ambient is not None:
+        where = "ambient"
+        ambient = float(read_history(case.ambient.file, "ambient_degC")(np.zeros(1))[0])
+    for name, value in given.items():
+        if abs(value - ambient) > SAME_AMBIENT:
+            raise InputError(
+                f"{name}.ambient_degC: {value:g} °C, but {where} begins with {ambient:g} °C, and "
+                "both are the ambient at time zero; give the same"
+            )
 
 
 def check_whole(structure: Structure) -> None:

@@ -234,14 +234,34 @@ def _holding(
 ) -> NDArray[np.int64]:
     """Which of the candidates (n, c) contains each point (n, 3), or -1, shape (n,)."""
     each = np.repeat(points, candidates.shape[1], axis=0).T
-    local = local_coordinates(mesh, each, candidates.ravel())
-    outside = np.maximum(-local, local - 1.0).max(axis=0)
-    if mesh.t.shape[0] == 4:
-        outside = np.maximum(outside, local.sum(axis=0) - 1.0)
+    outside = _outside(mesh, each, candidates.ravel())
     outside = outside.reshape(candidates.shape)
     best = outside.argmin(axis=1)
     rows = np.arange(len(points))
     return np.where(outside[rows, best] <= LOCATE_SLACK, candidates[rows, best], -1)
+
+
+def _outside(
+    mesh: Mesh, points: NDArray[np.float64], cells: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """By how much points (3, n) lie outside cells (n,), in units of these, shape (n,)."""
+    local = local_coordinates(mesh, points, cells)
+    outside = np.maximum(-local, local - 1.0).max(axis=0)
+    if mesh.t.shape[0] == 4:
+        outside = np.maximum(outside, local.sum(axis=0) - 1.0)
+    return np.asarray(outside)
+
+
+def cells_around(structure: Structure, probe: Probe) -> NDArray[np.int64]:
+    """Return every cell (of its body) that holds a probe: several where it lies between them."""
+    mesh = structure.mesh
+    cells = np.arange(mesh.nelements) if probe.body is None else structure.bodies[probe.body]
+    x, corners = np.array(probe.position)[:, None], mesh.p[:, mesh.t[:, cells]]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    slack = _BULGE * (high - low).max(axis=0)
+    near = cells[((x >= low - slack) & (x <= high + slack)).all(axis=0)]
+    points = np.tile(x, (1, len(near)))
+    return np.asarray(near[_outside(mesh, points, near) <= LOCATE_SLACK])
 
 
 def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np.int64]:

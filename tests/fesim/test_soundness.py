@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ from skfem import MeshHex
 from fesim.batch.summary import figures_of
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
+from fesim.setup.machine import set_up
+from fesim.setup.soundness import suspicions
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.inspection import inspect, pieces
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.paper.summary import result_lines
+from thermojoint.paper.summary import result_lines, rocking_lines
 
 JOINT = {
     "side_a": "low.z1",
@@ -311,3 +314,54 @@ def scaled(long, stiff, hot):
     data["sources"]["s"]["reference_power_W"] = 30.0 * hot
     data["probes"]["p"]["position_mm"] = [10.0 * long] * 3
     return data
+
+
+def test_bodies_that_touch_without_a_joint_are_said(tmp_path, data):
+    del data["joints"]
+    structure = boxes({}, low=LOW, high=HIGH)
+    write_structure(structure, tmp_path / "boxes.vtu")
+    setup = set_up(case_from_data(data, "case", tmp_path))
+    (said,) = suspicions(setup.structure, setup.joints)
+    assert "'low' and 'high' face each other on about 4 cm2 without a joint" in said
+
+
+def test_a_cavity_that_joints_fill_is_refused(tmp_path, data):
+    data["cavities"] = {"air": {"surfaces": ["low.z1", "high.z0"], "film_W_m2K": 3.0}}
+    with pytest.raises(InputError, match=r"cavities.air: joints cover all of its surfaces"):
+        run(tmp_path, data)
+
+
+def test_radiation_knows_one_ambient(tmp_path, data):
+    (tmp_path / "air.csv").write_text("time_s,ambient_degC\n0,30\n3600,31\n")
+    data["radiation"] = {"low.x0": {"emissivity": 0.9, "ambient_degC": 20.0}}
+    data["ambient"] = {"file": "air.csv"}
+    with pytest.raises(InputError, match=r"x0.ambient_degC: 20 °C, but ambient begins with 30"):
+        run(tmp_path, data)
+
+
+def test_a_mesh_in_the_wrong_unit_is_said_to_be_so(tmp_path, data):
+    data["structure"]["unit"] = "mm"
+    data["probes"]["p"]["position_mm"] = [0.01, 0.01, 0.01]
+    data["march"]["thermal"] = "reduced"
+    with pytest.raises(InputError, match=r"singular.* 4e-05 m long: perhaps structure.unit"):
+        run(tmp_path, data)
+
+
+def test_a_stress_at_a_node_is_the_mean_of_its_cells(tmp_path, data):
+    around = [1e-3 * np.array(at) for at in product((-1, 1), repeat=3)]
+    for number, offset in enumerate([np.zeros(3), *around]):
+        place = (5.0 + offset).tolist()
+        data["probes"][f"p{number}"] = {"position_mm": place, "body": "low"}
+    data["output"] = {"stress_probes": [f"p{number}" for number in range(9)]}
+    structure = boxes({}, low=(*LOW, (4, 4, 4)), high=HIGH)
+    node, *others = run(tmp_path, data, structure)["stress"].to_numpy()[-1]
+    size = np.abs(node).max()
+    assert np.ptp(others, axis=0).max() > 5e-3 * size
+    np.testing.assert_allclose(node, np.mean(others, axis=0), atol=1e-3 * size)
+
+
+def test_a_coarse_joint_says_how_much_too_easily_it_rocks():
+    section = {"preload_MPa": 1.0, "along": 9, "across": 2}
+    assert "joint 'j' is 33% too soft, with across = 2" in rocking_lines({"j": section})[0]
+    assert "no resistance" in rocking_lines({"j": section | {"across": 1}})[0]
+    assert not rocking_lines({"j": section | {"across": 5}})
