@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -41,13 +42,19 @@ class History:
         """Return the integral from the first knot to given times, s."""
         inside = np.clip(time, self.times[0], self.times[-1])
         at = np.searchsorted(self.times, inside, side="right") - 1
-        pieces = 0.5 * np.diff(self.times) * (self.values[1:] + self.values[:-1])
-        whole = np.concatenate([np.zeros(1), np.cumsum(pieces)])[at]
+        whole = self._at_knots[at]
         part = 0.5 * (inside - self.times[at]) * (self.values[at] + self(inside))
         outside = (time - inside) * self(np.asarray(time))
         return np.asarray(whole + part + outside)
 
+    @cached_property
+    def _at_knots(self) -> Array:
+        """The integral up to each knot."""
+        pieces = 0.5 * np.diff(self.times) * (self.values[1:] + self.values[:-1])
+        return np.concatenate([np.zeros(1), np.cumsum(pieces)])
 
+
+@lru_cache(maxsize=64)
 def bent_steps(history: History, step: float) -> NDArray[np.int64]:
     """Return the numbers of the steps within which a history is not linear, in ascending order.
 
