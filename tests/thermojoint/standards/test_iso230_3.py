@@ -2,7 +2,9 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from importlib.resources import files
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.response import write_response
 from thermojoint.standards.iso230_3.evaluation import evaluate
 from thermojoint.standards.iso230_3.extremes import extremes
+from thermojoint.standards.iso230_3.figure import figure_of
 from thermojoint.standards.iso230_3.parameters import distortion, unsettled
 from thermojoint.standards.iso230_3.period import Period, running
 from thermojoint.standards.iso230_3.protocol import Protocol
@@ -36,9 +39,9 @@ HOUR = 3600.0
 signals = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=20).map(np.array)
 
 
-def warm_up(step=30.0, rest=2 * HOUR, tau=HOUR, final=100e-6):
-    """Four hours of running after half an hour of standstill, then rest: a first-order machine."""
-    begin, end = 0.5 * HOUR, 4.5 * HOUR
+def warm_up(step=30.0, rest=2 * HOUR, tau=HOUR, final=100e-6, running=4 * HOUR):
+    """Running after half an hour of standstill, then rest: a first-order machine."""
+    begin, end = 0.5 * HOUR, 0.5 * HOUR + running
     times = np.arange(0.0, end + rest + step, step)
     on = np.clip(times, begin, end) - begin
     grown = final * -np.expm1(-on / tau) * np.exp(-np.maximum(times - end, 0.0) / tau)
@@ -175,6 +178,21 @@ def test_every_range_of_the_report_is_in_the_json_with_its_unit():
     assert all(symbol in page for symbol in units)
     assert "&lt;b&gt;log" in page
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_no_label_of_the_figure_lies_on_another():
+    # An hour is a small part of what is shown, and both points have moved as far.
+    record = warm_up(step=300.0, running=15 * HOUR)
+    record = replace(
+        record,
+        displacements={"X1": record.displacements["X"], "X2": 0.9 * record.displacements["X"]},
+    )
+    figure = figure_of(record, evaluate(Protocol.SPINDLE, record))
+    figure.draw_without_rendering()
+    for panel in figure.axes:
+        boxes = [label.get_window_extent() for label in panel.texts if label.get_text()]
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert [len(panel.texts) // 2 for panel in figure.axes] == [4, 0]
 
 
 # --- the cases

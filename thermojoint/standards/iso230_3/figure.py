@@ -27,13 +27,15 @@ _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#7
 _STYLES = ("-", "--", "-.", ":")
 #: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
+#: Width of the column of a range, relative to the time shown.
+_COLUMN = 0.04
 
 
 def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     """Return the figure: a panel for each quantity, one above the other, time in hours.
 
-    An arrow spans the range of each displacement and each tilt over each period; upright lines are
-    the ends of the periods.
+    Right of the curves an arrow spans the range of each displacement and tilt over each period; its
+    ends are dots on the curves. Upright lines are the ends of the periods.
 
     Parameters
     ----------
@@ -54,16 +56,19 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     panels = list(figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0])
     first, last = _shown(record, evaluation)
     inside = (record.times >= first) & (record.times <= last)
+    marked = {
+        quantity: [one for one in evaluation.parameters if one.quantity == quantity]
+        for quantity in ("displacement", "tilt")
+    }
     for panel, (quantity, channels) in zip(panels, groups, strict=True):
         shown = {name: values[inside] for name, values in channels.items()}
         _draw(panel, record.times[inside], quantity, shown)
         _mark_periods(panel, evaluation)
         if quantity != "temperature":
-            marked = [
-                parameter for parameter in evaluation.parameters if parameter.quantity == quantity
-            ]
-            _mark_ranges(panel, list(channels), marked)
-    panels[-1].set_xlim(first / 3600.0, last / 3600.0)
+            _mark_ranges(panel, list(channels), marked[quantity], (first, last))
+    columns = max(map(len, marked.values())) + 0.5 * bool(any(marked.values()))
+    end = last + columns * _COLUMN * (last - first)
+    panels[-1].set_xlim(first / 3600.0, end / 3600.0)
     panels[-1].set_xlabel("time (h)")
     return figure
 
@@ -102,14 +107,16 @@ def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
         panel.axvline(moment / 3600.0, color="0.4", linewidth=0.8, linestyle=":")
 
 
-def _mark_ranges(panel: Axes, channels: list[str], parameters: list[Parameter]) -> None:
-    """Draw an arrow from the lowest to the highest value of a period, side by side within it."""
-    for parameter in parameters:
+def _mark_ranges(
+    panel: Axes, channels: list[str], parameters: list[Parameter], shown: tuple[float, float]
+) -> None:
+    """Draw an arrow from the lowest to the highest value of a period, each in its own column."""
+    first, last = shown
+    for column, parameter in enumerate(parameters, start=1):
         k = channels.index(parameter.channel)
         factor = SHOWN[parameter.quantity][0]
         extremes = parameter.extremes
-        apart = parameter.period.length / (len(channels) + 1)
-        at = (parameter.period.end - min(apart, 0.2 * FIRST) * (k + 1)) / 3600.0
+        at = (last + column * _COLUMN * (last - first)) / 3600.0
         low, high = factor * extremes.low, factor * extremes.high
         arrow = {
             "arrowstyle": "<->",
