@@ -2,8 +2,9 @@
 
 from calibrate.joint_aware.calibration import Effort
 from calibrate.joint_aware.open_band import Drawing
+from calibrate.joint_aware.physics_fit import Search
 from thermojoint.paper.long_runs import LongRuns
 
 #: One search, and bands from two drawn machines and half an hour.
-QUICK = Effort(starts=0, drawing=Drawing(draws=2, duration=1800.0))
+QUICK = Effort(search=Search(starts=0), drawing=Drawing(draws=2, duration=1800.0))
 SHORT = LongRuns(day=40.0, warm=20.0, settled=5.0, cool_down=20.0, heated=10.0, effort=QUICK)
