@@ -18,6 +18,7 @@ import numpy as np
 
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
+from fesim.joint.law import NORMAL
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.stepping import Inputs, march, staggered
 from fesim.setup.loads import thermal_inputs
@@ -51,7 +52,7 @@ def bound(machine: CondensedMachine, before: Step, step: Step) -> tuple[float, f
     jacobian = machine.contact.gap_problem.jacobian(traction)
     gap = np.abs(np.linalg.inv(jacobian)).sum(axis=1) * TOLERANCE
     pressure = (
-        np.abs(traction.tangent[0, 0]) * gap[: machine.contact.count] / machine.contact.preload
+        np.abs(traction.tangent[NORMAL]) * gap[: machine.contact.count] / machine.contact.preload
     )
     return float(gap.max()), float(pressure.max())
 

@@ -13,6 +13,7 @@ from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 from benchmarks.performance.cases import reference_case
 from benchmarks.performance.timing import Row, Skipped, seconds
 from fesim.case.schema import Case
+from fesim.joint.law import tangent_matrix
 from fesim.march.contact import ContactProblem
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_sources, thermal_inputs
@@ -88,7 +89,8 @@ class Refactoring:
                 traction = law.traction((gap @ u).reshape(3, contacts), slip)
                 forces = stiffness @ u - load - gap.T @ (area3 * traction.value.ravel())
                 blocks = [
-                    [diags_array(area * traction.tangent[i, j]) for j in range(3)] for i in range(3)
+                    [diags_array(area * tangent_matrix(traction.tangent)[i, j]) for j in range(3)]
+                    for i in range(3)
                 ]
                 tangent = csr_matrix(stiffness - gap.T @ block_array(blocks) @ gap)
                 tangent.sort_indices()

@@ -32,15 +32,23 @@ from fesim.joint.gap import (
     stalled,
     unconverged,
 )
-from fesim.joint.law import BackBurdekinLaw, JointLaw, SurfaceNormalLaw, Traction
+from fesim.joint.law import (
+    ACROSS,
+    ALONG,
+    CROSS,
+    FIRST,
+    NORMAL,
+    SECOND,
+    BackBurdekinLaw,
+    JointLaw,
+    SurfaceNormalLaw,
+    Traction,
+)
 from fesim.joint.opening import OpenLaw
 from thermojoint.artefacts.arrays import Array
 
 #: Columns of the table of laws, one row for each contact element.
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
-#: Rows of a compiled tangent: entries 00, 10, 20, 11, 12, 22 of the matrix; others are zero or
-#: follow from symmetry.
-NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
 _SURFACE, _BACK_BURDEKIN = 0.0, 1.0
 _SOLVED, _STALLED, _UNCONVERGED = range(3)
 
@@ -76,7 +84,7 @@ class Trial(NamedTuple):
     moved : ndarray, shape (2, m)
         Slip, m.
     tangent : ndarray, shape (6, m)
-        Entries of the law's tangent, Pa/m: rows `NORMAL` to `ACROSS`.
+        As in `fesim.joint.law.Traction`, Pa/m.
     """
 
     gap: Array
@@ -116,7 +124,7 @@ class CompiledGap:
             raise stalled(size)
         if outcome == _UNCONVERGED:
             raise unconverged(size, tolerance)
-        traction = Traction(trial.value, _full(trial.tangent), trial.moved)
+        traction = Traction(trial.value, trial.tangent, trial.moved)
         return Equilibrium(trial.gap, traction, size, iterations)
 
 
@@ -162,13 +170,6 @@ def trial_at(gap: Array) -> Trial:
     """Return storage for a trial that starts at gaps (3, m)."""
     count = gap.shape[1]
     return Trial(np.array(gap), np.empty((3, count)), np.empty((2, count)), np.empty((6, count)))
-
-
-def _full(tangent: Array) -> Array:
-    """The tangent (3, 3, m) from its six entries 00, 10, 20, 11, 12, 22."""
-    normal, first, second, along, cross, across = tangent
-    nothing = np.zeros_like(normal)
-    return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
 
 
 @compiled

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from fesim.jit import compiled
 from fesim.joint.blocks import Block, Blocks
-from fesim.joint.compiled_gap import ALONG, lacking, lacking_rows, lacking_system
+from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
+from fesim.joint.law import ALONG
 from thermojoint.artefacts.arrays import Array
 
 #: A contact element is corrected exactly if its tangent differs from the frozen one by this
@@ -40,7 +41,7 @@ class FrozenTangent(NamedTuple):
     Attributes
     ----------
     tangent : ndarray, shape (6, m)
-        Tangent of the law: entries 00, 10, 20, 11, 12, 22.
+        Of the law there, as in `fesim.joint.law.Traction`.
     about : ndarray of int, shape (3,)
         Whether the inverse exists, its number of rows, how often it was computed.
     rows, place : ndarray of int, shape (3 m,)

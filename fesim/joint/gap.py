@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fesim.joint.law import Traction
+from fesim.joint.law import Traction, tangent_matrix
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -87,7 +87,8 @@ class GapProblem:
         count = size // 3
         product = -self.compliance * self.springs
         blocks = self.compliance.reshape(size, 3, count)
-        product -= np.einsum("rim,ijm->rjm", blocks, traction.tangent).reshape(size, size)
+        tangent = tangent_matrix(traction.tangent)
+        product -= np.einsum("rim,ijm->rjm", blocks, tangent).reshape(size, size)
         product[np.diag_indices(size)] += 1.0
         return product
 

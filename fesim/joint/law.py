@@ -230,6 +230,11 @@ def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:
     return np.concatenate([np.empty((3, 0)), *parts], axis=1).ravel()
 
 
+#: Rows of a tangent: entries 00, 10, 20, 11, 12, 22 of dz_i/dg_j. Shear adds no pressure, and the
+#: shears' part is symmetric.
+NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
+
+
 @dataclass(frozen=True)
 class Traction:
     """The law at one state of the gap; m contact elements.
@@ -238,8 +243,8 @@ class Traction:
     ----------
     value : ndarray, shape (3, m)
         z: pressure above the preload, and the two shear tractions on the gap, Pa.
-    tangent : ndarray, shape (3, 3, m)
-        dz_i/dg_j, Pa/m.
+    tangent : ndarray, shape (6, m)
+        dz_i/dg_j, Pa/m: rows `NORMAL` to `ACROSS`.
     slip : ndarray, shape (2, m)
         Irreversible slip after the step, m.
     """
@@ -247,6 +252,13 @@ class Traction:
     value: Array
     tangent: Array
     slip: Array
+
+
+def tangent_matrix(tangent: Array) -> Array:
+    """Return dz_i/dg_j, shape (3, 3, m), of the rows `NORMAL` to `ACROSS` (6, m) of a tangent."""
+    normal, first, second, along, cross, across = tangent
+    nothing = np.zeros_like(normal)
+    return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
 
 
 def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
@@ -265,8 +277,6 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     stiffness, limit = law.friction.stiffness, law.friction.coefficient
     trial = -stiffness * (gap[1:] - slip)
     size = np.hypot(trial[0], trial[1])
-    tangent = np.zeros((3, 3, gap.shape[1]))
-    tangent[0, 0] = slope
     bound = limit * pressure
     # A joint without pressure or friction slides even before it has moved.
     sliding = (size > bound) | (bound == 0.0)
@@ -274,11 +284,13 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     shear = np.where(sliding, bound * direction, trial)
     # Sticking: -k_t I. Sliding: the traction turns with the slip and grows only with pressure.
     ratio = np.divide(bound, size, out=np.zeros_like(size), where=sliding & (size > 0.0))
-    for i in range(2):
-        for j in range(2):
-            turned = float(i == j) - direction[i] * direction[j]
-            tangent[1 + i, 1 + j] = -stiffness * np.where(sliding, ratio * turned, float(i == j))
-        tangent[1 + i, 0] = np.where(sliding, limit * slope * direction[i], 0.0)
+    along, across = direction
+    tangent = np.empty((6, gap.shape[1]))
+    tangent[NORMAL] = slope
+    tangent[FIRST : SECOND + 1] = np.where(sliding, limit * slope * direction, 0.0)
+    tangent[ALONG] = -stiffness * np.where(sliding, ratio * (1.0 - along * along), 1.0)
+    tangent[CROSS] = -stiffness * np.where(sliding, ratio * (0.0 - along * across), 0.0)
+    tangent[ACROSS] = -stiffness * np.where(sliding, ratio * (1.0 - across * across), 1.0)
     new_slip = np.where(sliding, gap[1:] + shear / stiffness, slip)
     return Traction(np.stack([pressure - law.preload, *shear]), tangent, new_slip)
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled
-from fesim.joint.compiled_gap import ACROSS, ALONG, CROSS
-from fesim.joint.law import JointLaw, Traction
+from fesim.joint.law import ACROSS, ALONG, CROSS, JointLaw, Traction, tangent_matrix
 from fesim.solid.rigid_motions import Constraints, described
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -99,7 +98,7 @@ class Watch:
         ----------
         pressure : ndarray, shape (m,)
             Pa.
-        tangent : ndarray, shape (3, 3, m)
+        tangent : ndarray, shape (6, m)
             See `fesim.joint.law.Traction`.
         """
         if _as_at_rest(pressure, tangent, self.table, self.needed):
@@ -122,9 +121,9 @@ class Watch:
         size = np.hypot(*traction.value[1:])
         slides = size > (1.0 - SPARE) * self.friction * pressure
         first, second = traction.value[1:] / np.where(size > 0.0, size, 1.0)
-        across = np.array([[second * second, -first * second], [-first * second, first * first]])
-        tangent = traction.tangent.copy()
-        tangent[1:, 1:] = np.where(slides, -self.table[:, _STIFFNESS] * across, tangent[1:, 1:])
+        tangent, shears = traction.tangent.copy(), [ALONG, CROSS, ACROSS]
+        across = np.array([second * second, -first * second, first * first])
+        tangent[shears] = np.where(slides, -self.table[:, _STIFFNESS] * across, tangent[shears])
         motions = self._unheld(pressure > SPARE / NOTHING * self.table[:, _LEAST], tangent)
         if motions.shape[1]:
             raise _loose(self.constraints, motions)
@@ -132,7 +131,7 @@ class Watch:
     def _unheld(self, pressed: NDArray[np.bool_], tangent: Array) -> Array:
         normals, *tangents = self.constraints.directions
         stiffness = self.table[:, _STIFFNESS]
-        shear = -np.moveaxis(tangent[1:, 1:], -1, 0)
+        shear = -np.moveaxis(tangent_matrix(tangent)[1:, 1:], -1, 0)
         sizes, axes = np.linalg.eigh(0.5 * (shear + shear.transpose(0, 2, 1)))
         held = (sizes > NOTHING * stiffness[:, None]) & (pressed & (stiffness > 0.0))[:, None]
         element, which = np.nonzero(held)
@@ -204,7 +203,7 @@ def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[n
         if pressure[e] <= table[e, _LEAST]:
             whole[k] = False
         elif stiffness > 0.0:
-            if tangent[1, 1, e] != -stiffness or tangent[1, 2, e] != 0.0:
+            if tangent[ALONG, e] != -stiffness or tangent[CROSS, e] != 0.0:
                 whole[k] = False
             elif corner_count[k] < 2:
                 corners[k, corner_count[k]] = e
@@ -242,8 +241,8 @@ def _surely_held(
         stiffness = table[e, _STIFFNESS]
         first = second = cross = 0.0
         if stiffness > 0.0:
-            first, second = -tangent[1, 1, e] / stiffness, -tangent[2, 2, e] / stiffness
-            cross = -tangent[1, 2, e] / stiffness
+            first, second = -tangent[ALONG, e] / stiffness, -tangent[ACROSS, e] / stiffness
+            cross = -tangent[CROSS, e] / stiffness
         for i in range(size):
             n, a, b = rows[e, 0, i], rows[e, 1, i], rows[e, 2, i]
             if n == 0.0 and a == 0.0 and b == 0.0:
@@ -280,12 +279,10 @@ def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
     pressure : ndarray, shape (m,)
         Pa.
     tangent : ndarray, shape (6, m)
-        As in `fesim.joint.compiled_gap`: entries 00, 10, 20, 11, 12, 22.
+        As in `fesim.joint.law.Traction`.
     """
     if watched.table.shape[0] == 0:
         return True
-    full = np.zeros((3, 3, pressure.size))
-    full[1, 1], full[1, 2], full[2, 2] = tangent[ALONG], tangent[CROSS], tangent[ACROSS]
-    return _as_at_rest(pressure, full, watched.table, watched.needed) or _surely_held(
-        pressure, full, watched.table, watched.rows, watched.supports
+    return _as_at_rest(pressure, tangent, watched.table, watched.needed) or _surely_held(
+        pressure, tangent, watched.table, watched.rows, watched.supports
     )

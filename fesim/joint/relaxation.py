@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, loose, solve_gap, unconverged
-from fesim.joint.law import Traction
+from fesim.joint.law import ACROSS, ALONG, NORMAL, Traction
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -108,5 +108,5 @@ def _damped(
     traction = problem.law(gap, slip)
     dampers = damping * problem.springs.reshape(before.shape)
     tangent = traction.tangent.copy()
-    tangent[range(3), range(3)] -= dampers
+    tangent[[NORMAL, ALONG, ACROSS]] -= dampers
     return Traction(traction.value - dampers * (gap - before), tangent, traction.slip)

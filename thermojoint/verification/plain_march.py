@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from fesim.joint.law import tangent_matrix
 from fesim.march.machine import CondensedMachine
 from fesim.march.stepping import Inputs
 from fesim.solid.elasticity import ElasticOperators
@@ -77,7 +78,8 @@ def plain_march(
         law = machine.contact.traction((gap @ u).reshape(3, count), before)
         forces = stiffness @ u - load - gap.T @ (area3 * law.value.ravel())
         for _ in range(MAX_ITERATIONS):
-            blocks = [[diags_array(area * law.tangent[i, j]) for j in range(3)] for i in range(3)]
+            tangent = tangent_matrix(law.tangent)
+            blocks = [[diags_array(area * tangent[i, j]) for j in range(3)] for i in range(3)]
             move = -_solve(stiffness - gap.T @ block_array(blocks) @ gap, forces)
             length, norm = 1.0, np.linalg.norm(forces)
             while True:

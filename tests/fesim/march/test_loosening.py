@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fesim.case.schema import case_from_data
-from fesim.joint.law import Traction
+from fesim.joint.law import ACROSS, ALONG, CROSS, NORMAL, Traction
 from fesim.joint.loosening import _as_at_rest, _surely_held, watch_of
 from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
@@ -151,16 +151,16 @@ ROUGH, SMOOTH = surface_law(0.3), surface_law(0.0)
 
 
 def state(law, states, turns):
-    """Pressure and tangent (3, 3, m) of elements that are open, slide or stick."""
+    """Pressure and tangent (6, m) of elements that are open, slide or stick."""
     stiffness = law.friction.stiffness if law.friction.coefficient else 0.0
     kinds = np.array(states)
-    tangent = np.zeros((3, 3, len(kinds)))
-    tangent[0, 0] = -1e12
+    tangent = np.zeros((6, len(kinds)))
+    tangent[NORMAL] = -1e12
     along, across = np.cos(turns), np.sin(turns)
     sticks = kinds == "stick"
-    tangent[1, 1] = -stiffness * np.where(sticks, 1.0, across**2)
-    tangent[2, 2] = -stiffness * np.where(sticks, 1.0, along**2)
-    tangent[1, 2] = tangent[2, 1] = np.where(sticks, 0.0, stiffness * along * across)
+    tangent[ALONG] = -stiffness * np.where(sticks, 1.0, across**2)
+    tangent[ACROSS] = -stiffness * np.where(sticks, 1.0, along**2)
+    tangent[CROSS] = np.where(sticks, 0.0, stiffness * along * across)
     return np.where(kinds == "open", 0.0, law.preload), tangent
 
 
