@@ -28,7 +28,7 @@ from benchmarks.performance.cases import reference_case, with_contacts
 from benchmarks.performance.marching import driven
 from benchmarks.performance.timing import Row, Skipped
 from fesim.joint.blocks import one_block
-from fesim.joint.compiled_gap import solve_in_place, trial_at
+from fesim.joint.compiled_gap import newton_work, solve_in_place, trial_at
 from fesim.joint.frozen_tangent import frozen_tangents
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw
 from fesim.joint.modified_newton import settle_near
@@ -170,7 +170,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
     if joint is None:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
     blocks = one_block(joint.springs, joint.compliance, joint.columns)
-    anchors, slip = frozen_tangents(blocks), np.zeros((2, count))
+    anchors, slip, work = frozen_tangents(blocks), np.zeros((2, count)), newton_work(count)
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
     def solve(step: int) -> Array:
@@ -179,7 +179,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         if kept:
             settle_near(kernel, joint.columns, anchors, free, slip, trial)
         else:
-            solve_in_place(kernel, free, slip, trial)
+            solve_in_place(kernel, free, slip, trial, work)
         slip[:], gaps[0], gaps[1] = trial.moved, gaps[1], trial.gap
         return np.asarray(1.0 + trial.value[0] / joint.preload)
 

@@ -116,7 +116,7 @@ class CompiledGap:
         kernel = GapKernel(problem.springs, problem.compliance, self.laws, tolerance)
         try:
             outcome, size, iterations = solve_in_place(
-                kernel, problem.exchange @ thermal_gap, slip, trial
+                kernel, problem.exchange @ thermal_gap, slip, trial, newton_work(slip.shape[1])
             )
         except np.linalg.LinAlgError as error:
             raise singular() from error
@@ -289,29 +289,56 @@ def lacking_system(
         matrix[k, k] += 1.0
 
 
-class _Storage(NamedTuple):
-    """Storage of a Newton step."""
+class NewtonWork(NamedTuple):
+    """Storage of Newton's method for m contact elements, kept from solve to solve.
 
+    Attributes
+    ----------
+    remainder, residual, step, before, forces : ndarray, shape (3 m,)
+        Tractions, Pa, and gaps, m.
+    rows : ndarray of int, shape (3 m,)
+        Of dT.
+    system : ndarray, shape (9 m^2,)
+        Of the tractions that the springs lack.
+    """
+
+    remainder: Array
+    residual: Array
+    step: Array
+    before: Array
+    forces: Array
     rows: NDArray[np.int64]
     system: Array
-    forces: Array
 
 
 @compiled
-def _newton_step(
-    kernel: GapKernel, tangent: Array, residual: Array, step: Array, storage: _Storage
-) -> None:
-    """-J^-1 r into `step` (3 m,).
+def newton_work(count: int) -> NewtonWork:
+    """Storage for `count` contact elements."""
+    size = 3 * count
+    return NewtonWork(
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, dtype=np.int64),
+        np.empty(size * size),
+    )
+
+
+@compiled
+def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
+    """-J^-1 r into the step.
 
     With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
     of dT, and step = F y - r.
     """
-    springs, compliance, rows = kernel.springs, kernel.compliance, storage.rows
+    springs, compliance, rows, step = kernel.springs, kernel.compliance, work.rows, work.step
     count = tangent.shape[1]
     for i in range(3 * count):
-        step[i] = -residual[i]
+        step[i] = -work.residual[i]
     size = lacking_rows(springs, tangent, rows)
-    matrix, right_side = storage.system[: size * size].reshape(size, size), storage.forces[:size]
+    matrix, right_side = work.system[: size * size].reshape(size, size), work.forces[:size]
     lacking_system(springs, compliance, tangent, rows, matrix)
     for k in range(size):
         normal, along, across = lacking(springs, tangent, rows[k])
@@ -338,25 +365,20 @@ def largest(values: Array) -> float:
 
 @compiled
 def solve_in_place(
-    kernel: GapKernel, free_gap: Array, slip: Array, trial: Trial
+    kernel: GapKernel, free_gap: Array, slip: Array, trial: Trial, work: NewtonWork
 ) -> tuple[int, float, int]:
     """Newton's method from the gaps of a trial: outcome (0 is solved), residual and iterations."""
     gap = trial.gap
     count = gap.shape[1]
-    unknowns = 3 * count
-    remainder, residual, step = np.empty(unknowns), np.empty(unknowns), np.empty(unknowns)
-    storage = _Storage(
-        np.empty(unknowns, dtype=np.int64), np.empty(unknowns * unknowns), np.empty(unknowns)
-    )
-    before = np.empty_like(gap)
-
+    remainder, residual, step = work.remainder, work.residual, work.step
+    before = work.before.reshape(3, count)
     evaluate_in_place(kernel.laws, slip, trial)
     _residual(kernel, free_gap, trial, remainder, residual)
     full_steps, size = MAX_FULL_STEPS, largest(residual)
     for iteration in range(MAX_ITERATIONS):
         if size <= kernel.tolerance and np.spacing(largest(gap)) <= kernel.tolerance:
             return _SOLVED, size, iteration
-        _newton_step(kernel, trial.tangent, residual, step, storage)
+        _newton_step(kernel, trial.tangent, work)
         before[:] = gap
         norm, length = math.sqrt(residual @ residual), 1.0
         while True:

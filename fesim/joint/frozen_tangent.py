@@ -35,6 +35,29 @@ SHARE, FEWEST, MOST = 8, 4, 32
 MADE, ROWS, FROZEN = 0, 1, 2
 
 
+class Scratch(NamedTuple):
+    """Storage of one correction, large enough for any block; its content is not used afterwards.
+
+    Attributes
+    ----------
+    changed : ndarray of int, shape (MOST,)
+        Contact elements to be corrected.
+    needed : ndarray of bool, shape (m,)
+        Whether the columns of a contact element are needed.
+    right_side, solved : ndarray, shape (3 m,)
+        Right side and solution with the inverse.
+    factors, system : ndarray, shapes (3 MOST,) and (9 MOST^2,)
+        Woodbury's system and its right side.
+    """
+
+    changed: NDArray[np.int64]
+    needed: NDArray[np.bool_]
+    right_side: Array
+    solved: Array
+    factors: Array
+    system: Array
+
+
 class FrozenTangent(NamedTuple):
     """A frozen tangent, its inverse and its corrections; storage that is written in place.
 
@@ -54,6 +77,8 @@ class FrozenTangent(NamedTuple):
         Contact element of a slot's columns; -1 for none.
     columns, moved : ndarray, shape (s, 3, 3 m)
         Three columns of the inverse for each, and F times them.
+    scratch : Scratch
+        Storage, shared by all blocks.
     """
 
     tangent: Array
@@ -65,6 +90,32 @@ class FrozenTangent(NamedTuple):
     element: NDArray[np.int64]
     columns: Array
     moved: Array
+    scratch: Scratch
+
+
+class Iteration(NamedTuple):
+    """Storage of the iteration over all blocks; its content is not used after a step.
+
+    Attributes
+    ----------
+    force, lack, step, shift, part : ndarray, shape (3 m,)
+        Tractions, Pa, and gaps, m: the unknown, its residual, its correction, the gaps that follow
+        from it, and the correction by one block.
+    tangent : ndarray, shape (6 m,)
+        Of the law, in one block.
+    own_lack, own_step, own_shift : ndarray, shape (3 m,)
+        In one block.
+    """
+
+    force: Array
+    lack: Array
+    step: Array
+    shift: Array
+    part: Array
+    tangent: Array
+    own_lack: Array
+    own_step: Array
+    own_shift: Array
 
 
 class FrozenTangents(NamedTuple):
@@ -79,11 +130,14 @@ class FrozenTangents(NamedTuple):
     begins : ndarray of int, shape (4, b + 1)
         Start of each block: in contact elements, in slots, in contact elements squared and in slots
         times contact elements.
+    iteration : Iteration
+        Storage.
     """
 
     blocks: Blocks
     every: FrozenTangent
     begins: NDArray[np.int64]
+    iteration: Iteration
 
 
 def frozen_tangents(blocks: Blocks) -> FrozenTangents:
@@ -101,10 +155,20 @@ def frozen_tangents(blocks: Blocks) -> FrozenTangents:
         element=np.full(int(slots.sum()), -1),
         columns=np.zeros(kept),
         moved=np.zeros(kept),
+        scratch=Scratch(
+            changed=np.empty(MOST, dtype=np.int64),
+            needed=np.empty(every, dtype=np.bool_),
+            right_side=np.empty(3 * every),
+            solved=np.empty(3 * every),
+            factors=np.empty(3 * MOST),
+            system=np.empty(9 * MOST * MOST),
+        ),
     )
+    size = 3 * every
+    iteration = Iteration(*(np.empty(n) for n in [size] * 5 + [2 * size] + [size] * 3))
     begins = np.zeros((4, blocks.starts.size), dtype=np.int64)
     np.cumsum([counts, slots, counts * counts, slots * counts], axis=1, out=begins[:, 1:])
-    return FrozenTangents(blocks, storage, begins)
+    return FrozenTangents(blocks, storage, begins, iteration)
 
 
 @compiled
@@ -123,6 +187,7 @@ def block_tangent(tangents: FrozenTangents, block: int) -> FrozenTangent:
         tangents.every.element[slot:end],
         tangents.every.columns[own].reshape(slots, 3, 3 * count),
         tangents.every.moved[own].reshape(slots, 3, 3 * count),
+        tangents.every.scratch,
     )
 
 
@@ -186,32 +251,39 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
 
     Four rows at a time: the total is read and written once for them.
     """
-    size, count, rows = total.size, 0, np.empty(4, dtype=np.int64)
-    for j in range(factors.size):
-        if factors[j] == 0.0:
+    size, count = total.size, 0
+    first, second, third = 0, 0, 0
+    for m in range(factors.size):
+        if factors[m] == 0.0:
             continue
-        rows[count] = j
         count += 1
-        if count == 4:
+        if count == 1:
+            first = m
+        elif count == 2:
+            second = m
+        elif count == 3:
+            third = m
+        else:
             count = 0
-            p, q, r, s = factors[rows[0]], factors[rows[1]], factors[rows[2]], factors[rows[3]]
-            a, b, c, d = columns[rows[0]], columns[rows[1]], columns[rows[2]], columns[rows[3]]
+            p, q, r, s = factors[first], factors[second], factors[third], factors[m]
+            a, b, c, d = columns[first], columns[second], columns[third], columns[m]
             for i in range(size):
                 total[i] += p * a[i] + q * b[i] + r * c[i] + s * d[i]
     for k in range(count):
-        factor, row = factors[rows[k]], columns[rows[k]]
+        row = first if k == 0 else second if k == 1 else third
+        factor, values = factors[row], columns[row]
         for i in range(size):
-            total[i] += factor * row[i]
+            total[i] += factor * values[i]
 
 
 @compiled
 def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> None:
     """The rows of the inverse times `right_side`, and zero elsewhere, into `solution` (3 m,)."""
     size = frozen.about[ROWS]
-    own = np.empty(size)
+    own, solved = frozen.scratch.right_side[:size], frozen.scratch.solved[:size]
     for k in range(size):
         own[k] = right_side[frozen.rows[k]]
-    solved = np.dot(frozen.inverse[: size * size].reshape(size, size), own)
+    np.dot(frozen.inverse[: size * size].reshape(size, size), own, solved)
     solution[:] = 0.0
     for k in range(size):
         solution[frozen.rows[k]] = solved[k]
@@ -247,10 +319,11 @@ def _keep_columns(
     """See to it that each of the contact elements has its columns of the inverse in a slot."""
     springs, columns = block.springs, block.columns
     count = frozen.slot.size
-    needed = np.zeros(count, dtype=np.bool_)
+    needed = frozen.scratch.needed[:count]
+    needed[:] = False
     for k in range(number):
         needed[changed[k]] = True
-    own, free = np.empty(3 * count), 0
+    free = 0
     for k in range(number):
         e = changed[k]
         if frozen.slot[e] >= 0:
@@ -270,16 +343,17 @@ def _keep_columns(
                 for j in range(size):
                     kept[frozen.rows[j]] = frozen.inverse[j * size + at]
             else:
+                # The right side is put where the solution goes.
                 for j in range(frozen.about[ROWS]):
                     other = frozen.rows[j]
                     normal, along, across = lacking(springs, frozen.tangent, other)
                     f = other % count
-                    own[other] = (
+                    kept[other] = (
                         normal * columns[row, f]
                         + along * columns[row, count + f]
                         + across * columns[row, 2 * count + f]
                     )
-                _solve_frozen(frozen, own, kept)
+                _solve_frozen(frozen, kept, kept)
                 kept[row] = 1.0
             moved[:] = 0.0
             add_product(columns, kept, moved)
@@ -295,7 +369,7 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
     springs, tangent, lack = block.springs, now.tangent, now.lack
     step, shift = correction.step, correction.shift
     count = tangent.shape[1]
-    changed = np.empty(frozen.element.size, dtype=np.int64)
+    changed = frozen.scratch.changed[: frozen.element.size]
     number = _changed(frozen, springs, now, changed)
     if number < 0:
         return False
@@ -303,7 +377,9 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
     _solve_frozen(frozen, lack, step)
     shift[:] = 0.0
     add_product(block.columns, step, shift)
-    factors, width = np.zeros(3 * number), 3 * number
+    width = 3 * number
+    factors = frozen.scratch.factors[:width]
+    factors[:] = 0.0
     for k in range(number):
         for i in range(1, 3):
             row = i * count + changed[k]
@@ -312,7 +388,7 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
     _combine(frozen, changed, factors, correction)
     if number == 0:
         return True
-    system = np.empty((width, width))
+    system = frozen.scratch.system[: width * width].reshape(width, width)
     for k in range(number):
         e = changed[k]
         for i in range(3):
@@ -343,5 +419,7 @@ def _combine(
     for k in range(factors.size):
         if factors[k] != 0.0:
             at = frozen.slot[changed[k // 3]]
-            step += factors[k] * frozen.columns[at, k % 3]
-            shift += factors[k] * frozen.moved[at, k % 3]
+            column, moved = frozen.columns[at, k % 3], frozen.moved[at, k % 3]
+            for i in range(step.size):
+                step[i] += factors[k] * column[i]
+                shift[i] += factors[k] * moved[i]

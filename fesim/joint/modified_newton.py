@@ -87,13 +87,16 @@ def _sweep(
     tangent, lack = now.tangent, now.lack
     step, shift = correction.step, correction.shift
     count, outcome = tangent.shape[1], _CORRECTED
+    storage, part = tangents.iteration, tangents.iteration.part
     step[:] = 0.0
     shift[:] = 0.0
     for k in range(tangents.blocks.starts.size - 1):
         block = part_of(tangents.blocks, k)
         elements, springs, size = block.elements, block.springs, block.elements.size
-        own_now = Lacking(np.empty((6, size)), np.empty(3 * size), now.least)
-        own, stale = Correction(np.empty(3 * size), np.empty(3 * size)), False
+        own_tangent = storage.tangent[: 6 * size].reshape(6, size)
+        own_now = Lacking(own_tangent, storage.own_lack[: 3 * size], now.least)
+        own = Correction(storage.own_step[: 3 * size], storage.own_shift[: 3 * size])
+        stale = False
         for j in range(size):
             e = elements[j]
             for i in range(6):
@@ -114,7 +117,7 @@ def _sweep(
         if outcome_of == _FAILED:
             return _FAILED
         outcome = max(outcome, outcome_of)
-        part = np.zeros(3 * count)
+        part[:] = 0.0
         for i in range(3):
             for j in range(size):
                 part[i * count + elements[j]] = own.step[i * size + j]
@@ -154,12 +157,12 @@ def settle_near(
     accepted state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
-    unknowns, flat = springs.size, gap.reshape(-1)
-    force, lack = np.zeros(unknowns), np.empty(unknowns)
-    step, shift = np.empty(unknowns), np.empty(unknowns)
+    flat, storage = gap.reshape(-1), tangents.iteration
+    force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
     correction = Correction(step, shift)
     evaluate_in_place(kernel.laws, slip, trial)
-    _lack(springs, trial, np.zeros(unknowns), force)
+    step[:] = 0.0
+    _lack(springs, trial, step, force)
     flat[:] = free_gap
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance

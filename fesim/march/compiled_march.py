@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled
-from fesim.joint.compiled_gap import Trial
+from fesim.joint.compiled_gap import NewtonWork, Trial
 from fesim.joint.frozen_tangent import MADE, FrozenTangents, put_tangents
 from fesim.joint.loosening import Watched, surely_held
 from fesim.joint.modified_newton import settle_near
@@ -52,7 +52,7 @@ class Moving(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Inverses that are kept from step to step, written in place.
+    """Inverses that are kept from step to step, and storage; written in place.
 
     Attributes
     ----------
@@ -60,10 +60,13 @@ class Kept(NamedTuple):
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
+    newton : NewtonWork
+        Storage.
     """
 
     tangents: FrozenTangents
     flows: Flows
+    newton: NewtonWork
 
 
 class Solved(NamedTuple):
@@ -105,7 +108,7 @@ def _settle(
     joint: JointKernel, kept: Kept, free_gap: Array, now: JointState, trial: Trial
 ) -> tuple[bool, float, int]:
     """The kept inverse first, then Newton's method: whether it is solved, residual, iterations."""
-    trial.gap[:] = now.gap + now.change
+    np.add(now.gap, now.change, trial.gap)
     try:
         solved, residual, iterations = settle_near(
             gap_kernel(joint), joint.columns, kept.tangents, free_gap, now.slip, trial
@@ -115,8 +118,8 @@ def _settle(
     if solved:
         return True, residual, iterations
     kept.tangents.every.about[:, MADE] = 0
-    trial.gap[:] = now.gap + now.change
-    return settle_by_newton(joint, free_gap, now, trial)
+    np.add(now.gap, now.change, trial.gap)
+    return settle_by_newton(joint, free_gap, now, trial, kept.newton)
 
 
 @compiled
@@ -136,15 +139,19 @@ def march_steps(
     heat, joint = machine.heat, machine.joint
     count, thermal = now.joint.pressure.size, heat.drive.shape[1]
     trial, flow, conducted = new_trial(count), np.empty(count), np.empty(count)
-    amplitudes = np.empty_like(now.amplitudes)
+    beyond, jump, free_gap = np.empty(count), np.empty(count), np.empty(3 * count)
+    amplitudes, drawn = np.empty_like(now.amplitudes), np.empty_like(now.amplitudes)
     for k in range(len(inputs)):
         amplitudes[:] = now.amplitudes
         drive(heat, amplitudes, inputs[k])
         conduct(joint, now.joint.pressure, conducted)
-        jump = np.dot(joint.jump, amplitudes)
-        solve_flows(heat.joint_influence, conducted - joint.held, jump, kept.flows, flow)
-        amplitudes -= np.dot(heat.influence, flow)
-        free_gap = np.dot(joint.gap, amplitudes)
+        np.dot(joint.jump, amplitudes, jump)
+        for e in range(count):
+            beyond[e] = conducted[e] - joint.held[e]
+        solve_flows(heat.joint_influence, beyond, jump, kept.flows, flow)
+        np.dot(heat.influence, flow, drawn)
+        amplitudes -= drawn
+        np.dot(joint.gap, amplitudes, free_gap)
         for i in range(joint.loaded.shape[1]):
             free_gap += inputs[k, thermal + i] * joint.loaded_gap[:, i]
         solved, residual, iterations = _settle(joint, kept, free_gap, now.joint, trial)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fesim.jit import compiled
-from fesim.joint.compiled_gap import GapKernel, Trial, solve_in_place
+from fesim.joint.compiled_gap import GapKernel, NewtonWork, Trial, newton_work, solve_in_place
 from thermojoint.artefacts.arrays import Array
 
 
@@ -171,7 +171,8 @@ def settle_step(joint: JointKernel, amplitudes: Array, now: JointState, displace
     """
     trial, remainder = new_trial(now.pressure.size), np.empty(3 * now.pressure.size)
     trial.gap[:] = now.gap + now.change
-    solved, _, _ = settle_by_newton(joint, np.dot(joint.gap, amplitudes), now, trial)
+    work = newton_work(now.pressure.size)
+    solved, _, _ = settle_by_newton(joint, np.dot(joint.gap, amplitudes), now, trial, work)
     if not solved:
         return 1
     take(joint, trial, now, remainder)
@@ -181,7 +182,7 @@ def settle_step(joint: JointKernel, amplitudes: Array, now: JointState, displace
 
 @compiled
 def settle_by_newton(
-    joint: JointKernel, free_gap: Array, now: JointState, trial: Trial
+    joint: JointKernel, free_gap: Array, now: JointState, trial: Trial, work: NewtonWork
 ) -> tuple[bool, float, int]:
     """Newton's method from a trial, then from where the gaps are.
 
@@ -192,7 +193,7 @@ def settle_by_newton(
             trial.gap[:] = now.gap
         try:
             outcome, residual, iterations = solve_in_place(
-                gap_kernel(joint), free_gap, now.slip, trial
+                gap_kernel(joint), free_gap, now.slip, trial, work
             )
         except Exception:  # a singular tangent: machine code knows no other name for it
             outcome, residual, iterations = 1, np.nan, 0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
-from fesim.joint.compiled_gap import compile_gap
+from fesim.joint.compiled_gap import compile_gap, newton_work
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.frozen_tangent import (
     MADE,
@@ -113,8 +113,9 @@ def _frozen(kept: Kept) -> Array:
 
 
 def new_kept(blocks: Blocks) -> Kept:
-    """Return the inverses of a march that has not begun."""
-    return Kept(frozen_tangents(blocks), new_flows(blocks.elements.size))
+    """Return the inverses and the storage of a march that has not begun."""
+    count = blocks.elements.size
+    return Kept(frozen_tangents(blocks), new_flows(count), newton_work(count))
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:
