@@ -229,7 +229,7 @@ def calibrate_fictitious(
     if geometry.distances.shape[0] > len(JOINT_SENSORS):
         raise InputError(
             f"fictitious sources: {geometry.distances.shape[0]} sources but {len(JOINT_SENSORS)} "
-            "sensors; every source needs a sensor of its own"
+            "sensors; every source needs its own sensor"
         )
     data = deviations_from(reference, others, where)
     unity = max(data.inputs) if reference_input is None else float(reference_input)

@@ -29,7 +29,7 @@ def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
     last = -math.inf
     for piece in pieces:
         if not piece.times[0] > last:
-            raise InputError("log: the clock begins anew; estimate each run by itself")
+            raise InputError("log: time restarts; estimate each run by itself")
         last = float(piece.times[-1])
         at = [piece.index(name) for name in names]
         for time, values in zip(piece.times.tolist(), piece.values[:, at].tolist(), strict=True):

@@ -105,7 +105,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
             continue
         line, cells = f"{where}, line {dialect.first + number}", trimmed(row_cells, len(names))
         if len(cells) != len(names):
-            raise InputError(f"{line}: {len(cells)} values, expected {len(names)}; mend the row")
+            raise InputError(f"{line}: {len(cells)} values, expected {len(names)}; correct the row")
         at = dict(zip(names, cells, strict=True))
         time = _number(at["time_s"], dialect.decimal, line)
         last = rows[-1].time if rows else -math.inf
@@ -143,5 +143,5 @@ def _number(text: str, decimal: str, line: str) -> float:
         return math.nan
     value = number_in(text, decimal)
     if value is None:
-        raise InputError(f"{line}: {text!r} is no number; mend the row")
+        raise InputError(f"{line}: {text!r} is not a number; correct the row")
     return value

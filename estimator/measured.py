@@ -63,7 +63,7 @@ def samples_in(
     last = -math.inf
     for piece in pieces:
         if not piece.times[0] > last:
-            raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
+            raise InputError(f"{where}: time restarts; estimate each run by itself")
         wanted, values = _wanted(piece, sensors, where)
         for time, row in zip(piece.times.tolist(), values.tolist(), strict=True):
             if not all(map(math.isfinite, row)):

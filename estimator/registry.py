@@ -45,7 +45,7 @@ def kind_of_file(path: Path | str) -> Kind[Any, Any]:
     schema = schema_of(path)
     if schema not in known_schemas():
         raise InputError(
-            f"{path}: {schema!r} is no kind of model that is installed; give what 'calibrate', "
+            f"{path}: {schema!r} is not an installed kind of model; give what 'calibrate', "
             "'assemble' or 'learn' wrote"
         )
     return _kind(schema)
@@ -188,7 +188,7 @@ def _kind(schema: str) -> Kind[Any, Any]:
     kind = resolve_name(known_schemas()[schema])
     if not isinstance(kind, Kind):
         raise InputError(
-            f"{known_schemas()[schema]}: is no kind of estimator; correct the entry point in the "
+            f"{known_schemas()[schema]}: is not a kind of estimator; fix the entry point in the "
             "distribution that has it"
         )
     return kind

@@ -61,7 +61,7 @@ def write_state(saved: SavedState, path: Path | str) -> None:
         A value is infinite: an earlier sample was too large to be a measurement.
     """
     if np.isinf(saved.values).any():
-        raise InputError(f"{path}: the state is not finite; mend the samples that led to it")
+        raise InputError(f"{path}: the state is not finite; correct the samples that led to it")
     body = {
         "model_schema": saved.schema,
         "fingerprint": saved.fingerprint,

@@ -47,7 +47,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def _folder(package: str) -> Path | None:
-    """Where machine code of a package is kept; None if Numba is told, or there is no place."""
+    """Cache folder for compiled code; None if Numba has its own, or none is writable."""
     if _CONFIG.CACHE_DIR:
         return None
     folder = own_folder(f"{_NAME}-{_source(package)}")

@@ -28,5 +28,5 @@ def one_dense_thread() -> Iterator[None]:
 
 @cache
 def _controller() -> ThreadpoolController:
-    """What is loaded is looked up once, which takes as long as a short march."""
+    """The loaded libraries are looked up once, which takes as long as a short march."""
     return ThreadpoolController()

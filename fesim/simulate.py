@@ -159,7 +159,7 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """What a response is made of: a track without its large fields, and what was read of them.
+    """Contents of a response: a track without its large fields, and the values read from them.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Sequence[float]) -> Cal
     for time in times_s:
         if not (np.isfinite(time) and time >= 0.0):
             raise InputError(
-                f"output.snapshots_s: {time} s is no time of the march; give 0 or more"
+                f"output.snapshots_s: {time} s is not a time of the march; give 0 or more"
             )
     folder = Path(folder)
     length = setup.machine.thermal.step

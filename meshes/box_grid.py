@@ -61,7 +61,7 @@ def grid_lines(
     ranges = list(finer)
     breaks = list(breaks)
     if (max(breaks) - min(breaks)) / min([size, *(fine for _, _, fine in ranges)]) > LARGEST_GRID:
-        raise InputError(f"box mesh: elements of {size:g} m are too many to mesh; mend the unit")
+        raise InputError(f"box mesh: elements of {size:g} m are too many to mesh; correct the unit")
     ends = [end for low, high, _ in ranges for end in (low, high)]
     stops = np.unique(np.round(np.asarray([*breaks, *ends], dtype=float), 9))
     pieces = []

@@ -95,13 +95,13 @@ def mesh_cad(
         with _in_one_line(part, "read it", "export it again"):
             gmsh.model.occ.importShapes(str(part))
             gmsh.model.occ.synchronize()
-        with _in_one_line(part, "find its joints", "mend solids that overlap"):
+        with _in_one_line(part, "find its joints", "correct solids that overlap"):
             bodies = _bodies(gmsh)
             if not bodies:
                 raise InputError(f"{part}: holds no solid; export solids, not surfaces")
             sides = _joint_sides(gmsh, bodies)
             surfaces = _surfaces(gmsh, bodies, sides, names or {})
-        with _in_one_line(part, "mesh it", "take another element size or mend the part"):
+        with _in_one_line(part, "mesh it", "take another element size or correct the part"):
             for name, volume in bodies.items():
                 _group(gmsh, 3, [volume], name)
             for name, faces in surfaces.items():

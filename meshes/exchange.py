@@ -221,7 +221,7 @@ def _check_cards(path: Path) -> None:
                 first = line.strip().split(",")[0]
                 if comment:
                     raise InputError(
-                        f"{path}: a comment stands inside a *{card} card; move it above the card"
+                        f"{path}: a comment is inside a *{card} card; move it above the card"
                     )
                 if card == "ELSET" and not first.isnumeric():
                     raise InputError(
@@ -235,7 +235,7 @@ def _check_cards(path: Path) -> None:
     name, often = max(sets.items(), key=lambda item: item[1], default=("", 0))
     if often > 1:
         raise InputError(
-            f"{path}: element set {name!r} stands on {often} cards; define it by one *ELSET"
+            f"{path}: element set {name!r} is on {often} cards; define it by one *ELSET"
         )
     if len({bool(name) for card, name in cards if card == "ELEMENT"}) > 1:
         raise InputError(

@@ -281,7 +281,7 @@ def _quality_warning(structure: Structure, quality: Array) -> list[str]:
 
 def _piece_warnings(bodies: dict[str, BodyFacts]) -> list[str]:
     return [
-        f"body {name!r} is in {body.pieces} pieces: each needs a support or a joint of its own"
+        f"body {name!r} is in {body.pieces} pieces: each needs its own support or joint"
         for name, body in bodies.items()
         if body.pieces > 1
     ]

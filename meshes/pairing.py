@@ -181,7 +181,7 @@ def pair_joint(structure: Structure, name: str, along: int, across: int) -> Pair
     if covered.max() > 1.0 + EXCESS:
         raise InputError(
             f"joint {name!r}: several layers of side b lie before the same place of side a; make "
-            "each pair of faces a joint of its own"
+            "each pair of faces its own joint"
         )
     # Grid cells outside an irregular part are empty; number the others without gaps.
     held, piece_element = np.unique(piece_cells, return_inverse=True)

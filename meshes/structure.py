@@ -111,7 +111,7 @@ def _check_mesh(mesh: Mesh) -> None:
     if not bool(np.isfinite(mesh.p).all()):
         bad = int(np.flatnonzero(~np.isfinite(mesh.p).all(axis=0))[0])
         raise InputError(
-            f"structure: node {bad} has a coordinate that is not finite; mend the mesh"
+            f"structure: node {bad} has a coordinate that is not finite; correct the mesh"
         )
 
 
@@ -119,7 +119,7 @@ def _check_bodies(structure: Structure) -> None:
     count = np.zeros(structure.mesh.nelements, dtype=int)
     for name, cells in structure.bodies.items():
         if cells.size == 0:
-            raise InputError(f"structure: body {name!r} has no cells; remove it or mend its name")
+            raise InputError(f"structure: body {name!r} has no cells; remove it or fix its name")
         if cells.min() < 0 or cells.max() >= count.size:
             raise InputError(f"structure: body {name!r} names cells that the mesh does not have")
         count[cells] += 1
@@ -135,7 +135,7 @@ def _check_surfaces(structure: Structure) -> None:
     for name, facets in structure.surfaces.items():
         if facets.size == 0:
             raise InputError(
-                f"structure: surface {name!r} has no facets; remove it or mend its name"
+                f"structure: surface {name!r} has no facets; remove it or correct its name"
             )
         if not bool(np.isin(facets, outside).all()):
             raise InputError(
@@ -162,7 +162,7 @@ def _check_probes(structure: Structure) -> None:
         ):
             raise InputError(
                 f"structure: probe {name!r} at {shown_point(x)} m lies outside the mesh, which "
-                f"spans {shown_point(low)} to {shown_point(high)} m; mend its position or its unit"
+                f"spans {shown_point(low)} to {shown_point(high)} m; fix its position or its unit"
             )
         if probe.body is not None:
             structure.body(probe.body, f"probe {name!r}")

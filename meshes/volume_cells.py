@@ -76,7 +76,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     # Facets and vertices too: they name surfaces and probes.
     for nodes in [block.data for block in raw.cells if len(block.data)]:
         if nodes.min() < 0 or nodes.max() >= len(points):
-            raise InputError(f"{path}: a cell names a node that is not there; write the mesh again")
+            raise InputError(f"{path}: a cell refers to a missing node; export the mesh again")
     used = np.unique(cells[:, :corners])
     renumber = np.full(len(points), -1)
     renumber[used] = np.arange(used.size)
@@ -84,7 +84,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     if extent > LARGEST_EXTENT:
         raise InputError(
             f'{path}: the mesh is {extent:g} m long; if it is in mm, say unit = "mm" in '
-            "[structure], or --unit mm where there is no case"
+            "[structure], or --unit mm without a case"
         )
     mesh = from_meshio(meshio.Mesh(points[used], [(straight, renumber[cells[:, :corners]])]))
     # Only now: edges and faces of a damaged mesh are meaningless.
@@ -194,7 +194,7 @@ def boundary_facets(mesh: Mesh, corners: NDArray[np.int64], where: str) -> NDArr
     """
     facets = np.unique(_rows_in(mesh.facets.T, corners))
     if facets.size and facets[0] < 0:
-        raise InputError(f"{where} has facets that are no facets of the volume cells; mesh again")
+        raise InputError(f"{where} has facets that do not belong to the volume cells; mesh again")
     if not np.isin(facets, mesh.boundary_facets()).all():
         raise InputError(
             f"{where} has facets inside the mesh; sides of a joint must not share nodes"

@@ -34,7 +34,7 @@ Report = Callable[[str, int, int], None]
 
 
 class Verbosity(IntEnum):
-    """How much is printed."""
+    """Amount of output."""
 
     QUIET = 0
     NORMAL = 1

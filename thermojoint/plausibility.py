@@ -257,7 +257,7 @@ def _plausible(value: float, quantity: Quantity) -> bool:
 
 
 def _away(value: float, typical: float) -> float:
-    """How far a value is from the typical one: in size where both have one, else in itself."""
+    """Distance of a value from the typical one: in magnitude where both are non-zero."""
     return abs(math.log(abs(value / typical))) if value and typical else abs(value - typical)
 
 

@@ -63,7 +63,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         count = end - first
         if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
             raise InputError(
-                f"{where}: {count - len(kept)} of {count} samples lack a reading; mend the log"
+                f"{where}: {count - len(kept)} of {count} samples lack a reading; correct the log"
             )
         runs[where] = _response(
             where,

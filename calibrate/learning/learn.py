@@ -239,7 +239,7 @@ def _wide(
     band = _QUANTILE * judged.widening * np.sqrt(spread + fitted.errors**2).mean(axis=0)
     return [
         f"{name}: the band of 95 %, +-{half:.2g} um, is wider than all that the log moves, "
-        f"{range_:.2g} um: the model tells little of it"
+        f"{range_:.2g} um: the model explains little of it"
         for name, half, range_ in zip(
             cleaned.displacements, band, np.ptp(rows.outputs, axis=0), strict=True
         )

@@ -41,7 +41,7 @@ ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", 
 
 @dataclass(frozen=True)
 class Beside:
-    """What is judged beside a model, and from when on.
+    """What is judged beside a model, and the time from which samples count.
 
     Attributes
     ----------

@@ -333,7 +333,7 @@ class JointAware(Described):
     def _moment(self, last: float, time: float) -> Moment:
         """Time of a sample relative to the last one (s)."""
         if not math.isfinite(time):
-            raise InputError(f"time {time:g} s is no time; drop the sample")
+            raise InputError(f"time {time:g} s is not a time; drop the sample")
         if math.isnan(last):
             return Moment(time, 0.0, 0)
         if not time > last:

@@ -43,7 +43,7 @@ def log_samples(
     last = -math.inf
     for piece in pieces:
         if not piece.times[0] > last:
-            raise InputError(f"{where}: the clock begins anew; estimate each run by itself")
+            raise InputError(f"{where}: time restarts; estimate each run by itself")
         last = float(piece.times[-1])
         at, above = _columns(piece, sensors, where)
         values = piece.values[:, [k for k in at if k >= 0]]

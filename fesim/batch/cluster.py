@@ -56,7 +56,7 @@ class DaskCrew:
             addresses = list(self._client.nthreads())
         except (OSError, TimeoutError, RuntimeError) as error:
             raise InputError(
-                "--scheduler: the connection is lost; start the batch again, it goes on from here"
+                "--scheduler: the connection is lost; start the batch again to continue"
             ) from error
         for address in addresses:
             if address not in self._versions:

@@ -92,7 +92,7 @@ def formula(text: str) -> OfPosition:
         tree = ast.parse(text.strip(), mode="eval").body
     # What the parser raises for text that is none, of nothing, or nested without end.
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise ValueError(f"{text[:40]!r} is no formula; write one such as 5 + 2 * z_mm") from error
+        raise ValueError(f"{text[:40]!r} is not a formula; write e.g. 5 + 2 * z_mm") from error
     _check(tree, DEEPEST)
 
     def values(points: Array) -> Array:
@@ -136,7 +136,7 @@ def _parts(node: ast.expr) -> list[ast.expr]:
             if len(arguments) != FUNCTIONS[name][1]:
                 raise ValueError(f"{name}() takes {FUNCTIONS[name][1]} values in a formula")
             return arguments
-    raise ValueError(f"{ast.unparse(node)[:40]!r} may not stand in a formula")
+    raise ValueError(f"{ast.unparse(node)[:40]!r} is not allowed in a formula")
 
 
 def _value(node: ast.expr, points: Array) -> Any:  # noqa: ANN401 - numbers, or arrays of them
@@ -159,4 +159,4 @@ def _value(node: ast.expr, points: Array) -> Any:  # noqa: ANN401 - numbers, or 
             return 1.0 * _COMPARED[type(op)](_value(left, points), _value(right, points))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return FUNCTIONS[name][0](*(_value(part, points) for part in arguments))
-    raise ValueError(f"{ast.unparse(node)[:40]!r} may not stand in a formula")
+    raise ValueError(f"{ast.unparse(node)[:40]!r} is not allowed in a formula")

@@ -177,7 +177,7 @@ def sampled_history(times: Array, values: Array, where: str = "history") -> Hist
         raise InputError(f"{where}: needs as many times as values, one or more")
     bad = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values)))
     if bad.size:
-        raise InputError(f"{where}: sample {bad[0] + 1} is not finite; remove or mend it")
+        raise InputError(f"{where}: sample {bad[0] + 1} is not finite; remove or correct it")
     back = np.flatnonzero(np.diff(times) <= 0.0)
     if back.size:
         i = int(back[0]) + 1

@@ -40,7 +40,7 @@ def read_position_table(path: Path, column: str) -> OfPosition:
     if not axes or not values.size:
         raise InputError(f"{path}: needs rows, and one or more of the columns {', '.join(COLUMNS)}")
     if not np.isfinite(list(columns.values())).all():
-        raise InputError(f"{path}: a value is not finite; remove or mend it")
+        raise InputError(f"{path}: a value is not finite; remove or correct it")
     lines, at = zip(
         *(np.unique(columns[name], return_inverse=True) for _, name in axes), strict=True
     )
@@ -49,7 +49,7 @@ def read_position_table(path: Path, column: str) -> OfPosition:
     if len(flat) != np.prod(shape) or len(np.unique(flat)) != len(flat):
         named = ", ".join(name for _, name in axes)
         raise InputError(
-            f"{path}: {len(flat)} rows are no grid of {' x '.join(map(str, shape))} values of "
+            f"{path}: {len(flat)} rows are not a grid of {' x '.join(map(str, shape))} values of "
             f"{named}; give every combination once"
         )
     grid = np.empty(shape)

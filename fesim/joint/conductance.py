@@ -79,10 +79,10 @@ class ConductanceTable:
                 "it goes on by itself"
             )
         if not (np.isfinite(self.values).all() and (self.values > 0.0).all()):
-            raise InputError("conductance table: conductance_W_m2K must be above 0; mend the rows")
+            raise InputError("conductance table: conductance_W_m2K must be above 0; fix the rows")
         if (np.diff(self.values, axis=1) < 0.0).any():
             raise InputError(
-                "conductance table: conductance_W_m2K falls as pressure_MPa rises; mend the rows"
+                "conductance table: conductance_W_m2K falls as pressure_MPa rises; correct the rows"
             )
         logarithm = np.log(self.pressures)
         curves = PchipInterpolator(logarithm, np.log(self.values), axis=1)

@@ -1,4 +1,4 @@
-"""A machine whose bolts are tightened, before anything else acts on it.
+"""Tightening of a machine's bolts before any other load.
 
 All bolts are tightened at once. While they are tightened, their forces are given, whatever the
 structure does: a load under which the joints settle. From then on the bolts are springs.

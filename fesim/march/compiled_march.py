@@ -37,7 +37,7 @@ THROUGH, SNAPS, LOOSE = range(3)
 
 
 class MarchKernel(NamedTuple):
-    """What marches a machine: its heat step, its joints, and what sees a body come loose."""
+    """Data of a compiled march: heat step, joints, and detection of loose bodies."""
 
     heat: HeatStep
     joint: JointKernel
@@ -70,7 +70,7 @@ class Kept(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What a step came to beside its state: heat, W/K and W, (m,); the gap equations' figures."""
+    """Results of a step beside its state: heat, W/K and W, (m,); figures of the gap equations."""
 
     conducted: Array
     flow: Array

@@ -1,4 +1,4 @@
-"""The joints of a condensed structure: what the gap equations of a step need."""
+"""Contact problem of a condensed structure: the data of a step's gap equations."""
 
 from __future__ import annotations
 
@@ -78,12 +78,12 @@ class ContactProblem:
 
     @cached_property
     def settle(self) -> Settle:
-        """What solves them."""
+        """Their compiled solver."""
         return gap_solver(self.gap_problem, self.laws, self.tolerance)
 
     @cached_property
     def watch(self) -> Watch | None:
-        """What sees a body come loose."""
+        """Detection of loose bodies."""
         # Here, not above, as in `gap_solver`.
         from fesim.joint.loosening import watch_of
 

@@ -74,7 +74,7 @@ class CondensedMachine:
         return replace(self, contact=replace(self.contact, laws=laws))
 
     def conductance_in(self, state: State) -> Array:
-        """What every contact element conducts in a state, by contact and gap, W/(m2 K)."""
+        """Conductance of every contact element in a state, contact and gap together, W/(m2 K)."""
         if self.contact.conducts_by_pressure:
             return self.contact.conductance(state.pressure)
         rise = self.thermal.mean @ state.temperature

@@ -191,7 +191,7 @@ def project_start(heat: HeatOperators, modes: ThermalModes, start: Array) -> Arr
 
 
 def _usual_field(start: Array) -> Array:
-    """The field, shape (n, 1), of the size of `USUAL_RISE` or more; none if it is zero all over."""
+    """The field, shape (n, 1), of the size of `USUAL_RISE` or more; none if it is zero."""
     largest = float(np.abs(start).max(initial=0.0))
     if not largest:
         return np.empty((len(start), 0))

@@ -1,4 +1,4 @@
-"""The march's state as a file: written whole, read back bit for bit, refused by another machine.
+"""State of a march as a file, read back bit for bit and refused by another machine.
 
 The file carries a fingerprint of everything that shapes the state. What is only recorded (probes,
 candidates, the displacement, snapshots, the title), the heat input and the duration may differ.

@@ -263,7 +263,7 @@ def _iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> St
 
 @dataclass(frozen=True)
 class _Carried:
-    """What goes from one sweep of an in-step iteration to the next, m values.
+    """Quantity carried from one sweep of an in-step iteration to the next, m values.
 
     Attributes
     ----------
@@ -291,7 +291,7 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
 
 
 def _left_open(machine: CondensedMachine) -> float:
-    """What the gap equations leave open of a pressure, of the preload: ten times that at rest."""
+    """Tolerance of a pressure by the gap equations, of the preload: ten times that at rest."""
     stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
     left = 10.0 * machine.contact.tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))

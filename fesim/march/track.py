@@ -65,7 +65,7 @@ class Track:
     model: str
 
     def __len__(self) -> int:
-        """How many steps there are."""
+        """Number of steps."""
         return len(self.index)
 
     def step(self, at: int) -> Step:

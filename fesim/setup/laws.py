@@ -102,7 +102,7 @@ def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.flo
     if separation.min() < -1e-6 * np.sqrt(joint.area.sum()):
         raise InputError(
             f"joints.{joint.name}: its sides are {-1e6 * separation.min():.4g} um in each other in "
-            "the mesh: it starts interpenetrated; mend the mesh, or give initial_opening_um"
+            "the mesh: it starts interpenetrated; correct the mesh, or give initial_opening_um"
         )
     return np.maximum(separation, 0.0)
 

@@ -176,7 +176,7 @@ def forces_between(case: Case, ends: NDArray[np.float64]) -> dict[int, NDArray[n
 
 
 def _force_histories(case: Case) -> list[History]:
-    """What stands behind the thermal inputs: factors of loads, bolts' forces (N) and their 1."""
+    """Inputs after the thermal ones: load factors, bolt forces (N) and a 1 for these."""
     factors = [
         step_history(1.0) if load.file is None else read_history(load.file, "factor")
         for load in case.loads.values()

@@ -281,7 +281,7 @@ def _loads(
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
 ) -> LoadInfluence | None:
-    """What the loads and bolts do to gaps and probes."""
+    """Influence of loads and bolts on gaps and probes."""
     if not forces.shape[1]:
         return None
     return remembered(
@@ -336,7 +336,7 @@ def _machine(
     loads: LoadInfluence | None,
     modes: ThermalModes | None,
 ) -> CondensedMachine:
-    """What marches, its bolts not yet tight."""
+    """The condensed machine before its bolts are tightened."""
     case, parts, heat = whole.case, whole.parts, whole.heat
     step = case.march.step_s
     if modes is None:

@@ -46,7 +46,7 @@ def checked(function: OfPosition, where: str, least: float = -math.inf) -> OfPos
             at = bad[0]
             floor = f"; it may not fall below {least:g}" if np.isfinite(least) else ""
             raise InputError(
-                f"{where}: is {result[at]:g} at {shown_point(points[:, at])} m{floor}; mend it"
+                f"{where}: is {result[at]:g} at {shown_point(points[:, at])} m{floor}; correct it"
             )
         return result
 

@@ -233,7 +233,7 @@ def _heat_load(structure: Structure, basis: CellBasis, source: HeatSource) -> Ar
     load = np.asarray(weighted_flux_form.assemble(on, value=DiscreteField(weight)))
     if not load.sum() > 0.0:
         where = source.surface or source.body
-        raise InputError(f"sources: the profile on {where!r} is zero all over; mend it")
+        raise InputError(f"sources: the profile on {where!r} is zero everywhere; correct it")
     return load
 
 

@@ -135,7 +135,7 @@ def test_without_the_distribution_its_models_are_refused_in_one_line(tmp_path):
     path = tmp_path / "rod.json"
     path.write_text(json.dumps(ROD))
     assert "lagging-rod" not in known_schemas()
-    with pytest.raises(InputError, match="'lagging-rod' is no kind of model") as error:
+    with pytest.raises(InputError, match="'lagging-rod' is not an installed kind") as error:
         tj.open_estimator(path)
     assert "\n" not in str(error.value)
 

@@ -226,7 +226,7 @@ def test_a_table_passes_through_its_points_and_nothing_passes_without_pressure()
         ("0,10\n2,4000", "all above 0"),
         ("1,5000", "two pressures or more"),
         ("1,-5\n2,5", "must be above 0"),
-        ("1,x\n2,5", "'x' is no number"),
+        ("1,x\n2,5", "'x' is not a number"),
         ("", "two pressures or more"),
     ],
 )

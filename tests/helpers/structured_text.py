@@ -152,13 +152,13 @@ class Translator:
                 self.types[name.upper()] = self.type_of(named(one, "definition")[0])
 
     def type_of(self, node):
-        """(type, size); size 0 for what is no array."""
+        """(type, size); size 0 for what is not an array."""
         if node.type == "array_type":
             [span] = named(node, "range")
             low, high = (int(text_of(named(span, end)[0])) for end in ("lower", "upper"))
             element, inner = self.type_of(named(node, "element_type")[0])
             if low != 0 or high < 0 or inner:
-                self.fail(node, "an array from 0, of what is no array")
+                self.fail(node, "an array from 0, of what is not an array")
             return element, high + 1
         name = text_of(node).upper()
         if name in C_TYPES:

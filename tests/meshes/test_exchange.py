@@ -153,11 +153,11 @@ def test_cards_of_elements_are_one_surface_by_a_set_that_lists_them(tmp_path):
                 f"{SHELL}, ELSET=ends\n{BOTTOM}",
                 f"{SHELL}, ELSET=ends\n{LID}",
             ],
-            "element set 'ends' stands on 2 cards",
+            "element set 'ends' is on 2 cards",
         ),
         (
             [f"{SOLID}\n{FIRST}{SECOND}", LISTED, "*ELSET, ELSET=ends\n3\n"],
-            "element set 'ends' stands on 2 cards",
+            "element set 'ends' is on 2 cards",
         ),
         (
             [
@@ -177,7 +177,7 @@ def test_cards_of_elements_are_one_surface_by_a_set_that_lists_them(tmp_path):
         ),
         ([NODES, f"{SOLID}, ELSET=all\n{FIRST}{SECOND}"], "several .NODE cards"),
         ([f"{SOLID}, ELSET=all\n", "*INCLUDE, INPUT=cells.inp\n"], "or an .INCLUDE"),
-        ([f"{SOLID}, ELSET=all\n{FIRST}** the other\n{SECOND}"], "comment stands inside a .ELEM"),
+        ([f"{SOLID}, ELSET=all\n{FIRST}** the other\n{SECOND}"], "comment is inside a .ELEM"),
         ([f"{SOLID}, ELSET=all\n"], "no volume cells"),
     ],
 )
@@ -386,7 +386,7 @@ def test_a_surface_off_the_boundary_is_named(tmp_path):
     path = write_grid(with_facet(mesh.facets[:, inside]), tmp_path / "inside.vtu")
     refused(path, "surface 'odd' has facets inside the mesh")
     path = write_grid(with_facet([0, 1, 2, mesh.p.shape[1] - 1]), tmp_path / "off.vtu")
-    refused(path, "surface 'odd' has facets that are no facets")
+    refused(path, "surface 'odd' has facets that do not belong")
     path = write_grid(with_facet(mesh.facets[:3, 0], "triangle"), tmp_path / "triangle.vtu")
     refused(path, "surface 'odd' has triangle facets")
 

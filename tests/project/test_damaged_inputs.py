@@ -118,7 +118,7 @@ def test_a_facet_or_point_that_names_a_missing_node_is_refused(tmp_path, kind):
     grid.cell_data = {"body:all": own, name: [1 - part for part in own]}
     path = tmp_path / "odd.vtk"
     meshio.vtk.write(str(path), grid)
-    with pytest.raises(InputError, match="a node that is not there"):
+    with pytest.raises(InputError, match="a missing node"):
         read_structure(path)
 
 

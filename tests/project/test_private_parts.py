@@ -75,7 +75,7 @@ def test_a_library_whose_private_parts_are_used_has_an_upper_bound(library):
 
 
 def relied_on(what, where):
-    return f"{what} is gone: read the library's changes, mend {where}, then raise the bound"
+    return f"{what} is gone: read the library's changes, correct {where}, then raise the bound"
 
 
 def test_aiomqtt_shows_its_client_and_when_it_is_disconnected():

@@ -1,4 +1,4 @@
-"""What only one feature needs is installed by an extra; without it the feature says so."""
+"""Optional dependencies: a feature whose extra is not installed says so."""
 
 from __future__ import annotations
 

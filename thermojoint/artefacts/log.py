@@ -117,7 +117,7 @@ class Log(Described):
 
 
 def joined(pieces: Iterable[Log]) -> Log:
-    """Return one log of pieces in the order of time; a clock that begins anew begins a run.
+    """Return one log of pieces in the order of time; a new run starts where time restarts.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What was read of a log, and what was ignored and why: kept with the log and said in words."""
+"""Record of what was read from a log, and what was ignored and why, stored with the log."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMES_SHOWN = 12
 
 @dataclass(frozen=True)
 class Record:
-    """What was read of one file.
+    """Record of one file.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ def _found(record: Record) -> list[str]:
     for name, tokens in list(missing.items())[:_NAMES_SHOWN]:
         lines.append(f"  {name}: readings missing: {', '.join(tokens[:6])}")
     if record.twice:
-        lines.append(f"  rows that stand there twice, dropped: {record.twice}")
+        lines.append(f"  repeated rows, dropped: {record.twice}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""What a column of a table holds, told by the unit in its name: ``spindle_rpm``, ``T1 [°C]``.
+"""Quantity of a table's column, from the unit in its name: ``spindle_rpm``, ``T1 [°C]``.
 
 SI inside: kelvin, metre, radian per second, watt. A temperature in °C becomes an absolute one.
 """
@@ -148,7 +148,7 @@ def column_assumed(name: str) -> Column | None:
 
 
 class Place(NamedTuple):
-    """Where a column that is asked for stands, and the units between which its values change."""
+    """Position of a requested column, and the units to convert between."""
 
     at: int
     found: Column | None

@@ -1,4 +1,4 @@
-"""What a file says it is: the schema in its own header, whichever format carries it."""
+"""The schema in a file's header, in any format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on a command line and what it means: files, standard streams, LEVEL=FILE pairs."""
+"""Arguments of the command line: files, standard streams, LEVEL=FILE pairs."""
 
 from __future__ import annotations
 

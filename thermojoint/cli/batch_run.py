@@ -160,7 +160,7 @@ def closing_lines(finished: run.Finished, out: Path) -> list[str]:
         + f"; {finished.found} found finished, {finished.ran} run now"
     ]
     if finished.stopped:
-        told.append("stopped; the same command goes on from here")
+        told.append("stopped; the same command continues from here")
     return [*told, f"wrote {out / 'dataset.zarr'}, {out / 'summary.csv'}, summary.parquet"]
 
 

@@ -1,4 +1,4 @@
-"""What every command has: help that can be copied from a terminal of 80 columns, -q and -v."""
+"""Common parts of all commands: help for terminals of 80 columns, -q and -v."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def compensate(
         with arguments.opened(estimate) as source:
             if source is None:
                 raise InputError(
-                    f"{estimate}: a response is no estimate; run 'estimate' on it first"
+                    f"{estimate}: a response is not an estimate; run 'estimate' on it first"
                 )
             axes, rows = read_estimate(source, arguments.shown(estimate))
         with arguments.output(out) as target:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Target(StrEnum):
-    """What an estimator is exported to."""
+    """Target of an export."""
 
     C = "c"
     ST = "st"

@@ -1,4 +1,4 @@
-"""What a file that exists holds: an output replaces only what the same command could have written.
+"""Kind of an existing file: an output only replaces what the same command could have written.
 
 Told by content, not by name: a slip of the keyboard mostly gives the right name to the wrong file.
 """

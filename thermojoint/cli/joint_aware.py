@@ -1,4 +1,4 @@
-"""What the commands of models do where the model is the machine's own physics."""
+"""The model commands for models based on the machine's physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How commands read logs: what their options call the columns, and what they say was read."""
+"""Reading of logs by commands: options that rename columns, and a report of what was read."""
 
 from __future__ import annotations
 

@@ -165,7 +165,7 @@ def view(
         int | None, typer.Option(min=2, help="Frames of a film, 12 a second; default: 120.")
     ] = None,
     up: Annotated[
-        Up | None, typer.Option(help="What is up; default: as it stands on its supports.")
+        Up | None, typer.Option(help="Axis that points up; default: as it rests on its supports.")
     ] = None,
 ) -> None:
     """Draw a structure, its curves, or its fields at the end of the run or as a film.

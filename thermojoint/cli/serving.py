@@ -13,7 +13,7 @@ from thermojoint.artefacts.extras import require
 
 
 class Role(StrEnum):
-    """What a user may do."""
+    """Rights of a user."""
 
     READS = "reads"
     WRITES = "writes"

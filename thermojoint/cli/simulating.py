@@ -98,7 +98,7 @@ def simulate(
 
 def batch(
     given: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
-    out: Annotated[Path, typer.Option(help="Folder for all results; goes on with what is there.")],
+    out: Annotated[Path, typer.Option(help="Folder for all results; existing ones are kept.")],
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; default: one for each core.")
     ] = None,

@@ -212,7 +212,7 @@ def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
         "late": f"a reading of {arrival.time:.3f} s came after its sample was closed",
         "ahead": f"a reading's time {arrival.time:.3f} s is {arrival.time - now:.0f} s ahead of "
         "the clock",
-        "no-time": f"{arrival.time!r} is no time",
+        "no-time": f"{arrival.time!r} is not a time",
     }
     floor.log.say(now, verdict, told[verdict], arrival.machine)
 

@@ -12,7 +12,7 @@ _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0
 
 @dataclass(frozen=True, eq=False)
 class Metrics:
-    """What is counted; every service has its own.
+    """Counters of one service.
 
     Attributes
     ----------

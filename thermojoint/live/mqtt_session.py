@@ -1,4 +1,4 @@
-"""A connection to an MQTT broker: TLS, user and password, and what aiomqtt does not offer.
+"""Connection to an MQTT broker with TLS, user and password; extensions of aiomqtt.
 
 aiomqtt acknowledges a message when it has arrived, and makes a task for each. The service
 acknowledges one when nothing of it can be lost any more, and takes a thousand a second. Both are
@@ -28,7 +28,7 @@ FIRST_S, LONGEST_S = 0.5, 30.0
 
 @dataclass(frozen=True)
 class Address:
-    """How a broker is reached, secrets and all; it is never shown.
+    """Connection data of a broker, including secrets; never displayed.
 
     Attributes
     ----------

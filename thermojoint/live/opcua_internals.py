@@ -1,4 +1,4 @@
-"""asyncua's private parts: what its server does not offer in public, and nothing else.
+"""All uses of private parts of asyncua, for features missing from its public interface.
 
 What is relied on is in tests/project/test_private_parts.py; `pyproject.toml` bounds the version.
 """

@@ -178,7 +178,7 @@ def _places(
         machine, position = restored(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
             moved += _moved(model, machine, position, kept, eras[name])
-            log.say(now, "moved", "other axes of the control; the estimator goes on", name)
+            log.say(now, "moved", "other axes of the control; the estimator continues", name)
         heard = floors.since_heard(machine.usable, model.rule, service.given.behind_s, times)
         # Those of another layout stay where they are kept.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]

@@ -1,4 +1,4 @@
-"""The machine in 3-D as the dashboard gets it: its shape once, then what the newest state says."""
+"""The machine in 3-D for the dashboard: its shape once, then the fields of the newest state."""
 
 from __future__ import annotations
 

@@ -79,5 +79,5 @@ def _path_of(secret: Secret, where: str) -> Path:
 def _line(text: str, where: str) -> str:
     secret = text.strip()
     if not secret or len(secret) > LONGEST or "\n" in secret:
-        raise InputError(f"{where}: a secret is one line, not empty; mend it")
+        raise InputError(f"{where}: a secret is one line, not empty; correct it")
     return secret

@@ -1,4 +1,4 @@
-"""The file of a service (TOML): machines, models, where readings come from, where estimates go.
+"""Settings file of a service (TOML): machines, models, sources and outputs.
 
 Units stand in the names of the keys. No password stands in it, only where one is kept.
 """
@@ -28,7 +28,7 @@ MOST_MACHINES = 10_000
 
 
 class Secret(Section):
-    """Where a secret is kept: ``{ file = "..." }``, or ``variable`` or ``credential`` in its place.
+    """Location of a secret: ``{ file = "..." }``, or ``variable`` or ``credential`` instead.
 
     A credential is one of systemd's (``LoadCredential=``).
     """
@@ -76,7 +76,7 @@ class CsvSource(Section):
 
 
 class MqttAddress(Section):
-    """How a broker is reached."""
+    """Connection to a broker."""
 
     host: str = "127.0.0.1"
     port: Port = 8883
@@ -217,7 +217,7 @@ class Service:
 
     @property
     def folder(self) -> Path:
-        """Where the service keeps what it must not forget."""
+        """Folder of the service's persistent data."""
         return self.given.folder
 
 
@@ -287,10 +287,10 @@ def _check_pattern(
     key, pattern = pattern_of(source)
     if len(fed) > 1 and "{machine}" not in pattern:
         raise InputError(
-            f"{where}.{key}: feeds {len(fed)} machines; write {{machine}} where their names stand"
+            f"{where}.{key}: feeds {len(fed)} machines; write {{machine}} in place of their names"
         )
     if isinstance(source, OpcuaSource) and "{reading}" not in pattern:
-        raise InputError(f"{where}.node: write {{reading}} where the name of a reading stands")
+        raise InputError(f"{where}.node: write {{reading}} in place of the name of a reading")
 
 
 def _check_protected(where: str, given: ServiceFile) -> None:

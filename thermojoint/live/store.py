@@ -129,7 +129,7 @@ class Hole:
 
 
 class Received(NamedTuple):
-    """What a control received last: of a machine, whatever its model and its settings were.
+    """Last values received by a control for a machine, whatever its model and settings were.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class Received(NamedTuple):
 
 @dataclass(frozen=True)
 class Batch:
-    """All that one transaction keeps."""
+    """Content of one transaction."""
 
     taken: Sequence[Taken] = ()
     checkpoints: Sequence[Checkpoint] = ()

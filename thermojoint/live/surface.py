@@ -46,7 +46,7 @@ _ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles",
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a picture needs; n corners, t triangles, r modes.
+    """Data of a picture; n corners, t triangles, r modes.
 
     Attributes
     ----------

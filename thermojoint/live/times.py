@@ -1,4 +1,4 @@
-"""Times as sources write them: s since 1970, or ISO 8601; without a zone they are UTC."""
+"""Times from sources: s since 1970, or ISO 8601, which is UTC if it has no zone."""
 
 from __future__ import annotations
 

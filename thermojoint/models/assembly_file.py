@@ -1,4 +1,4 @@
-"""An assembly as an artefact: made once, written with its fingerprint, read back to the last bit.
+"""File of an assembled estimator, with its fingerprint, read back bit for bit.
 
 What runs an estimator elsewhere (another processor, a control) reads this file and fits nothing.
 """

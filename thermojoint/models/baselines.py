@@ -1,4 +1,4 @@
-"""Baselines: regressions from temperatures to displacement, with nothing of the machine in them.
+"""Baselines: regressions from temperatures to displacement, without physics of the machine.
 
 Channels are the rises of the sensors a, b, T1 and T2 above the current ambient, K. All are without
 a constant: a machine at rest has not moved. `calibrate.baselines` fits them, `estimator.baselines`

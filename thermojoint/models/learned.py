@@ -106,7 +106,7 @@ class LearnedChannel:
 
 @dataclass(frozen=True)
 class LearnedFrom:
-    """Where a model came from, and how its error compares.
+    """Provenance of a model, and its error compared with others.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class LearnedFrom:
 
 @dataclass(frozen=True)
 class LogEnd:
-    """Where the log ended: a log whose clock goes on from there begins with what this one left.
+    """State at the end of the log: a log that continues its clock starts from this state.
 
     Attributes
     ----------

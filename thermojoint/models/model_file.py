@@ -47,7 +47,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a model came from and how well it fitted.
+    """Provenance of a model and quality of its fit.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The sensors of the generalised models: their roles, and where a response has them."""
+"""Sensors of the generalised models: their roles, and their positions in a response."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SAME_PLACE = 1e-6
 
 @dataclass(frozen=True)
 class Readings:
-    """All that the estimator of Figure 5 may know of a structure.
+    """Input of the estimator of Figure 5.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ def write_log_picture(log: Log, path: Path) -> None:
 
 
 def _hours(log: Log) -> np.ndarray:
-    """Return the hours since the first sample; a run whose clock begins anew goes on."""
+    """Return the hours since the first sample; a run whose time restarts is appended."""
     steps = np.diff(log.times, prepend=log.times[0])
     steps[list(log.starts)] = 0.0
     return np.asarray(np.cumsum(steps) / _HOUR)

@@ -148,7 +148,7 @@ def draw_film(
     check_film(out)
     if source.suffix == ".nc":
         response = read_response(source)
-        case = case_in(response, str(source), "so there is no film of it; give its case")
+        case = case_in(response, str(source), "so there can be no film of it; give its case")
     else:
         case = read_case(source)
     if show is not None:

@@ -43,7 +43,7 @@ class Joint:
 
     @property
     def law(self) -> JointLaw:
-        """What it says."""
+        """Its text."""
         return law_of(self.section, self.conductivity)
 
 
@@ -146,7 +146,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
     """
     if case.held_temperatures:
         raise InputError(
-            "joint-aware: held temperatures are no state of the estimator; model them as sources"
+            "joint-aware: held temperatures are not in its state; model them as sources"
         )
     check_joints(case)
     if not case.sources:

@@ -59,7 +59,7 @@ class Physics:
 
     @cached_property
     def kernel(self) -> JointKernel | None:
-        """What its steps need in machine code; None for laws that are not known there."""
+        """Data of its compiled steps; None for laws that are not compiled."""
         return joint_kernel(self.contact, self.modes.jump, self.held) if self.contacts else None
 
     def at_rest(self) -> JointState:

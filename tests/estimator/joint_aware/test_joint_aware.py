@@ -478,7 +478,7 @@ def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
         (["time_s,s_K", "0,1"], "the model needs time_s, s_K, b_K"),
         (["time_s,s_degC,b_degC", "0,1,1"], "ambient_degC"),
         (["time_s,s_K,b_K", "0,1"], "2 cells, expected 3"),
-        (["time_s,s_K,b_K", "0,1,warm"], "no number"),
+        (["time_s,s_K,b_K", "0,1,warm"], "not a number"),
         (["time_s,s_K,b_K", ",1,2"], "the time is missing"),
         ([], "no header"),
     ],

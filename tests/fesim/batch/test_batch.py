@@ -261,7 +261,7 @@ def test_ctrl_c_finishes_what_is_at_work_and_the_same_command_goes_on(tmp_path):
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         said = process.communicate(timeout=60)[1]
     assert process.returncode == 130
-    assert "the same command goes on" in said
+    assert "the same command continues" in said
     events = tally(out)
     assert events["started"] == events["done"]
     assert 2 <= len(events["done"]) < 8

@@ -144,7 +144,7 @@ def test_a_history_may_be_a_loggers_german_table(tmp_path):
         ("time_s,power\n0,1\n1,1\n", "column 'heat_input' is missing; found time_s, power"),
         ("t,heat_input\n0,1\n1,1\n", "column 'time_s' is missing"),
         ("time_s,heat_input\n0,1\n1,nan\n", "sample 2 is not finite"),
-        ("time_s,heat_input\n0,1\n1,much\n", "line 3: 'much' is no number"),
+        ("time_s,heat_input\n0,1\n1,much\n", "line 3: 'much' is not a number"),
         ("time_s,heat_input\n0,1\n1,\n", "sample 2 is not finite"),
         ("time_s,heat_input\n0,1\n2,1\n1,1\n", "time 1 s of sample 3 does not come after 2 s"),
         ("time_s,heat_input\n0,0\n1,30\n1,300\n", "perhaps the columns are swapped"),

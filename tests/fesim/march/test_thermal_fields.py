@@ -133,8 +133,8 @@ def test_a_table_of_one_row_is_constant(tmp_path):
     [
         ("rise_K\n1\n", "no header"),
         ("x_mm,rise_K\n", "needs rows"),
-        ("x_mm,rise_K\n0,1\n0,2\n", "are no grid"),
-        ("x_mm,y_mm,rise_K\n0,0,1\n1,1,2\n", "are no grid of 2 x 2"),
+        ("x_mm,rise_K\n0,1\n0,2\n", "do not form a grid"),
+        ("x_mm,y_mm,rise_K\n0,0,1\n1,1,2\n", "do not form a grid of 2 x 2"),
         ("x_mm,rise_K\n0,nan\n", "not finite"),
         ("x_mm,factor\n0,1\n", "'rise_K' is missing"),
     ],
@@ -286,7 +286,7 @@ def test_a_uniform_start_at_the_ambient_changes_nothing(tmp_path):
     [
         ({"rise_K": 1.0, "file": "a.csv"}, "give one of 'rise_K'"),
         ({}, "give one of 'rise_K'"),
-        ({"expression_K": "import os"}, "is no formula"),
+        ({"expression_K": "import os"}, "is not a formula"),
         ({"expression_K": "speed"}, "no variable named 'speed'"),
         ({"expression_K": "1 / (x_m - 0.1)"}, "initial_temperature.expression_K: is inf at"),
         ({"file": "missing.csv"}, "missing.csv: cannot be read"),
@@ -348,7 +348,7 @@ def test_a_profile_moves_heat_and_keeps_the_power(tmp_path, where):
     ("profile", "message"),
     [
         ({"expression": "x_mm - 50"}, "sources.heat.profile: is .* below 0"),
-        ({"expression": "0 * x_m"}, "zero all over"),
+        ({"expression": "0 * x_m"}, "zero everywhere"),
         ({"expression": "1 / 0"}, "is inf at"),
         ({"expression": "x"}, "no variable named 'x'"),
         ({}, "give either 'expression' or 'file'"),

@@ -94,7 +94,7 @@ def test_a_file_read_in_pieces_is_the_file(tmp_path):
         ("time_s,x,T\n0,1,2\n", "ends in a unit"),
         ("time_s,x_um,x_um\n0,1,2\n", "two columns are called 'x_um'"),
         ("time_s,T_degC\n0,295\n1,296\n", "kelvin and not °C"),
-        ("time_s,x_m\n0,12\n1,13\n", "no thermal displacement"),
+        ("time_s,x_m\n0,12\n1,13\n", "not a thermal displacement"),
         ("time_s,x_um\n", "no samples"),
         ("", "no header"),
         ("time_s,x_um\n0,1\n1,2,3\n", "line 3: 3 cells, expected 2"),

@@ -150,7 +150,7 @@ def test_a_spindle_may_turn_at_9999():
 def test_a_row_twice_is_dropped_and_two_that_contradict_are_refused():
     log = read("time_s,x_um\n0,1\n1,2\n1,2\n2,3\n")
     assert log.times.tolist() == [0.0, 1.0, 2.0]
-    assert "rows that stand there twice, dropped: 1" in said(log)
+    assert "repeated rows, dropped: 1" in said(log)
     with pytest.raises(InputError, match=r"lines 3 and 4: .*x_um: '2' and '3'"):
         read("time_s,x_um\n0,1\n1,2\n1,3\n")
 
@@ -165,7 +165,7 @@ def test_a_pause_and_a_logger_that_starts_again_are_said():
     again = "time_s,x_um\n0,1\n1,2\n2,3\ntime_s,x_um\n0,1\n1,2\n2,5\n"
     log = read(again)
     assert log.starts == (0, 3)
-    assert "line 6: the clock begins anew" in said(log)
+    assert "line 6: time restarts" in said(log)
 
 
 def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):

@@ -234,9 +234,7 @@ def test_a_stream_says_how_it_is_read_and_what_is_new_in_it(here, command, monke
     code, told = command("estimate", "model.json", "-", "--out", "estimate.csv")
     assert not code
     found = [line.strip() for line in told.splitlines()]
-    assert found[0] == (
-        "standard input: semicolon between cells; clock time_s, from a start of its own"
-    )
+    assert found[0] == ("standard input: semicolon between cells; clock time_s, from its own start")
     assert "n_rpm (speed), x_um (length)" in found[1]
     assert found[2].startswith("ignored, no unit in the name: Zeile")
     assert found[3] == "T6_degC: readings missing: 1 x ---"

@@ -323,7 +323,7 @@ def test_a_mistake_in_the_settings_is_one_line(files, old, new, told):
         ("", "no estimate"),
         ("time_s,x\n1,2\n", "no estimate"),
         (estimate_text([]), "no row"),
-        (estimate_text(["0,1,a,0,,,ok"]), "'a' is no number"),
+        (estimate_text(["0,1,a,0,,,ok"]), "'a' is not a number"),
         (estimate_text(["0,1,0,0,,,ok", "0,1,0,0,,,ok"]), "does not come after"),
         (estimate_text(["0,1,0"]), "3 values"),
     ],

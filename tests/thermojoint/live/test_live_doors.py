@@ -131,8 +131,8 @@ def test_a_stream_has_the_units_clocks_and_missing_readings_of_every_table(tmp_p
     np.testing.assert_allclose([one.told for one in arrivals], expected, rtol=1e-14)
     assert [one.kind for one in notes] == ["source-read", "malformed", "malformed", "clock"]
     assert "T1 [°F] (temperature, degF), T2 [°C]" in notes[0].text
-    assert "'kein' is no time like that of the first row" in notes[1].text
-    assert "'1_0' is no number" in notes[2].text
+    assert "'kein' is not a time like that of the first row" in notes[1].text
+    assert "'1_0' is not a number" in notes[2].text
     assert "midnight passed" in notes[3].text
     # The clock goes on where it stood.
     [last], _ = read(pipe_of(path, *NAMES), arrivals[1].position)

@@ -416,7 +416,7 @@ def test_an_opcua_server_without_users_is_refused(model, tmp_path):
         async with serving(data, tmp_path):
             pass
 
-    with pytest.raises(InputError, match="nobody could log in"):
+    with pytest.raises(InputError, match="no one could log in"):
         asyncio.run(live())
 
 

@@ -1,4 +1,4 @@
-"""What pydantic found wrong with an input, one line for each mistake."""
+"""Errors of pydantic as one line per mistake."""
 
 from __future__ import annotations
 

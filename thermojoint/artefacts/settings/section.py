@@ -1,4 +1,4 @@
-"""What every section of a file of settings is made of: a strict base, numbers, names of files."""
+"""Base of all sections of a settings file: a strict model, bounded numbers, file names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cells as numbers; what is no number, and what a logger writes in its place."""
+"""Cells as numbers; what is not a number, and what a logger writes in its place."""
 
 from __future__ import annotations
 

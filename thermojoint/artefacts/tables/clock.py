@@ -74,7 +74,7 @@ def clock_word(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Clock:
-    """How a table tells the time.
+    """Representation of time in a table.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Clock:
             "stamp": f"date and time{order}{f', {self.zone}' if self.zone else ''}",
             "excel": "days of a spreadsheet",
             "time of day": "time of day",
-        }.get(self.form, "since 1970" if self.dated else "from a start of its own")
+        }.get(self.form, "since 1970" if self.dated else "from its own start")
 
 
 class Moment(NamedTuple):
@@ -120,7 +120,7 @@ class Moment(NamedTuple):
 
 
 class Hands(NamedTuple):
-    """Where a clock stands between two rows.
+    """State of a clock between two rows.
 
     Attributes
     ----------

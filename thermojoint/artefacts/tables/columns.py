@@ -78,7 +78,7 @@ def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Arr
     if read.unreadable is not None:
         row = rows[read.unreadable]
         raise InputError(
-            f"{where}: line {row.line}: {row.cells[place.at].strip()!r} is no number; write it "
+            f"{where}: line {row.line}: {row.cells[place.at].strip()!r} is not a number; write it "
             "like 20.5 or 20,5"
         )
     values = place.values(read.values)
@@ -97,7 +97,8 @@ def _times(clock: Clock, dialect: Dialect, rows: Sequence[Row], where: str) -> A
         told = moment(clock, cells, dialect.decimal)
         if told is None:
             raise InputError(
-                f"{where}: line {row.line}: {' '.join(cells).strip()!r} is no time; write {FORMS}"
+                f"{where}: line {row.line}: {' '.join(cells).strip()!r} is not a time; "
+                f"write {FORMS}"
             )
         hands, _ = passed(clock, hands, told)
         times.append(hands.last)

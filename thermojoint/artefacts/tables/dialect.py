@@ -1,4 +1,4 @@
-"""Where a table's header is, what divides its cells, and what its columns are called."""
+"""Detection of a table's dialect: header, separator, decimal sign and column names."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)",
 
 @dataclass(frozen=True)
 class Dialect:
-    """How the lines of a table are to be read.
+    """Dialect of a table.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ def cells_of(lines: Iterable[str], separator: str, where: str) -> Iterator[tuple
             yield reader.line_num, row
     except csv.Error as error:
         raise InputError(
-            f"{where}, line {reader.line_num}: not readable as CSV ({error}); mend the file"
+            f"{where}, line {reader.line_num}: not readable as CSV ({error}); correct the file"
         ) from error
 
 
@@ -148,7 +148,7 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
         return None
     cells = trimmed(row, count)
     if len(cells) != count:
-        raise InputError(f"{len(cells)} cells, expected {count}; mend or drop the row")
+        raise InputError(f"{len(cells)} cells, expected {count}; correct or drop the row")
     header = tuple(map(str.strip, cells)) in (dialect.given, dialect.units)
     return None if header else cells
 

@@ -1,4 +1,4 @@
-"""What the columns of a log are: its clock, its readings, and those that are ignored."""
+"""Meaning of a log's columns: its clock, its readings, and ignored ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEAD = 256
 
 @dataclass(frozen=True)
 class Layout:
-    """How a log is to be read.
+    """Layout of a log.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ _FEWEST = 3
 
 
 class _At(NamedTuple):
-    """Where the reading of a run stands: its first time, its rows so far, the row before."""
+    """Progress within a run: first time, number of rows so far, previous row."""
 
     hands: Hands = Hands()
     first: float = np.inf
@@ -132,7 +132,7 @@ def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part
                     f"{at.before.line} is later); drop the row, or put the rows in order"
                 )
             yield part, at
-            said = [f"line {row.line}: the clock begins anew, and so does a run"]
+            said = [f"line {row.line}: time restarts: a new run"]
             part, hands = _Part([], [], -np.inf, said, 0), Hands(told.first)
             at = _At()
         at = _At(hands, min(at.first, hands.last), at.rows + 1, row)
@@ -213,5 +213,5 @@ def _check_unit(where: str, column: Column, values: Array) -> None:
     if column.quantity == "length" and abs(float(column.to_si(np.array(middle)))) > _LARGEST_LENGTH:
         raise InputError(
             f"{where}: {column.name} is about {middle:g}: more than "
-            f"{1e3 * _LARGEST_LENGTH:.0f} mm is no thermal displacement; rename it with its unit"
+            f"{1e3 * _LARGEST_LENGTH:.0f} mm is not a thermal displacement; rename it with its unit"
         )

@@ -1,4 +1,4 @@
-"""Where the lines of a table come from: text in any usual encoding, Excel workbooks, Parquet."""
+"""Sources of a table's lines: text in any common encoding, Excel workbooks, Parquet."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _LEAST_ERROR = 3000.0
 
 
 class Told(NamedTuple):
-    """What one row says.
+    """Content of a row.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def told_by(line: str, layout: Layout, places: Sequence[Place | None], hands: Ha
     at = moment(layout.clock, clock, decimal)
     if at is None or not math.isfinite(at.first):
         text = " ".join(clock).strip()
-        raise InputError(f"{text!r} is no time like that of the first row" if text else _NO_TIME)
+        raise InputError(f"{text!r} is not a time like that of the first row" if text else _NO_TIME)
     after, note = passed(layout.clock, hands, at)
     readings = [
         math.nan if place is None else _reading(layout, place, cells, decimal) for place in places
@@ -89,7 +89,7 @@ def _reading(layout: Layout, place: Place, cells: Sequence[str], decimal: str) -
     value = number_in(text, decimal)
     if value is None:
         if not is_missing(text):
-            raise InputError(f"{text.strip()!r} is no number")
+            raise InputError(f"{text.strip()!r} is not a number")
         return math.nan
     if abs(value) > _LEAST_ERROR or place.found is not None:
         column = layout.columns[place.at]

@@ -80,7 +80,7 @@ class OutputSettings:
 
 
 class Mode(Enum):
-    """What the offsets do."""
+    """Mode of the offsets."""
 
     WAIT = "wait"
     FOLLOW = "follow"
@@ -89,7 +89,7 @@ class Mode(Enum):
 
 
 class OutputState(NamedTuple):
-    """All that one cycle leaves to the next.
+    """State carried from one cycle to the next.
 
     Attributes
     ----------

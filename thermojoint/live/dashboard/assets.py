@@ -1,4 +1,4 @@
-"""What the pages need beside themselves: styles, scripts and plotly.js, held in memory, compressed.
+"""Assets of the pages: styles, scripts and plotly.js, in memory, compressed.
 
 The name of every file in the pages ends in a digest of it, so that a browser keeps it for as long
 as it is the same and never a moment longer.
@@ -45,7 +45,7 @@ class Asset:
 
 @cache
 def asset(name: str) -> Asset | None:
-    """Return a file by its name; None if there is none of this name."""
+    """Return a file by its name; None if no file has this name."""
     if name == PLOTLY:
         file = files("plotly").joinpath("package_data", PLOTLY)
     elif name in _OWN:

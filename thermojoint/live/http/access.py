@@ -19,7 +19,7 @@ SHORTEST_TOKEN = 32
 
 @dataclass(frozen=True)
 class Access:
-    """What a token opens.
+    """Rights of a token.
 
     Attributes
     ----------

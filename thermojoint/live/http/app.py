@@ -177,7 +177,7 @@ class Site:
         )
 
     async def about(self, request: Request) -> Response:
-        """What stays of a machine."""
+        """Constant data of a machine."""
         name, about = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
@@ -199,7 +199,7 @@ class Site:
         return answered(as_json(newest))
 
     async def history(self, request: Request) -> Response:
-        """What was published of a machine, thinned."""
+        """Thinned history of a machine."""
         name, _ = self._machine(request)
         since, until, given = self._span(
             request, USUAL_HISTORY, points=whole_number(2, MOST_POINTS)
@@ -211,7 +211,7 @@ class Site:
         return answered(history_body(name, history))
 
     async def events(self, request: Request) -> Response:
-        """What happened, newest first."""
+        """Events, newest first."""
         since, until, given = self._span(
             request,
             USUAL_EVENTS,
@@ -235,7 +235,7 @@ class Site:
         return answered(self._scene(name).shape)
 
     async def fields(self, request: Request) -> Response:
-        """What the newest state says of every point of its shape."""
+        """Fields of the newest state at every point of the shape."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         fields = self._scene(name).fields()

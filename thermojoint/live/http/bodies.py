@@ -43,7 +43,7 @@ def summary(publication: Publication) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """What is said of publications, put into words once for all who listen.
+    """Messages of publications, formatted once for all listeners.
 
     Attributes
     ----------

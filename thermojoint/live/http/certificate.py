@@ -1,4 +1,4 @@
-"""The service's own certificate, made when there is none and again before it ends."""
+"""Self-signed certificate of the service, created if missing and renewed before it expires."""
 
 from __future__ import annotations
 

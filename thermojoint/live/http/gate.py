@@ -45,7 +45,7 @@ HEADERS = {
 
 @dataclass(eq=False)
 class Door:
-    """Who may pass, and how often.
+    """Access rights and rate limits.
 
     Attributes
     ----------

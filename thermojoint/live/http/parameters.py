@@ -38,7 +38,7 @@ def read_parameters(
         if name not in readers:
             raise unknown_name("parameter", shown(name), readers, "address")
         if name in parameters:
-            raise InputError(f"{name} stands twice in the address; give it once")
+            raise InputError(f"{name} appears twice in the address; give it once")
         try:
             parameters[name] = readers[name](value)
         except InputError as error:
@@ -59,7 +59,7 @@ def moment(text: str) -> float:
             value = math.nan
     if not 0.0 <= value <= LATEST:
         raise InputError(
-            f"{shown(text)} is no time; give seconds since 1970 or e.g. 2026-11-21T08:00:00Z"
+            f"{shown(text)} is not a time; give seconds since 1970 or e.g. 2026-11-21T08:00:00Z"
         )
     return value
 
@@ -70,7 +70,7 @@ def whole_number(low: int, high: int) -> Reader:
     def read(text: str) -> int:
         value = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else low - 1
         if not low <= value <= high:
-            raise InputError(f"{shown(text)} is no whole number from {low} to {high}")
+            raise InputError(f"{shown(text)} is not a whole number from {low} to {high}")
         return value
 
     return read
@@ -85,7 +85,7 @@ def number(low: float, high: float) -> Reader:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise InputError(f"{shown(text)} is no number from {low:g} to {high:g}")
+            raise InputError(f"{shown(text)} is not a number from {low:g} to {high:g}")
         return value
 
     return read
@@ -96,7 +96,7 @@ def one_of(*known: str) -> Reader:
 
     def read(text: str) -> str:
         if text not in known:
-            raise InputError(f"{shown(text)} is none of {', '.join(known)}")
+            raise InputError(f"{shown(text)} is not one of {', '.join(known)}")
         return text
 
     return read

@@ -96,7 +96,7 @@ class Opened:
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """Its address for a browser."""
         host, port = self.socket.getsockname()[:2]
         scheme = "https" if self.server.config.is_ssl else "http"
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"

@@ -16,7 +16,7 @@ from thermojoint.live.scene import Scene
 
 @dataclass(frozen=True)
 class About:
-    """What stays the same of a machine as long as the service runs.
+    """Constant data of a machine while the service runs.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class About:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """All that the server shows.
+    """Data shown by the server.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Lines of a table: a file that grows, a FIFO, standard input; read on from the last kept sample.
+"""Lines of a growing file, a FIFO or standard input, resumed after the last stored sample.
 
 They are read by the rules of every table (docs/tables.md), one row at a time: the first lines say
 how cells are divided, which columns tell the time and the readings, and in which units. A row that
@@ -41,7 +41,7 @@ _PATIENCE = 8
 
 @dataclass(frozen=True)
 class Pipe:
-    """Where the lines of one machine come from.
+    """Source of the lines of one machine.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ _CLOCK = "time_s"
 
 @dataclass(frozen=True)
 class Header:
-    """How the lines are to be read, and where each reading stands; None for one that is not there.
+    """Layout of the lines, and the column of each reading; None for a missing one.
 
     Its layout's dialect says how many lines stand before the first row.
     """
@@ -286,7 +286,7 @@ def _placed(
 
 
 def _hands_of(position: Mapping[str, Any]) -> Hands:
-    """Where the clock stood; a position of an earlier version does not say it."""
+    """State of the clock; positions of earlier versions do not contain it."""
     kept = position.get("clock")
     usual = Hands()
     if not isinstance(kept, list) or len(kept) != len(usual):
@@ -318,7 +318,7 @@ async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
         at = file.tell()
         line = file.readline(LONGEST_LINE)
         if len(line) >= LONGEST_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{pipe.path}: the first line is no header; give a CSV")
+            raise InputError(f"{pipe.path}: the first line is not a header; give a CSV")
         if line.endswith(b"\n") or (line and not pipe.follow):
             beginning, told = _with_line(beginning, line, pipe)
             if told is not None:
@@ -425,7 +425,7 @@ def told_in(
     try:
         row = told_by(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
     except (InputError, ValueError, OverflowError) as error:
-        text = f"{pipe.path}: a line is no row: {error}"
+        text = f"{pipe.path}: a line is not a row: {error}"
         return [Note("malformed", text, pipe.machine)], hands
     if row is None:
         return [], hands

@@ -1,4 +1,4 @@
-"""Messages of an MQTT broker: readings of a machine at one time, a JSON object each.
+"""Messages of an MQTT broker: a JSON object with the readings of a machine at one time.
 
 ``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``; or, on a topic for each
 reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a
@@ -41,7 +41,7 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True)
 class Topics:
-    """What a source says in which words.
+    """Names that a source uses.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def told_by(
         time = _time(content["time"])
         told = _told(content, names, words.get("reading"))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        return Note("malformed", f"a message is no readings: {_short(error)}", machine)
+        return Note("malformed", f"a message has no readings: {_short(error)}", machine)
     return Arrival(machine, time, told, came, kept=kept)
 
 
@@ -164,7 +164,7 @@ def _time(value: Any) -> float:  # noqa: ANN401
     if isinstance(value, str):
         return seconds_of(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError("the time is no number of seconds and no text")
+        raise TypeError("the time is neither a number of seconds nor text")
     return float(value)
 
 
@@ -187,7 +187,7 @@ def _value(value: Any) -> float:  # noqa: ANN401
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError("a reading is no number")
+        raise TypeError("a reading is not a number")
     number = float(value)
     return number if math.isfinite(number) else math.nan
 
@@ -206,5 +206,5 @@ def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topic
 
 
 def _filter(topic: str) -> str:
-    """What is subscribed to: a level with a name in it is any level."""
+    """Topic filter of the subscription: a level with a placeholder matches any level."""
     return "/".join("+" if "{" in level else level for level in topic.split("/"))

@@ -1,4 +1,4 @@
-"""Variables of an OPC UA server, by subscription; after a loss of the connection, by its history.
+"""Variables of an OPC UA server by subscription, and by its history after a disconnection.
 
 Every value that the server has sampled comes with its source's time and status; a bad one is a
 missing reading. Where the server keeps a history, what came while nobody listened is read from it.
@@ -45,7 +45,7 @@ _LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionErro
 
 @dataclass(frozen=True)
 class Reached:
-    """How a server is reached; secrets are never shown.
+    """Connection data of a server; secrets are never displayed.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class OpcuaReader:
             await asyncio.wait_for(client.nodes.server_state.read_value(), _TIMEOUT_S)
 
     async def _history(self, node: Node, machine: str) -> list[ua.DataValue]:
-        """What the server has kept of a variable since it was read last; empty if it keeps none."""
+        """The server's history of a variable since the last reading; empty if it keeps none."""
         since = self._newest.get(machine)
         if since is None:
             return []
@@ -211,7 +211,7 @@ def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list
 
 
 class _Handler:
-    """What a subscription calls; before somebody takes values they are put aside."""
+    """Callbacks of a subscription; values are queued until they are taken."""
 
     def __init__(self, aside: list[tuple[ua.NodeId, ua.DataValue]]) -> None:
         self.take = lambda nodeid, value: aside.append((nodeid, value))
@@ -316,7 +316,7 @@ def opcua_reader(
         try:
             ua.NodeId.from_string(name)
         except ua.UaError as error:
-            raise InputError(f"source.node: {name!r} is no node id; write ns=2;s=NAME") from error
+            raise InputError(f"source.node: {name!r} is not a node id; give ns=2;s=NAME") from error
     certificate = key = server = None
     if source.security == "sign-and-encrypt":
         if source.server_certificate is None:

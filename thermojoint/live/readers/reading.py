@@ -125,5 +125,5 @@ def _csv(source: CsvSource, machine: str, model: Served, names: tuple[str, ...])
 
 
 def _clock_of(source: CsvSource) -> dict[str, str]:
-    """What the header calls the clock, if ``columns`` says it."""
+    """Name of the clock in the header, if ``columns`` gives one."""
     return {ours: theirs for ours, theirs in source.columns.items() if ours == "time_s"}

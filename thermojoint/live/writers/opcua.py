@@ -281,7 +281,7 @@ async def open_server(
     encrypted = section.security == "sign-and-encrypt"
     if section.users is None and encrypted:
         raise InputError(
-            "opcua.users: nobody could log in; name a file, and add users with --add-user"
+            "opcua.users: no one could log in; name a file, and add users with --add-user"
         )
     gate = Gate(read_users(section.users)) if section.users is not None else None
     trusted = certificates_in(section.trusted) if section.trusted is not None else None

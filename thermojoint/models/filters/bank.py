@@ -1,4 +1,4 @@
-"""Banks of exponential states, advanced exactly between samples that may lie any distance apart.
+"""Banks of exponential states, advanced exactly between unevenly spaced samples.
 
 A bank is a transfer matrix in modal form,
 
@@ -74,7 +74,7 @@ class Bank:
 
     @property
     def at_rest(self) -> np.ndarray:
-        """What it gives of inputs that stand still, no leak, (n_out, n_in); no double poles.
+        """Response to constant inputs without leak, (n_out, n_in); no double poles.
 
         Terms that are 100 000 times their sum cancel here. They are summed exactly, so that it is
         the same number on every processor and in every exported program.

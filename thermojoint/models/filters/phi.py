@@ -1,4 +1,4 @@
-"""φ functions: what an interval does to an exponential state whose input is a polynomial of time.
+"""φ functions: propagation of an exponential state under an input polynomial in time.
 
     φ_0(z) = exp(z),   φ_{k+1}(z) = (φ_k(z) - 1/k!) / z,   z = p Δt,
 

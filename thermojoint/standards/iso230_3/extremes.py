@@ -12,7 +12,7 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Extremes:
-    """Where a signal has been.
+    """Extremes of a signal.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ class Period(NamedTuple):
 
     @property
     def length(self) -> float:
-        """How long it is, s."""
+        """Duration, s."""
         return self.end - self.begin
 
 

@@ -112,7 +112,7 @@ def log_record(
         A column is missing or of another quantity, there are several runs, or no displacement.
     """
     if len(log.starts) > 1:
-        raise InputError("log: its clock begins anew in between; give the file of one test")
+        raise InputError("log: time restarts within it; give the file of one test")
     lengths = {column.base: column.name for column in log.columns if column.quantity == "length"}
     wanted = lengths if displacements is None else displacements
     if not wanted:
