@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from estimator.interface import Channel
-from estimator.measured import LARGEST
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import UNITS, Column, column_named
+from thermojoint.artefacts.tables.cells import is_error_value
 
-#: Magnitudes beyond this are invalid, for anything but a temperature.
-_LARGEST_OTHER = 1e9
+#: Magnitudes beyond this are invalid.
+_LARGEST = 1e9
 #: Suffix of a reading whose unit is no suffix of a column name.
 _SUFFIXES = {"m": "um", "rad/s": "rad_s", "N m": "Nm"}
 
@@ -31,34 +31,29 @@ class Intake:
         Readings with their units, as named in the sources by default.
     wanted : int
         The first ones are read in every sample, the others occasionally.
-    limits : tuple of float
-        Largest valid magnitude of a reading, in its unit.
+    quantities : tuple of str
+        ``temperature``, ``length``, ``speed`` and so on, of each reading.
     convert : callable
         From readings to the estimator's channels.
     """
 
     names: tuple[str, ...]
     wanted: int
-    limits: tuple[float, ...]
+    quantities: tuple[str, ...]
     convert: Convert
 
     def usable(self, readings: Sequence[float]) -> tuple[float, ...]:
-        """Return readings with NaN in place of invalid ones."""
+        """Return readings with NaN in place of invalid ones, as in every table."""
         return tuple(
-            value if -limit <= value <= limit else math.nan
-            for value, limit in zip(readings, self.limits, strict=True)
+            value if abs(value) <= _LARGEST and not is_error_value(value, quantity) else math.nan
+            for value, quantity in zip(readings, self.quantities, strict=True)
         )
 
 
 def intake(names: Sequence[str], wanted: int, convert: Convert) -> Intake:
-    """Return the intake for these readings, with the limits of their quantities."""
-    limits = [
-        LARGEST
-        if (column := column_named(name)) and column.quantity == "temperature"
-        else _LARGEST_OTHER
-        for name in names
-    ]
-    return Intake(tuple(names), wanted, tuple(limits), convert)
+    """Return the intake for these readings, with their quantities."""
+    quantities = [column.quantity if (column := column_named(name)) else "" for name in names]
+    return Intake(tuple(names), wanted, tuple(quantities), convert)
 
 
 def by_channels(channels: Sequence[Channel]) -> Intake:

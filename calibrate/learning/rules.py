@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from thermojoint.models.learned import POSSIBLE
+
 
 @dataclass(frozen=True)
 class Thinning:
@@ -78,7 +80,7 @@ class Cleaning:
     side: int = 20
     jump: float = 0.15
     pace: float = 600.0
-    possible: tuple[float, float] = (200.0, 600.0)
+    possible: tuple[float, float] = POSSIBLE
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
 from thermojoint.models.assembly import Assembly
 from thermojoint.models.filters.bank import over_interval
 
@@ -107,7 +108,7 @@ def step(
             "drop or re-order the sample"
         )
     measured = (delta_T, *temperatures)
-    if len(measured) != 1 + assembly.n_sources or not all(map(math.isfinite, measured)):
+    if len(measured) != 1 + assembly.n_sources or not all(map(_possible, measured)):
         raise _unusable(assembly, time, measured)
     result = propagator(assembly, dt) @ np.concatenate((state[1:], measured))
     result_state = np.empty(state.size)
@@ -247,7 +248,11 @@ def _unusable(assembly: Assembly, time: float, measured: tuple[float, ...]) -> I
     where = f"sample at t = {time:g} s"
     if len(measured) != len(names):
         return InputError(f"{where}: {len(measured)} values, expected {', '.join(names)}")
-    bad = next(
-        name for name, value in zip(names, measured, strict=True) if not math.isfinite(value)
-    )
-    return InputError(f"{where}: {bad} is not finite; leave the sample out, gaps are allowed")
+    name, bad = next(pair for pair in zip(names, measured, strict=True) if not _possible(pair[1]))
+    wrong = f"is {bad:g} K, no temperature" if math.isfinite(bad) else "is not finite"
+    return InputError(f"{where}: {name} {wrong}; leave the sample out, gaps are allowed")
+
+
+def _possible(value: float) -> bool:
+    """Whether a value can be a temperature, K; NaN cannot."""
+    return abs(value) <= LARGEST_TEMPERATURE

@@ -176,6 +176,8 @@ class Learned(Described):
                 "NaN where a reading is missing"
             )
         now, readings = told[:columns], told[columns:]
+        lowest, highest = self._possible
+        now = np.where((now > lowest) & (now < highest), now, np.nan)
         status = Status.READING_MISSING if np.isnan(now).any() else Status.OK
         now = np.where(np.isnan(now), self._middle if last.fresh else last.values, now)
         low = self._relaxations(last, time, now)
@@ -205,6 +207,11 @@ class Learned(Described):
             begun, values, since = last.relaxations, last.values, last.time
         old = signals(model.features, model.columns, values)
         return relaxed(begun, old, new, time - since, model.taus)
+
+    @cached_property
+    def _possible(self) -> Array:
+        """Lower and upper limits of the readings, shape (2, columns); SI."""
+        return np.array(self.model.possible).T
 
     @cached_property
     def _middle(self) -> Array:

@@ -25,8 +25,14 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.json_file import JsonKind, read_json, validated
+from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.parameters import STRICT
+
+#: No part of a machine tool is as cold, or as hot, K.
+POSSIBLE = (200.0, 600.0)
+#: A number of another quantity that is as large is no reading.
+_LARGEST = 1e30
 
 FILE = JsonKind(
     "thermojoint-learned-model", 1, "model", "written by 'thermojoint learn'", "learn again"
@@ -243,6 +249,17 @@ class LearnedModel(Described):
         """Temperatures among the columns."""
         heats = {feature.column for feature in self.features if feature.exponent}
         return tuple(name for name in self.columns if name not in heats)
+
+    @cached_property
+    def possible(self) -> tuple[tuple[float, float], ...]:
+        """Between which values a reading of each column lies, SI; beyond, it is missing."""
+        known = [column_named(name) for name in self.columns]
+        return tuple(
+            POSSIBLE
+            if column and column.quantity == "temperature" and column.unit != "K"
+            else (-_LARGEST, _LARGEST)
+            for column in known
+        )
 
     @cached_property
     def taus(self) -> Array:

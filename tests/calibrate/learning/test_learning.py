@@ -303,10 +303,13 @@ def test_a_reading_against_everything_is_refused_and_a_second_one_is_a_new_zero(
     assert found[50].displacement[0] == pytest.approx(5e-3, rel=0.05)
 
 
-def test_missing_readings_are_tolerated_and_said(model):
-    gone = changed(DAY, model.sensors[0], lambda values: np.where(values > 0, np.nan, np.nan))
+@pytest.mark.parametrize("bad", [np.nan, 9999.0 + 273.15, -3276.8, 1e9])
+def test_what_is_no_reading_is_missing_and_said(model, bad):
+    """By whichever way it comes: a command, a data frame, the service or Python."""
+    gone = changed(DAY, model.sensors[0], lambda values: np.full_like(values, bad))
+    nothing = changed(DAY, model.sensors[0], lambda values: np.full_like(values, np.nan))
     estimate, _, words = run(Learned(model), gone)
-    assert np.isfinite(estimate).all()
+    np.testing.assert_array_equal(estimate, run(Learned(model), nothing)[0])
     assert all("reading-missing" in one for one in words)
 
 

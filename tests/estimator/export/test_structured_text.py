@@ -136,7 +136,7 @@ def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
     samples = [(60.0 * k, *middle) for k in range(3)]
     program = export_program(learned, Precision.DOUBLE, "m", samples, interval=60.0)
     key = f"reading_{program.interface.inputs[0].name}"
-    found = told(program, tmp_path, [{}, {key: "NAN"}, {key: 1e31}])
+    found = told(program, tmp_path, [{}, {key: "NAN"}, {key: 10272.15}])
     assert [one["status"] for one in found] == [0, 8, 8]
     there = told(program, tmp_path, [{}, {}, {}])
     assert found[2]["displacement_x"] == there[2]["displacement_x"]

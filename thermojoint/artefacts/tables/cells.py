@@ -31,6 +31,8 @@ MISSING = frozenset(_MISSING_WORDS.split())
 _SIGNS = re.compile(r"[-–—*?_.]+|[+-]?(?:inf|infinity|ol|ovl|over)", re.IGNORECASE)
 #: Beyond, an instrument has left its range (an open thermocouple reads 9.9e37).
 _OVERFLOW = 1e30
+#: No smaller number is an error.
+_LEAST_ERROR = 3000.0
 #: No temperature is further from zero, in K, °C or °F.
 LARGEST_TEMPERATURE = 5000.0
 #: Ends of 16-bit counts, as they are and in tenths.
@@ -149,6 +151,21 @@ def numbers(cells: Sequence[str], decimal: str) -> Numbers:
     return Numbers(values, missing, None)
 
 
+def is_error_value(value: float, quantity: str) -> bool:
+    """Whether a number is one by which a logger says that it has none; see `without_error_values`.
+
+    Parameters
+    ----------
+    value : float
+        In the unit of the reading.
+    quantity : str
+        What it is (`Column.quantity`).
+    """
+    if not abs(value) > _LEAST_ERROR:
+        return False
+    return bool(np.isnan(without_error_values(np.array([value]), quantity)[0][0]))
+
+
 def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[str]]:
     """Return values with NaN for the numbers by which a logger says that it has none.
 
@@ -161,7 +178,7 @@ def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[s
         thermal displacement are not.
     """
     size = np.abs(values)
-    if not (size > 3000.0).any():  # NaN is not
+    if not (size > _LEAST_ERROR).any():  # NaN is not
         return values, Counter()
     wrong = size > _OVERFLOW
     if quantity in ("temperature", "length"):

@@ -14,13 +14,10 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Place
-from thermojoint.artefacts.tables.cells import is_missing, number_in, without_error_values
+from thermojoint.artefacts.tables.cells import is_error_value, is_missing, number_in
 from thermojoint.artefacts.tables.clock import Hands, moment, passed
 from thermojoint.artefacts.tables.dialect import cells_of, values_of
 from thermojoint.artefacts.tables.layout import Layout
-
-#: No smaller value is one by which a logger says that it has none.
-_LEAST_ERROR = 3000.0
 
 
 class Told(NamedTuple):
@@ -91,8 +88,6 @@ def _reading(layout: Layout, place: Place, cells: Sequence[str], decimal: str) -
         if not is_missing(text):
             raise InputError(f"{text.strip()!r} is not a number")
         return math.nan
-    if abs(value) > _LEAST_ERROR or place.found is not None:
-        column = layout.columns[place.at]
-        good, _ = without_error_values(np.array([value]), column.quantity)
-        value = float(place.values(good)[0])
-    return value if math.isfinite(value) else math.nan
+    if not math.isfinite(value) or is_error_value(value, layout.columns[place.at].quantity):
+        return math.nan
+    return value if place.found is None else float(place.values(np.array(value)))
