@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -46,11 +48,31 @@ def compensate(
                     f"{estimate}: a response is not an estimate; run 'estimate' on it first"
                 )
             axes, rows = read_estimate(source, arguments.shown(estimate))
+        counted = Counter[str]()
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
             writer.writerow(header(wanted))
-            writer.writerows(row_of(wanted, cycle) for cycle in preview(wanted, axes, rows))
+            for cycle in preview(wanted, axes, rows):
+                counted[cycle.state] += 1
+                writer.writerow(row_of(wanted, cycle))
+    _say(arguments.shown(estimate), [row.time for row in rows], counted)
     console.wrote(out)
+
+
+def _say(where: str, times: Sequence[float], counted: Mapping[str, int]) -> None:
+    """Say how long the estimates are, where they pause, and what the offsets did meanwhile."""
+    import numpy as np
+
+    from thermojoint import console
+    from thermojoint.artefacts.log_record import Record, ended, with_times
+    from thermojoint.artefacts.tables.clock import tells_date
+
+    record = Record(where, dated=tells_date(times[0]))
+    for line in ended(with_times(record, np.array(times), -np.inf)):
+        console.say(line)
+    cycles = sum(counted.values())
+    shares = ", ".join(f"{state} {100.0 * n / cycles:.3g} %" for state, n in counted.items())
+    console.say(f"  offsets: {shares} of the time")
 
 
 def control(

@@ -42,6 +42,8 @@ FILE = JsonKind(
 MEAN = "mean"
 #: A kind is preferred to the one that was asked for if its error is below this part of the other's.
 _BETTER = 0.9
+#: Errors below this are noise of the measurement, µm: none is better than another.
+_NOISE = 0.1
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,10 @@ class LearnedFrom:
         if own not in self.worst_um:
             return own
         ratios = {
-            name: max(a / max(b, 1e-9) for a, b in zip(worst, self.worst_um[own], strict=True))
+            name: max(
+                max(a, _NOISE) / max(b, _NOISE)
+                for a, b in zip(worst, self.worst_um[own], strict=True)
+            )
             for name, worst in self.worst_um.items()
             if name not in (MEAN, own)
         }

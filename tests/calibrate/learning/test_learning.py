@@ -187,6 +187,9 @@ def test_one_verdict_is_given_and_a_band_wider_than_the_signal_is_said(model):
     )
     # Much better on one displacement and worse on the other is no better.
     assert [told.best(kind) for kind in ("learned", "linear")] == ["arx", "linear"]
+    # Both are the noise of the probe.
+    even = LearnedFrom(worst_um={"learned": (0.07, 0.1), "arx": (0.04, 0.06)})
+    assert even.best("learned") == "learned"
     assert not any("band" in one for one in model.learned_from.warnings)
     small = changed(LOG, "z_um", lambda values: 1.5e-7 * unlike(values) / unlike(values).std())
     small = changed(small, "z_um", lambda values: values + 0.04 * (LOG.at("z_um") - values))

@@ -284,6 +284,25 @@ def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
     assert last == pytest.approx(before - 2.0, abs=0.11)
 
 
+def test_a_night_between_two_days_is_said_and_nothing_follows_it(files):
+    seconds = [*range(0, 3600, 60), *range(50_000, 53_600, 60)]
+    rows = [f"{1772431200 + second},1,10,-5,,,ok" for second in seconds]
+    (files / "estimate.csv").write_text(estimate_text(rows), "utf-8")
+    slow = SETTINGS.replace("oldest_s = 5.0", "oldest_s = 120.0").replace(
+        "cycle_s = 1", "cycle_s = 5"
+    )
+    (files / "offsets.toml").write_text(slow, "utf-8")
+    out = files / "offsets.csv"
+    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
+    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
+    assert done.exit_code == 0, done.output
+    assert "2 runs, 1 pause: 12.91 h from 2026-03-02 06:59:00" in done.output
+    assert re.search(r"offsets: follow 13\.\d %, freeze \S+ %, decay 86\.\d % of", done.output)
+    with out.open(encoding="utf-8", newline="") as file:
+        times = [float(row["time_s"]) for row in csv.DictReader(file)]
+    assert np.diff(times) == pytest.approx(5.0)
+
+
 def test_an_old_estimate_is_no_estimate():
     given = {"oldest_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
     settings = settings_from_data(given, "s.toml")

@@ -72,6 +72,11 @@ def clock_word(name: str) -> bool:
     return _BRACKETS.sub("", name).strip().lower() in _WORDS
 
 
+def tells_date(seconds: float) -> bool:
+    """Whether a number of seconds is so large that it counts from 1970."""
+    return _SECONDS[0] < seconds < _SECONDS[1]
+
+
 @dataclass(frozen=True)
 class Clock:
     """Representation of time in a table.
@@ -190,7 +195,7 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
         scale = UNITS[column.unit].scale
         first = number_in(cells[0], decimal) if cells else 0.0
         if first is not None:
-            dated = _SECONDS[0] < scale * first < _SECONDS[1]
+            dated = tells_date(scale * first)
             number = Clock((index,), "number", dated)
             # 1e-3 is no binary fraction: ms are divided.
             return replace(number, divisor=1e3) if scale < 1.0 else replace(number, factor=scale)

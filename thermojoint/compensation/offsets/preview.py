@@ -87,4 +87,5 @@ def row_of(settings: Settings, cycle: Cycle) -> list[str]:
     """Return one cycle as text, in the order of `header`."""
     digits = max(0, -math.floor(math.log10(settings.output.resolution / MICRO) + 1e-9))
     values = (f"{value / MICRO:.{digits + 2}f}" for value in cycle.offsets)
-    return [f"{cycle.time:.9g}", *values, cycle.state]
+    # Fifteen digits, as in the table of estimates: seconds since 1970.
+    return [f"{cycle.time:.15g}", *values, cycle.state]
