@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
@@ -26,8 +26,9 @@ from thermojoint.cli.log_reading import (
 
 if TYPE_CHECKING:
     from estimator.interface import Estimator
-    from estimator.kind import Sample
+    from estimator.kind import OpenedEstimator, Sample
     from thermojoint.artefacts.arrays import Array
+    from thermojoint.artefacts.log import Log
 
 
 class Kind(StrEnum):
@@ -373,6 +374,10 @@ def validate(
     ] = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--out", help="Of logs: picture of truth, estimate and band to write (PNG)."),
+    ] = None,
     out: arguments.Json = None,
 ) -> None:
     """Judge the estimator: it sees the temperatures, the displacement is the judge.
@@ -380,9 +385,12 @@ def validate(
     Example: [bold]thermojoint validate model.json step-3.nc --reference r1.nc[/bold]
 
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
+
+    Example: [bold]thermojoint validate learned.json another_day.csv --out day.png[/bold]
     """
     from estimator.judging import Conditions
-    from estimator.registry import kind_of_file
+    from estimator.kind import Options
+    from estimator.registry import kind_of_file, started
     from thermojoint import console, plausibility
     from thermojoint.artefacts.log import joined
     from thermojoint.artefacts.log_file import log_pieces
@@ -392,7 +400,12 @@ def validate(
     from thermojoint.paper.summary import compare_schemes
 
     inputs = [model, baselines, reference, mapping, *data]
-    arguments.check_outputs({"--json": (out, file_kinds.VALIDATION)}, inputs)
+    outputs = {"--json": (out, file_kinds.VALIDATION), "--out": (picture, file_kinds.PICTURE)}
+    arguments.check_outputs(outputs, inputs)
+    if picture:
+        from thermojoint.pictures.figures import check_png
+
+        check_png(picture)
     named = {path.stem: path for path in data}
     if len(named) < len(data):
         raise InputError("validate: two files have the same name; rename one")
@@ -407,8 +420,10 @@ def validate(
         with console.working("validating"):
             logs = {name: joined(said(log_pieces([path], renamed))) for name, path in named.items()}
             figures = kind.judge_logs(given, logs)
+            if picture:
+                _draw_judged(started(kind, given, Options()), logs, picture)
     else:
-        arguments.only_for("logs", {"--column": column, "--mapping": mapping})
+        arguments.only_for("logs", {"--column": column, "--mapping": mapping, "--out": picture})
         responses = {name: read_response(path) for name, path in named.items()}
         for name, response in responses.items():
             console.warn(plausibility.of_response(response, name))
@@ -427,7 +442,31 @@ def validate(
         schemes = compare_schemes(figures["rows"], figures["as_printed"], figures["vectors"])
         printing.show_schemes(printer, schemes)
         printing.show_blocks(printer, figures["blocks"])
-    console.wrote(out)
+    console.wrote(out, picture)
+
+
+def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path) -> None:
+    """Draw what was measured and what is estimated, free-running, in every run of some logs."""
+    import numpy as np
+
+    from estimator.interface import follow
+    from estimator.registry import kind_of
+    from thermojoint.pictures.judged import Judged, write_judged
+
+    panels = []
+    for name, log in logs.items():
+        for run in log.runs():
+            samples = kind_of(estimator).log(estimator.model, [run], name, None)
+            made = [one for _, one in follow(estimator, samples, estimator.initial_state())]
+            values, bands = (
+                np.array([getattr(one, part) for one in made]) for part in ("displacement", "band")
+            )
+            panels += [
+                Judged(f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c])
+                for c, axis in enumerate(estimator.axes)
+                if axis in run.names
+            ]
+    write_judged(panels, path)
 
 
 def reproduce(

@@ -116,8 +116,11 @@ def test_readings_correct_an_estimate(here, command):
 
 
 def test_validate_takes_a_log(here, command):
-    code, _ = command("validate", "model.json", "day.csv", "--json", "scores.json")
+    code, _ = command(
+        "validate", "model.json", "day.csv", "--json", "scores.json", "--out", "day.png"
+    )
     assert not code
+    assert (here / "day.png").read_bytes().startswith(b"\x89PNG")
     found = json.loads((here / "scores.json").read_text("utf-8"))["rows"]
     assert {(row["case"], row["axis"]) for row in found} == {("day", "x_um"), ("day", "z_um")}
     assert all(row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"] for row in found)

@@ -1,0 +1,64 @@
+"""Truth against estimate: a panel for each displacement, the band around the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.units import MEGA
+
+_HOUR = 3600.0
+
+
+class Judged(NamedTuple):
+    """One displacement of one run.
+
+    Attributes
+    ----------
+    title : str
+        Of the run and the displacement.
+    times : ndarray, shape (k,)
+        s.
+    truth, estimate, band : ndarray, shape (k,)
+        m; NaN where none is known.
+    """
+
+    title: str
+    times: Array
+    truth: Array
+    estimate: Array
+    band: Array
+
+
+def write_judged(panels: Sequence[Judged], path: Path) -> None:
+    """Draw the estimates of some displacements over what was measured.
+
+    Parameters
+    ----------
+    panels : sequence of Judged
+        One or more, from the top down.
+    path : Path
+        PNG, whole or not at all.
+    """
+    figure = Figure(figsize=(9.0, 0.6 + 2.4 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axis, panel in zip(axes, panels, strict=True):
+        hours = (panel.times - panel.times[0]) / _HOUR
+        low, high = (MEGA * (panel.estimate + sign * panel.band) for sign in (-1.0, 1.0))
+        if np.isfinite(panel.band).any():
+            axis.fill_between(hours, low, high, color="C0", alpha=0.2, linewidth=0.0, label="95 %")
+        axis.plot(hours, MEGA * panel.estimate, color="C0", linewidth=1.2, label="estimate")
+        axis.plot(hours, MEGA * panel.truth, color="black", linewidth=1.0, label="measured")
+        axis.set_title(panel.title, loc="left", fontsize="medium")
+        axis.set_ylabel("displacement (µm)")
+        axis.grid(alpha=0.3)
+    axes[0].legend(loc="upper right", fontsize="small", frameon=False)
+    axes[-1].set_xlabel("time since the first sample (h)")
+    with whole_file(path) as part:
+        figure.savefig(part, format="png", dpi=110)
