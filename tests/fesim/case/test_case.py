@@ -119,22 +119,6 @@ def test_an_unknown_key_is_refused_with_its_place_and_the_nearest_known_one(plac
     assert said == f"{where}: no key named {place[-1]!r}; did you mean {near!r}?"
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        ("title",),
-        ("structure",),
-        ("supports",),
-        ("heat_input", "level"),
-        ("materials", "cast_iron", "density_kg_m3"),
-        ("probes", "T1", "position_mm"),
-        ("bodies",),
-    ],
-)
-def test_a_missing_key_is_named_with_its_place(place):
-    assert refusal(without(place)) == f"machine.toml: {'.'.join(place)} is missing; add it"
-
-
 POSITIVE = [
     *(
         ("materials", "cast_iron", name)
@@ -187,6 +171,12 @@ IMPOSSIBLE = [
     (("probes", "a", "position_mm"), [1.0, 2.0, math.nan]),
     (("structure", "half"), "perhaps"),
     (("output",), {"snapshots_s": [-1.0]}),
+    # Text is no number, and a number no yes.
+    (("joints", "knee", "preload_MPa"), "4.41"),
+    (("joints", "knee", "along"), "3"),
+    (("march", "step_s"), True),
+    (("structure", "half"), "true"),
+    (("probes", "a", "position_mm"), ["575", 600.0, 175.0]),
 ]
 
 
@@ -239,8 +229,11 @@ def test_a_misspelt_key_that_must_be_there_is_told_as_misspelt():
     assert said.endswith("no key named 'preload_mpa'; did you mean 'preload_MPa'?")
 
 
-#: What belongs to one machine and not to machines.
+#: What every case says, and what belongs to one machine and not to machines.
 NO_DEFAULT = [
+    *(("title",), ("structure",), ("supports",), ("bodies",), ("heat_input", "level")),
+    ("materials", "cast_iron", "density_kg_m3"),
+    ("probes", "T1", "position_mm"),
     *(
         ("joints", "knee", name)
         for name in (
@@ -259,7 +252,7 @@ NO_DEFAULT = [
 
 
 @pytest.mark.parametrize("place", NO_DEFAULT)
-def test_what_is_one_machines_has_no_default(place):
+def test_a_missing_key_without_a_default_is_named_with_its_place(place):
     assert refusal(without(place)) == f"machine.toml: {'.'.join(place)} is missing; add it"
 
 
@@ -312,18 +305,16 @@ def test_constants_of_eq_11_come_with_their_law_and_both(conductance):
     assert "joints.knee.conductance" in said
 
 
-def test_preload_of_half_the_hardness_is_beyond_the_surface_model():
-    assert "below half of the hardness" in refusal(
-        changed(("joints", "knee", "preload_MPa"), 0.5 * 1961.0)
-    )
-
-
-def test_one_joint_side_alone_is_refused():
-    assert "both side_a and side_b" in refusal(changed(("joints", "knee", "side_a"), "knee.a"))
-
-
-def test_a_march_shorter_than_its_step_is_refused():
-    assert "shorter than one step" in refusal(changed(("march", "duration_min"), 0.01))
+@pytest.mark.parametrize(
+    ("place", "value", "told"),
+    [
+        (("joints", "knee", "preload_MPa"), 0.5 * 1961.0, "below half of the hardness"),
+        (("joints", "knee", "side_a"), "knee.a", "both side_a and side_b"),
+        (("march", "duration_min"), 0.01, "shorter than one step"),
+    ],
+)
+def test_values_that_do_not_go_together_are_refused(place, value, told):
+    assert told in refusal(changed(place, value))
 
 
 @pytest.mark.parametrize("section", ["materials", "joints", "probes", "structure", "sources"])
@@ -338,20 +329,6 @@ def test_files_are_looked_for_beside_the_case(tmp_path):
     elsewhere = tmp_path / "other" / "run.csv"
     data = changed(("heat_input",), {"kind": "sampled", "file": str(elsewhere)})
     assert case_from_data(data, "machine.toml", tmp_path).heat_input.file == elsewhere
-
-
-@pytest.mark.parametrize(
-    ("place", "value"),
-    [
-        (("joints", "knee", "preload_MPa"), "4.41"),
-        (("joints", "knee", "along"), "3"),
-        (("march", "step_s"), True),
-        (("structure", "half"), "true"),
-        (("probes", "a", "position_mm"), ["575", 600.0, 175.0]),
-    ],
-)
-def test_text_is_no_number_and_a_number_no_yes(place, value):
-    assert ".".join(place) in refusal(changed(place, value))
 
 
 def test_every_mistake_of_a_case_has_a_line():
@@ -453,12 +430,6 @@ def test_text_that_is_no_toml_is_refused_with_its_line(text):
     assert "\n" not in str(caught.value)
 
 
-def test_a_byte_order_mark_may_lead(tmp_path):
-    path = tmp_path / "machine.toml"
-    path.write_text(REFERENCE, encoding="utf-8-sig")
-    assert read_case(path) == parse_case(REFERENCE, "reference", Path())
-
-
 @given(text=st.text(max_size=60))
 def test_any_text_is_a_case_or_one_line_for_each_mistake(text):
     with pytest.raises(InputError) as caught:
@@ -478,7 +449,9 @@ def test_a_case_that_cannot_be_read_is_refused(tmp_path):
         read_case(binary)
 
 
-def test_a_case_is_read_from_its_file(tmp_path):
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_case_is_read_from_its_file(tmp_path, encoding):
+    """A byte order mark may lead."""
     path = tmp_path / "machine.toml"
-    path.write_text(REFERENCE, encoding="utf-8")
+    path.write_text(REFERENCE, encoding=encoding)
     assert read_case(path) == parse_case(REFERENCE, "reference", Path())

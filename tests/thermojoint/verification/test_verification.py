@@ -2,18 +2,15 @@
 
 import json
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from in_process import undisturbed
 from repository import ROOT
 
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.cli import main as cli
 from thermojoint.cli import verification_run
 from thermojoint.verification.check import Check
 from thermojoint.verification.hot_spot import UNBOUNDED, square_plate_stress
@@ -115,7 +112,7 @@ def example(**changes):
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def verify(monkeypatch, command):
     """Run `verify` on a group of checks (or what yields them) and one of checks after it.
 
     Gives exit code and standard output.
@@ -125,16 +122,13 @@ def command(monkeypatch, capsys):
         first = checks if callable(checks) else lambda: checks
         groups = Group("Rods", first), Group("More rods", lambda: after)
         monkeypatch.setattr(verification_run, "GROUPS", groups)
-        monkeypatch.setattr(sys, "argv", ["thermojoint", "verify", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        return int(stop.value.code or 0), capsys.readouterr().out
+        return command("verify", *arguments)[:2]
 
     return run_on
 
 
-def test_all_within_tolerance_ends_with_0(command, tmp_path):
-    code, told = command([example()], "--json", tmp_path / "v.json")
+def test_all_within_tolerance_ends_with_0(verify, tmp_path):
+    code, told = verify([example()], "--json", tmp_path / "v.json")
     assert code == 0
     assert "1 of 1 checks are within tolerance" in told
     (case,) = json.loads((tmp_path / "v.json").read_text())["cases"]
@@ -142,10 +136,10 @@ def test_all_within_tolerance_ends_with_0(command, tmp_path):
     assert case["relative_error"] == pytest.approx(5e-5)
 
 
-def test_one_wrong_reference_ends_with_1_and_is_named(command, tmp_path):
+def test_one_wrong_reference_ends_with_1_and_is_named(verify, tmp_path):
     wrong = example(name="a wrong rod", reference=21.0)
     files = ["--json", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
-    code, told = command([example(), wrong], *files)
+    code, told = verify([example(), wrong], *files)
     assert code == 1
     assert "1 of 2 checks are within tolerance" in told
     assert "out of tolerance: a wrong rod" in told
@@ -154,8 +148,8 @@ def test_one_wrong_reference_ends_with_1_and_is_named(command, tmp_path):
 
 
 @pytest.mark.parametrize("computed", [math.nan, math.inf])
-def test_a_result_that_is_no_number_fails_and_is_still_valid_json(command, tmp_path, computed):
-    code, _ = command([example(computed=computed)], "--json", tmp_path / "v.json")
+def test_a_result_that_is_no_number_fails_and_is_still_valid_json(verify, tmp_path, computed):
+    code, _ = verify([example(computed=computed)], "--json", tmp_path / "v.json")
     assert code == 1
     (case,) = json.loads((tmp_path / "v.json").read_text())["cases"]
     assert case["computed"] is None
@@ -206,13 +200,13 @@ def test_the_series_for_the_finite_plate_converges_and_tends_to_the_unbounded_on
         np.linalg.LinAlgError("Singular matrix"),
     ],
 )
-def test_a_group_that_breaks_off_fails_and_loses_no_other_check(command, tmp_path, error):
+def test_a_group_that_breaks_off_fails_and_loses_no_other_check(verify, tmp_path, error):
     def breaking():
         yield example()
         raise error
 
     files = ["--json", tmp_path / "v.json", "--markdown", tmp_path / "v.md"]
-    code, told = command(breaking, *files, after=[example(name="another rod")])
+    code, told = verify(breaking, *files, after=[example(name="another rod")])
     assert code == 1
     assert "2 of 3 checks are within tolerance" in told
     assert "out of tolerance: Rods: broken off" in told
