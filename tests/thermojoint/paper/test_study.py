@@ -326,6 +326,7 @@ def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
 
     monkeypatch.setattr(reproduce, "_calibrate", failing)
     code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
-    assert (code, err) == (2, "thermojoint: these responses determine nothing\n")
+    # Where the set-up is slow, its progress stands before.
+    assert (code, err.splitlines()[-1]) == (2, "thermojoint: these responses determine nothing")
     assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
     assert sorted(one.name for one in tmp_path.iterdir()) == ["results", "short.toml"]
