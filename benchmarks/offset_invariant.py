@@ -154,9 +154,10 @@ class Offsets(RuleBasedStateMachine):
         self.model = served_with(None, 1.0)
         self.store: sqlite3.Connection | None = None
         self.floor: Floor
-        # By axis: what the control received last, and when; and the rate that may have moved it.
+        # By axis: what the control received last, and when; and how fast and how far it may have
+        # moved since.
         self.control: dict[str, tuple[float, float]] = {}
-        self.rate = 0.0
+        self.rate = self.largest = 0.0
         self.coarse = False
         # When the last sample was taken, by both clocks; whether an offset may follow it, and how
         # late it was, s.
@@ -244,10 +245,14 @@ class Offsets(RuleBasedStateMachine):
             assert abs(offset - last) <= allowed * (1.0 + 1e-6) + 1e-12, (
                 f"{name}: {1e6 * last:.2f} to {1e6 * offset:.2f} um in {self.true - at:.2f} s"
             )
-            most = max(stage.largest, abs(last) + (0.5 * stage.resolution if self.coarse else 0.0))
+            most = max(stage.largest, abs(last))
+            if self.coarse:
+                # What a kill left in the store may never have been received.
+                most = max(stage.largest, self.largest) + 0.5 * stage.resolution
             assert abs(offset) <= most * (1.0 + 1e-6), f"{name}: {1e6 * offset:.2f} um"
             self.control[name] = offset, self.true
         self.rate, self.coarse = stage.rate, False
+        self.largest = max(stage.largest, *(abs(one) for one, _ in self.control.values()))
         if offset_status_of(said) == int(ua.StatusCodes.Good):
             oldest = self.oldest
             assert oldest is not None

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.artefacts.extras import require
 
 
@@ -33,12 +33,13 @@ def serve(
 
     Readings come from OPC UA, MQTT or lines of CSV; estimates go out by OPC UA, MQTT and HTTP. What
     was read is kept, so that after a stop of any kind it goes on as if it had never been stopped.
+    SIGHUP makes it read its file again.
 
     Example: [bold]thermojoint serve service.toml[/bold]
 
     Example: [bold]thermojoint serve service.toml --add-user panel < password.txt[/bold]
     """
-    from thermojoint.live.settings import read_service
+    from thermojoint.live.settings import Service, read_service
 
     given = read_service(service)
     if add_user is not None:
@@ -49,15 +50,31 @@ def serve(
     import asyncio
     import signal
 
-    from thermojoint.live.log_lines import log_to
+    from thermojoint.live.log_lines import LOGGER, line_of, log_to
     from thermojoint.live.service import run
 
     async def until_stopped() -> None:
-        stop = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, stop.set)
-        await run(given, stop)
+        settings, loop = given, asyncio.get_running_loop()
+        ended = False
+        while not ended:
+            stop = asyncio.Event()
+            following: list[Service] = []
+
+            def reload(stop: asyncio.Event = stop, following: list[Service] = following) -> None:
+                try:
+                    following[:] = [read_service(service)]
+                except ThermojointError as error:
+                    # It goes on with the file that it has.
+                    LOGGER.info("%s", line_of("reload-refused", str(error)))
+                else:
+                    stop.set()
+
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.add_signal_handler(number, stop.set)
+            loop.add_signal_handler(signal.SIGHUP, reload)
+            await run(settings, stop)
+            ended = not following
+            settings = following[0] if following else settings
 
     require(
         "serve",

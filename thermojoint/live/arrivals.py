@@ -6,6 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+#: No source calls a reading so.
+NEVER = "\0"
+
 
 @dataclass(frozen=True, slots=True)
 class Arrival:

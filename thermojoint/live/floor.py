@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
+#: Arrivals that wait for longer are kept as they are, s.
+STALLED_S = 2.0
 #: A gap longer than this many intervals is a hole in the history.
 _GAP = 1.5
 
@@ -60,6 +62,8 @@ class Place:
         Samples since the last checkpoint.
     unkept : list of callable
         To be called once the next sample is kept.
+    waits_since : float
+        When the first of them came, by the service's own clock, s.
     """
 
     served: Served
@@ -72,6 +76,7 @@ class Place:
     mode: str = ""
     rows: list[tuple[Any, str]] = field(default_factory=list)
     unkept: list[Callable[[], None]] = field(default_factory=list)
+    waits_since: float = math.inf
 
 
 @dataclass(eq=False)
@@ -145,7 +150,9 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
         if place is None:
             continue
         rule = place.served.rule
-        step = arrived(rule, place.machine.waiting, arrival.time, arrival.told, now + floor.ahead)
+        step = arrived(
+            rule, place.machine.waiting, arrival.time, arrival.told, (now, now + floor.ahead)
+        )
         floor.metrics.arrivals.labels(step.verdict).inc()
         place.position = arrival.position
         if step.verdict != "taken":
@@ -153,8 +160,11 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             if arrival.kept:
                 outcome.kept.append(arrival.kept)
             continue
+        if not math.isnan(step.doubted):
+            _refused(floor, replace(arrival, time=step.doubted), "ahead", now)
         place.machine = with_waiting(place.machine, step.waiting)
         if arrival.kept:
+            place.waits_since = place.waits_since if place.unkept else clock
             place.unkept.append(arrival.kept)
         for sample in step.samples:
             _sample(floor, place, sample, Times(now, clock), outcome)
@@ -184,6 +194,9 @@ def _sample(
         outcome.holes.append(Hole(name, before.time, instant, why))
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(place.served.rule, floor.behind, instant, now)
+    if all(map(math.isnan, sample[1][: place.served.rule.wanted])):
+        # A sample without any reading is silence, whatever an estimator makes of it.
+        age = max(age, times.clock - place.heard)
     place.machine, refusal = taken(place.served, place.machine, sample, times, age)
     place.fresh = False
     said = place.machine.said
@@ -255,6 +268,9 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             )
         elif not moved:
             continue
+        if after is not None and after is before:
+            # What is received again counts as received now: the way from there begins anew.
+            place.machine = replace(machine, output=after._replace(time=clock))
         place.told, place.mode = (said.quality, said.status), said.offset_mode
         changed.append(said)
     return changed
@@ -290,6 +306,25 @@ def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> f
         return -math.inf
     age = age_of(rule, behind, last.time, last.published)
     return times.clock - max(0.0, times.now - last.published) - age
+
+
+def stalled(floor: Floor, clock: float) -> list[Place]:
+    """Return the places whose arrivals have waited for a sample for `STALLED_S` or longer.
+
+    A broker that is told of none of its messages may send no more of them, and no sample is closed.
+    """
+    return [
+        place
+        for place in floor.places.values()
+        if place.unkept and clock - place.waits_since >= STALLED_S
+    ]
+
+
+def count_modes(floor: Floor, seconds: float) -> None:
+    """Count how long the offsets of each machine have followed, frozen and faded."""
+    for name, place in floor.places.items():
+        if place.mode:
+            floor.metrics.modes.labels(name, place.mode).inc(seconds)
 
 
 def unwritten(places: Iterable[Place]) -> Sequence[Place]:

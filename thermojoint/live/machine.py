@@ -229,6 +229,12 @@ def silent(
     return replace(machine, output=output), said
 
 
+def held(said: Publication) -> Publication:
+    """Return what is said while nothing can be kept: the control holds what it received last."""
+    mode = "freeze" if said.offset_mode == "follow" else said.offset_mode
+    return replace(said, quality=max(said.quality, Quality.UNCERTAIN), offset_mode=mode)
+
+
 def _cycled(
     served: Served, output: OutputState | None, time: float, target: Array | None
 ) -> OutputState | None:
@@ -323,7 +329,7 @@ def restored(
         machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.later[-1].rest if kept.later else kept.rest)
     if received is None and "output" in rest:
-        # Before version 0.9 it was kept with the samples.
+        # Earlier stores have it beside the samples.
         received = Received(name, machine.usable.published, json.dumps(rest["output"]))
     output = _output(served, machine, received, times)
     said = replace(
@@ -343,7 +349,8 @@ def _laid_out(last: Publication, layout: Layout) -> Publication:
 def _waiting(content: list[Any] | None) -> Waiting:
     if content is None:
         return Waiting()
-    before, newest, cells, held, phase, probed = content
+    before, newest, cells, held, phase, probed, *further = content
+    doubted = further[0] if further else None
     return Waiting(
         before,
         newest,
@@ -351,6 +358,7 @@ def _waiting(content: list[Any] | None) -> Waiting:
         tuple((since, value) for since, value in held),
         phase,
         probed,
+        None if doubted is None else (doubted[0], tuple(doubted[1])),
     )
 
 

@@ -24,6 +24,8 @@ class Metrics:
         From an arrival to its publication; of a transaction, s.
     quality : Gauge
         Machines by quality.
+    modes : Counter
+        How long the offsets of each machine did what, s.
     waiting, log_size : Gauge
         Arrivals that wait; size of the store's write-ahead log, bytes.
     """
@@ -35,6 +37,7 @@ class Metrics:
     latency: Histogram
     commit: Histogram
     quality: Gauge
+    modes: Counter
     waiting: Gauge
     log_size: Gauge
 
@@ -66,6 +69,12 @@ def fresh_metrics() -> Metrics:
             registry=registry,
         ),
         Gauge("thermojoint_machines", "Machines by quality.", ["quality"], registry=registry),
+        Counter(
+            "thermojoint_offset_seconds",
+            "Time in which offsets followed, froze, decayed or waited.",
+            ["machine", "mode"],
+            registry=registry,
+        ),
         Gauge("thermojoint_waiting", "Arrivals that wait for their turn.", registry=registry),
         Gauge("thermojoint_store_log_bytes", "Size of the write-ahead log.", registry=registry),
     )

@@ -16,6 +16,8 @@ from asyncua.server import Server
 _SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
 #: Of one item no more values wait.
 _QUEUE = 100
+#: Connections that have not logged in: of one address, and of all.
+_MOST_OF_ONE, _MOST_WAITING = 8, 64
 #: Who has not logged in by then is sent away, s.
 _LOGIN_S = 10.0
 
@@ -35,7 +37,8 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
         How many there may be at once.
     """
     inner = server.iserver
-    inner.max_connections = sessions
+    # `limit_callers` counts; what it sends away is gone a moment later.
+    inner.max_connections = sessions + 4 * _MOST_WAITING
     inner.max_pending_activation_seconds = _LOGIN_S
     inner.max_session_timeout_ms = _SESSION_MS
     inner.max_subscriptions = subscriptions
@@ -43,6 +46,47 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
     inner.max_unacked_messages_per_subscription = _QUEUE
     inner.max_pending_messages_per_connection = _QUEUE
     _cap_items(inner, items)
+
+
+class Callers(list[Any]):
+    """Connections of a server; those that have not logged in take no places from those that may.
+
+    Attributes
+    ----------
+    sessions : int
+        Connections that have logged in, at once.
+    """
+
+    def __init__(self, sessions: int) -> None:
+        super().__init__()
+        self.sessions = sessions
+
+    def append(self, one: Any) -> None:  # noqa: ANN401
+        """Take a connection; the oldest that waits without a word makes room for it."""
+        waiting = [other for other in self if not _is_in(other)]
+        same = [other for other in waiting if _host(other) == _host(one)]
+        if len(self) - len(waiting) >= self.sessions:
+            one.transport.abort()
+        elif len(same) >= _MOST_OF_ONE:
+            same[0].transport.abort()
+        elif len(waiting) >= _MOST_WAITING:
+            waiting[0].transport.abort()
+        super().append(one)
+
+
+def _is_in(one: Any) -> bool:  # noqa: ANN401
+    session = one.processor.session
+    return session is not None and session.is_activated()
+
+
+def _host(one: Any) -> str:  # noqa: ANN401
+    return str(one.peer_name[0]) if one.peer_name else ""
+
+
+def limit_callers(server: Server, sessions: int) -> None:
+    """Bound the connections of a server that has just started."""
+    assert server.bserver is not None
+    server.bserver.clients = Callers(sessions)
 
 
 def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401

@@ -7,12 +7,13 @@ import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
 
+from thermojoint.artefacts.errors import InputError
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
@@ -33,6 +34,7 @@ from thermojoint.live.store import (
     era_before,
     era_of,
     kept_of,
+    locked,
     open_store,
     received_last,
 )
@@ -99,15 +101,17 @@ class Running:
 
 @asynccontextmanager
 async def opened(
-    service: Service, models: dict[str, Served], stop: asyncio.Event
+    service: Service, models: dict[str, Served], stop: asyncio.Event, log: EventLog
 ) -> AsyncIterator[Running]:
     """Give a service with its machines where the store has them; the store is closed at the end."""
     service.folder.mkdir(parents=True, exist_ok=True)
     path = service.folder / "history.sqlite"
-    keeper = ThreadPoolExecutor(1, "keeper")
-    store = open_store(path, service.given.store.durable)
-    try:
-        log, metrics = EventLog(), fresh_metrics()
+    with locked(service.folder), ExitStack() as ends:
+        keeper = ThreadPoolExecutor(1, "keeper")
+        store = open_store(path, service.given.store.durable)
+        ends.callback(store.close)
+        ends.callback(keeper.shutdown, wait=True)
+        metrics = fresh_metrics()
         times = Times(time.time(), time.monotonic())
         floor, newest = restored_floor(service, models, store, log, metrics, times)
         running = Running(
@@ -125,11 +129,9 @@ async def opened(
         running.hub.publish(newest)
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
-        await running.kept(commit, Batch(events=log.fetched()))
-        await running.kept(cut_log)
-    finally:
-        keeper.shutdown(wait=True)
-        store.close()
+        with suppress(sqlite3.OperationalError):
+            await running.kept(commit, Batch(events=log.fetched()))
+            await running.kept(cut_log)
 
 
 def restored_floor(
@@ -175,7 +177,13 @@ def _places(
             last = archive.checkpointed(name, earlier)
             if kept.state is None and not kept.later:
                 kept = every[earlier]
-        machine, position = restored(name, model, kept, last, received.get(name), times)
+        try:
+            machine, position = restored(name, model, kept, last, received.get(name), times)
+        except InputError as error:
+            # Its estimator begins anew, its offsets go on.
+            log.say(now, "state-refused", str(error), name)
+            kept, last = Kept(kept.era, model.layout, 0, None, "{}", ()), None
+            machine, position = restored(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
             moved += _moved(model, machine, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)

@@ -62,6 +62,8 @@ class Waiting(NamedTuple):
         Of the instants beyond the multiples of the interval, s; NaN before the first reading.
     probed : float
         Latest time of a reading that comes now and then by itself, s; -inf before.
+    doubted : tuple, optional
+        Time and readings that were told from the future; they count if another one confirms them.
     """
 
     last: float = math.nan
@@ -70,6 +72,7 @@ class Waiting(NamedTuple):
     held: tuple[tuple[float, float], ...] = ()
     phase: float = math.nan
     probed: float = -math.inf
+    doubted: tuple[float, tuple[float | None, ...]] | None = None
 
 
 class Arrived(NamedTuple):
@@ -83,11 +86,14 @@ class Arrived(NamedTuple):
         Instant and readings of every sample that was closed, NaN for what is missing.
     verdict : str
         ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
+    doubted : float
+        Time of a reading from the future that was not confirmed and is left out, s; NaN for none.
     """
 
     waiting: Waiting
     samples: list[tuple[float, tuple[float, ...]]]
     verdict: str
+    doubted: float = math.nan
 
 
 def phase_of(rule: Rule, time: float) -> float:
@@ -106,9 +112,16 @@ def instant_of(rule: Rule, phase: float, time: float) -> float:
 
 
 def arrived(
-    rule: Rule, waiting: Waiting, time: float, told: Told, limit: float = math.inf
+    rule: Rule,
+    waiting: Waiting,
+    time: float,
+    told: Told,
+    clock: tuple[float, float] = (math.inf, math.inf),
 ) -> Arrived:
     """Take what a source tells of one time.
+
+    A reading from the future closes no sample before another one says that it is that late: a
+    single wrong time would shut out all readings until then.
 
     Parameters
     ----------
@@ -119,13 +132,21 @@ def arrived(
         s since 1970, by the source's clock.
     told : sequence of float or None
         One for each reading.
-    limit : float
-        No time later than this is believed, s.
+    clock : (float, float)
+        What time it is, and the latest time that is believed, s.
     """
+    now, limit = clock
     if not 0.0 <= time <= LATEST:
         return Arrived(waiting, [], "no-time")
     if time > limit:
         return Arrived(waiting, [], "ahead")
+    if time > max(now, waiting.newest) + 2.0 * rule.interval + rule.lateness:
+        return _doubted(rule, waiting, time, told, limit)
+    if waiting.doubted is not None:
+        doubted, _ = waiting.doubted
+        return arrived(rule, waiting._replace(doubted=None), time, told, clock)._replace(
+            doubted=doubted
+        )
     phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
     instant = instant_of(rule, phase, time)
     probed = waiting.probed
@@ -148,6 +169,16 @@ def arrived(
             values, held = _filled(rule, held, last, values)
         samples.append((last, tuple(math.nan if value is None else value for value in values)))
     return Arrived(Waiting(last, newest, cells, held, phase, probed), samples, "taken")
+
+
+def _doubted(rule: Rule, waiting: Waiting, time: float, told: Told, limit: float) -> Arrived:
+    """Put a reading from the future aside, or believe it and the one before it."""
+    before, rest = waiting.doubted, waiting._replace(doubted=None)
+    if before is None or time < before[0] - 0.5 * rule.interval:
+        return Arrived(waiting._replace(doubted=(time, tuple(told))), [], "taken")
+    first = arrived(rule, rest, *before, (math.inf, limit))
+    second = arrived(rule, first.waiting, time, told, (math.inf, limit))
+    return second._replace(samples=first.samples + second.samples)
 
 
 def _merged(

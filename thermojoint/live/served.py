@@ -15,7 +15,7 @@ from estimator.kind import Kind, Options
 from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import ThermojointError, unknown_name
+from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_name
 from thermojoint.compensation.offsets.settings import Settings, read_settings
 from thermojoint.live.publication import Layout
 from thermojoint.live.samples import Rule
@@ -59,12 +59,16 @@ class Served:
     output: Settings | None
 
 
-def served_models(service: Service) -> dict[str, Served]:
-    """Open the models of a service; raises as their readers and as `served`."""
-    return {
-        name: served(section, service.folder / "models")
-        for name, section in service.given.models.items()
-    }
+def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
+    """Return the models of a service that can be opened, and why the others cannot."""
+    found: dict[str, Served] = {}
+    refused: dict[str, ThermojointError] = {}
+    for name, section in service.given.models.items():
+        try:
+            found[name] = served(section, service.folder / "models")
+        except ThermojointError as error:
+            refused[name] = error
+    return found, refused
 
 
 def served(section: ModelSection, kept: Path) -> Served:
@@ -93,6 +97,7 @@ def served(section: ModelSection, kept: Path) -> Served:
     axes = tuple(map(axis_name, estimator.axes))
     if output is not None:
         _check_axes(output, axes, section.offsets)
+        _check_age(output, section)
     layout = Layout(
         axes=axes,
         controls=output.output.names if output else (),
@@ -120,6 +125,15 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
     for k in range(3):
         with suppress(ThermojointError):
             state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
+
+
+def _check_age(output: Settings, section: ModelSection) -> None:
+    """Refuse an `oldest_s` that makes every estimate too old before the next one comes."""
+    if output.trust.oldest <= section.interval_s:
+        raise InputError(
+            f"{section.offsets}: oldest_s {output.trust.oldest:g} is not longer than interval_s "
+            f"{section.interval_s:g} of the model: offsets would never follow; make it longer"
+        )
 
 
 def _check_axes(output: Settings, axes: tuple[str, ...], where: object) -> None:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.consistency import contradictions
 from thermojoint.live.doors import open_doors
 from thermojoint.live.floor import Place
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.machine import held
 from thermojoint.live.notify import tell_systemd
 from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.running import Running, opened
-from thermojoint.live.served import served_models, single
+from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import Batch, commit, cut_log, forget, move_log
 
@@ -27,6 +32,10 @@ _GATHER_S = 0.01
 _WATCH_S = 1.0
 #: Between two moves of the store's write-ahead log into its file, s.
 _SHORTEN_S = 10.0
+#: How long one waits before the store is tried again, s.
+_AGAIN_S = 1.0
+#: Messages that a broker sends before one is acknowledged, where nobody says otherwise.
+_USUAL_IN_FLIGHT = 20
 #: A longer one is cut, bytes.
 _LONGEST_LOG = 64_000_000
 
@@ -49,20 +58,21 @@ async def run(
     InputError
         Something in the file does not work: a model, a certificate, an address that is taken.
     """
-    models = served_models(service)
+    log = EventLog()
+    service, models = working(service, log)
     readers = readers_of(service, single(models, service))
     # What was loaded stays: a collection need not look at it again and again.
     gc.collect()
     gc.freeze()
-    async with opened(service, models, stop) as running:
+    async with opened(service, models, stop, log) as running:
         failed: list[BaseException] = []
         doors = [asyncio.create_task(door) for door in await open_doors(running)]
         floor = running.floor
         sources = [asyncio.create_task(_read(running, reader)) for reader in readers]
         work = asyncio.create_task(_process(running))
         watch = asyncio.create_task(_watch(running))
-        ended = asyncio.create_task(_ended(running, sources))
-        tasks = [*doors, *sources, work, watch]
+        ended = asyncio.create_task(_ended(running, sources, failed))
+        tasks = [*doors, work, watch]
         for task in tasks:
             task.add_done_callback(lambda ended: _note_failure(ended, failed, stop))
         floor.log.say(time.time(), "ready", f"{len(floor.places)} machines")
@@ -84,17 +94,45 @@ async def run(
             raise failed[0]
 
 
+def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]]:
+    """Return a service without the machines whose model cannot be opened, and the other models.
+
+    Raises
+    ------
+    InputError, ConvergenceError
+        None of them can.
+    """
+    models, refused = served_models(service)
+    if not models:
+        raise next(iter(refused.values()))
+    for name, error in refused.items():
+        log.say(time.time(), "model-refused", f"models.{name}: {error}")
+    machines = {name: one for name, one in service.machines.items() if one.model in models}
+    for warning in contradictions(service.given, models):
+        log.say(time.time(), "settings", warning)
+    return Service(service.given, machines), models
+
+
 async def _read(running: Running, reader: Reader) -> None:
     """Hand on what a reader finds, until it ends."""
     positions = {name: running.floor.places[name].position for name in reader.machines}
-    async for block in reader.read(positions):
-        if block:
-            await running.arrivals.put(block)
+    try:
+        async for block in reader.read(positions):
+            if block:
+                await running.arrivals.put(block)
+    except Exception as error:
+        # The other machines go on.
+        text = f"{', '.join(reader.machines)[:100]}: read no more: {error}"
+        running.floor.log.say(time.time(), "source-failed", text)
+        raise
 
 
-async def _ended(running: Running, sources: Sequence[asyncio.Task[None]]) -> None:
-    """End the service when no source has anything more."""
-    await asyncio.gather(*sources)
+async def _ended(
+    running: Running, sources: Sequence[asyncio.Task[None]], failed: list[BaseException]
+) -> None:
+    """End the service when no source has anything more; it fails if one of them has."""
+    results = await asyncio.gather(*sources, return_exceptions=True)
+    failed += [one for one in results if isinstance(one, Exception)]
     await running.arrivals.join()
     running.stop.set()
 
@@ -129,7 +167,7 @@ async def _process(running: Running) -> None:
             received = floors.received(floor, outcome.publications, now)
             batch = Batch(outcome.taken, (), events, outcome.holes, received)
             with running.metrics.commit.time():
-                running.journal_end = await running.kept(commit, batch)
+                await _keep(running, batch)
         running.hub.publish(list(outcome.publications.values()))
         for call in outcome.kept:
             call()
@@ -154,16 +192,20 @@ async def _watch(running: Running) -> None:
         now, clock = time.time(), time.monotonic()
         await published(running, floors.watch(running.floor, now, clock))
         floors.count_qualities(running.floor)
-        await _checkpoint_some(running, settings.checkpoint_s)
+        floors.count_modes(running.floor, _WATCH_S)
+        await _release(running, floors.stalled(running.floor, clock))
+        with suppress(sqlite3.OperationalError):
+            await _checkpoint_some(running, settings.checkpoint_s)
         if clock - shortened >= _SHORTEN_S:
             shortened = clock
             path = running.archive.path
             log = path.with_name(path.name + "-wal")
-            # Commits wait for a cut, not for a move; after it little is left to cut.
-            await asyncio.to_thread(move_log, path)
             size = log.stat().st_size if log.exists() else 0
-            if size > _LONGEST_LOG:
-                await running.kept(cut_log)
+            # Commits wait for a cut, not for a move; after it little is left to cut.
+            with suppress(sqlite3.OperationalError):
+                await asyncio.to_thread(move_log, path)
+                if size > _LONGEST_LOG:
+                    await running.kept(cut_log)
             running.metrics.log_size.set(size)
 
 
@@ -172,8 +214,27 @@ async def published(running: Running, changed: list[Publication]) -> None:
     names = [publication.machine for publication in changed]
     received = floors.received(running.floor, names, time.time())
     if received:
-        await running.kept(commit, Batch(received=received))
+        await _keep(running, Batch(received=received))
     running.hub.publish(changed)
+
+
+async def _release(running: Running, places: Sequence[Place]) -> None:
+    """Keep what waits for a sample as it is, and acknowledge it."""
+    if not places:
+        return
+    calls = [call for place in places for call in place.unkept]
+    for place in places:
+        place.unkept = []
+    if len(calls) >= _USUAL_IN_FLIGHT:
+        running.floor.log.say(
+            time.time(),
+            "in-flight",
+            f"{len(calls)} messages waited for others; a broker that sends no more than so many at "
+            "a time needs a higher limit (Mosquitto: max_inflight_messages 0)",
+        )
+    await _keep(running, Batch(checkpoints=[floors.checkpoint_of(one) for one in places]))
+    for call in calls:
+        call()
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:
@@ -195,4 +256,23 @@ async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
     checkpoints = [floors.checkpoint_of(place) for place in floors.unwritten(places)]
     events = running.floor.log.fetched()
     if checkpoints or events:
-        await running.kept(commit, Batch(checkpoints=checkpoints, events=events))
+        await _keep(running, Batch(checkpoints=checkpoints, events=events))
+
+
+async def _keep(running: Running, batch: Batch) -> None:
+    """Keep a batch; a full disk, or another program that holds the file, is waited for.
+
+    Meanwhile nothing new is published, and the controls hold what they received last.
+    """
+    while True:
+        try:
+            running.journal_end = await running.kept(commit, batch)
+        except sqlite3.OperationalError as error:
+            log, newest = running.floor.log, running.hub.newest
+            log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
+            running.hub.publish([held(publication) for publication in newest.values()])
+            if running.stop.is_set():
+                return
+            await asyncio.sleep(_AGAIN_S)
+        else:
+            return

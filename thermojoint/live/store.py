@@ -10,10 +10,11 @@ again at a start: an estimator is a function, so it says the same.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import sqlite3
-from collections.abc import Iterable, Sequence
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -30,8 +31,8 @@ SCHEMA_VERSION = 2
 _PASSES = 2
 #: How long one waits for another who writes, s.
 _PATIENCE_S = 10.0
-#: Entries of the journal that are dropped at once.
-MOST_FORGOTTEN = 5_000
+#: Entries of the journal, and chunks of an era that is over, that are dropped at once.
+MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS eras (
@@ -182,6 +183,25 @@ class Kept:
     state: bytes | None
     rest: str
     later: tuple[Taken, ...]
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder for one service: two would keep every sample twice.
+
+    Raises
+    ------
+    InputError
+        Another service holds it.
+    """
+    with (folder / "lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(
+                f"{folder}: another service runs on it; stop that one, or give another folder"
+            ) from error
+        yield
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
@@ -401,7 +421,27 @@ def forget(
         [(era, oldest) for era in eras],
     )
     store.execute("DELETE FROM events WHERE time < ?", (now - oldest,))
+    store.execute("DELETE FROM holes WHERE until < ?", (now - oldest,))
+    _forget_era(store, now - oldest)
     store.execute("COMMIT")
+
+
+def _forget_era(store: sqlite3.Connection, before: float) -> None:
+    """Drop some of an era after which another began before a time (s since 1970)."""
+    over = store.execute(
+        "SELECT one.id FROM eras AS one JOIN eras AS next "
+        "ON next.machine = one.machine AND next.id > one.id AND next.begun < ? LIMIT 1",
+        (before,),
+    ).fetchone()
+    if over is None:
+        return
+    gone = store.execute(
+        "DELETE FROM chunks WHERE id IN (SELECT id FROM chunks WHERE era = ? LIMIT ?)",
+        (*over, _MOST_CHUNKS),
+    )
+    if gone.rowcount < _MOST_CHUNKS:
+        for table, key in (("states", "era"), ("journal", "era"), ("eras", "id")):
+            store.execute(f"DELETE FROM {table} WHERE {key} = ?", over)
 
 
 def move_log(path: Path) -> None:

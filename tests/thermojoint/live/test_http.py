@@ -162,7 +162,8 @@ def test_a_machine_without_a_picture_says_so(ask):
 
 def test_prometheus_and_a_watchdog_find_what_they_look_for(floor, ask):
     assert "machines 2.0" in ask.get("/metrics").text
-    assert httpx.get(f"{floor.url}/healthz").json() == {"status": "ok"}
+    health = httpx.get(f"{floor.url}/healthz").json()
+    assert health == {"status": "ok", "machines": {"good": 1, "uncertain": 0, "bad": 0}}
 
 
 @pytest.mark.parametrize(
@@ -356,6 +357,22 @@ def test_streams_are_counted_and_given_back(floor, ask):
                 return
         time.sleep(0.05)
     raise AssertionError("a stream that was left is still counted")
+
+
+def test_nobody_takes_all_the_connections(floor, ask):
+    """Those of one address that are too many end before TLS; the others are answered."""
+    host, port = floor.url.rpartition("/")[2].split(":")
+    many = [socket.create_connection((host, int(port))) for _ in range(200)]
+    time.sleep(0.2)
+    ended = 0
+    for one in many:
+        one.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            ended += one.recv(1) == b""
+    assert 200 - patience.MOST_OF_ONE <= ended < 200
+    for one in many:
+        one.close()
+    assert httpx.get(f"{floor.url}/healthz").status_code == 200
 
 
 def test_whoever_sends_half_a_request_is_not_waited_for(floor, monkeypatch):

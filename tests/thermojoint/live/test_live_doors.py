@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from log_dialects import DIALECTS, logs
 
 from benchmarks.live_fuzz import DOORS, check
+from estimator.intake import of_columns
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
@@ -21,6 +23,7 @@ from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.opcua_values import status_of
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
+from thermojoint.live.readers.reading import called
 from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, MqttSource
 from thermojoint.models.assembly import assemble
@@ -230,3 +233,14 @@ def test_every_doubt_has_a_status_code_of_opcuas_own(quality, number, status, co
     said = Said()
     said.quality, said.number, said.status = quality, number, status
     assert ua.StatusCode(status_of(said)).name == code
+
+
+def test_readings_of_the_displacement_are_read_only_where_the_columns_name_them(model):
+    """A log that holds the truth does not correct an estimator that will have none."""
+    log = replace(model, intake=of_columns(("T1_degC", "x_um"), 1))
+    lines, found = ["time_s,T1_degC,x_um\n", "1,20.0,35.0\n", "2,20.0,35.0\n"], []
+    for columns in ({}, {"x_um": "x_um"}):
+        names = dict(zip(log.intake.names, called(log, columns, "columns"), strict=True))
+        pipe = csv_pipe.Pipe("mill", Path("x.csv"), names, 1, 0.0, True)
+        found.append(csv_pipe.header_of(lines, pipe, whole=True).places[1] is None)
+    assert found == [True, False]

@@ -360,5 +360,49 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path
     assert said.offsets.tolist() == before.tolist()
 
 
+def test_samples_without_any_reading_are_silence(tmp_path):
+    """Whatever an estimator makes of them: the value becomes bad, and the offset fades."""
+
+    class Deaf(offset_invariant.Gauge):
+        def sample(self, state, time, values):
+            heard = [0.0 if math.isnan(one) else one for one in values]
+            return super().sample(state, time, heard)
+
+    output = offset_invariant.settings_of({"oldest_s": 5.0, "freeze_s": 5.0, "decay_s": 5.0}, False)
+    deaf = replace(offset_invariant.served_with(output, 1.0), estimator=Deaf(1.0))
+    floor = floor_of(deaf, open_store(tmp_path / "history.sqlite"))
+    found = []
+    for k in range(100):
+        told = (20.0 if k < 30 else math.nan, 0.0 if k < 30 else math.nan)
+        outcome = floors.absorb(floor, [Arrival("mill", START + k, told, START + k)], *at(k))
+        found.append(outcome.publications["mill"])
+    assert (found[29].quality, found[29].offset_mode) == (Quality.GOOD, "follow")
+    assert found[29].offsets[0] == pytest.approx(-20e-6)
+    assert (found[36].offset_mode, found[45].quality) == ("freeze", Quality.UNCERTAIN)
+    assert (found[99].quality, found[99].offset_mode) == (Quality.BAD, "decay")
+    assert abs(found[99].offsets[0]) < 1e-6
+    floors.count_modes(floor, 1.0)
+    assert floor.metrics.registry.get_sample_value(
+        "thermojoint_offset_seconds_total", {"machine": "mill", "mode": "decay"}
+    )
+
+
+def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, tmp_path):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+    floor = floor_of(model, store)
+    place = floor.places["mill"]
+    feed(floor, store, 0, 10)
+    feed(floor, store, 50, 60)
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    era = era_of(store, "mill", "another", model.layout, START + 100.0)
+    for now in (START + 120.0, START + 200.0):
+        forget(store, 0, [era], 90.0, now)
+        left = [one[0] for one in store.execute("SELECT id FROM eras")]
+        holes = store.execute("SELECT count(*) FROM holes").fetchone()[0]
+        assert (left, holes) == (([place.era, era], 1) if now < START + 190.0 else ([era], 0))
+    assert not store.execute("SELECT count(*) FROM chunks").fetchone()[0]
+
+
 def test_no_sequence_makes_an_offset_jump_or_lie():
     offset_invariant.violations(200)

@@ -45,6 +45,22 @@ def test_readings_that_come_one_by_one_are_one_sample():
     assert samples == [(100.0, (1.0, 2.0))]
 
 
+def test_one_reading_from_the_future_shuts_nobody_out_and_two_are_believed():
+    waiting, samples = Waiting(), []
+    for k in range(8):
+        for time in [100.0 + k, 155.0] if k == 3 else [100.0 + k]:
+            step = arrived(PLAIN, waiting, time, (1.0, 2.0), (100.0 + k, 160.0 + k))
+            waiting, samples = step.waiting, samples + [at for at, _ in step.samples]
+            assert (step.doubted == 155.0) == (k == 4)
+    assert samples == [100.0 + k for k in range(8)]
+    assert _waiting(json.loads(json.dumps(waiting))) == waiting
+    for time in (155.0, 156.0):
+        step = arrived(PLAIN, waiting, time, (1.0, 2.0), (108.0, 168.0))
+        assert _waiting(json.loads(json.dumps(step.waiting))) == step.waiting
+        waiting = step.waiting
+    assert [at for at, _ in step.samples] == [155.0, 156.0]
+
+
 def test_what_was_not_told_in_time_is_missing():
     _, samples, _ = run(PLAIN, [(100.0, (1.0, None)), (101.0, (3.0, 4.0))])
     np.testing.assert_equal(samples, [(100.0, (1.0, NAN)), (101.0, (3.0, 4.0))])
@@ -92,7 +108,7 @@ def test_what_is_no_time_changes_nothing(time):
 
 
 def test_a_time_ahead_of_the_clock_does_not_shut_out_those_that_follow():
-    step = arrived(PLAIN, Waiting(), 5e9, (1.0, 2.0), limit=1e9)
+    step = arrived(PLAIN, Waiting(), 5e9, (1.0, 2.0), (1e9, 1e9))
     assert step.verdict == "ahead"
     assert run(PLAIN, [(100.0, (1.0, 2.0))], step.waiting)[1]
 

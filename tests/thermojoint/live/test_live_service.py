@@ -4,6 +4,9 @@ import asyncio
 import contextlib
 import json
 import random
+import signal
+import socket
+import sqlite3
 import subprocess
 import time
 from datetime import UTC, datetime, timedelta
@@ -119,6 +122,139 @@ def test_a_fifo_is_read_as_lines_are_written(model, expected, tmp_path):
 
     asyncio.run(live())
     assert_says(said_in(tmp_path), expected[:20])
+
+
+def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tmp_path):
+    """A model that is none; a log replaced by an empty one, then by one with another header."""
+    data = file_of(model, {"kind": "csv", "path": "{machine}.csv"})
+    (tmp_path / "none.json").write_text("{}")
+    data["models"]["none"] = {"file": "none.json"}
+    data["machines"] |= {
+        "lathe": {"model": "m", "source": "line"},
+        "drill": {"model": "none", "source": "line"},
+    }
+    lines = csv_of(day(40)).splitlines(keepends=True)
+    (tmp_path / "mill.csv").write_text("".join(lines[:11]))
+    (tmp_path / "lathe.csv").write_text("".join(lines[:11]))
+
+    def replaced(text):
+        (tmp_path / "new").write_text(text)
+        (tmp_path / "new").rename(tmp_path / "lathe.csv")
+
+    async def live():
+        async with serving(data, tmp_path) as running:
+            newest = running.hub.newest
+            assert set(running.floor.places) == {"mill", "lathe"}
+            await until(lambda: min(one.number for one in newest.values()) == 10)
+            replaced("")
+            await until(lambda: _events(tmp_path, "source-replaced"))
+            replaced("time_s,other_degC\n")
+            await until(lambda: _events(tmp_path, "source-refused"))
+            with (tmp_path / "mill.csv").open("a") as file:
+                file.write("".join(lines[11:]))
+            await until(lambda: newest["mill"].number == 40)
+            replaced(lines[0] + "".join(lines[11:]))
+            await until(lambda: newest["lathe"].number == 40)
+
+    asyncio.run(live())
+    assert _events(tmp_path, "model-refused") == 1
+    assert_says(said_in(tmp_path), expected[:40])
+
+
+def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(model, tmp_path):
+    data = file_of(model, {"kind": "csv", "path": "log.csv"})
+    lines = csv_of(day(40)).splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(lines[:21]))
+
+    async def live():
+        async with serving(data, tmp_path) as running:
+            with pytest.raises(InputError, match="another service"):
+                async with serving(data, tmp_path):
+                    pass
+            newest = running.hub.newest
+            await until(lambda: newest["mill"].number == 20)
+            await running.kept(lambda store: store.execute("PRAGMA busy_timeout = 20"))
+            path = tmp_path / "state" / "history.sqlite"
+            with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
+                other.execute("BEGIN IMMEDIATE")
+                with (tmp_path / "log.csv").open("a") as file:
+                    file.write("".join(lines[21:]))
+                log = running.floor.log
+                await until(lambda: any(one.kind == "store-waits" for one in log.pending))
+                assert newest["mill"].number == 20
+                other.execute("COMMIT")
+            await until(lambda: newest["mill"].number == 40)
+
+    asyncio.run(live())
+    assert len(said_in(tmp_path).numbers) == 40
+    assert _events(tmp_path, "store-waits")
+
+
+def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
+    data = file_of(model, {"kind": "csv", "path": "log.csv"})
+    (tmp_path / "log.csv").write_text(csv_of(day(20)))
+
+    async def live(count):
+        async with serving(data, tmp_path) as running:
+            await until(lambda: running.hub.newest["mill"].number == count)
+
+    asyncio.run(live(20))
+    with contextlib.closing(sqlite3.connect(tmp_path / "state" / "history.sqlite")) as store:
+        store.execute("UPDATE states SET state = zeroblob(length(state))")
+        store.commit()
+    asyncio.run(live(20))
+    assert _events(tmp_path, "state-refused") == 1
+
+
+def test_a_hangup_makes_the_service_read_its_file_again(model, tmp_path):
+    """And a file that is wrong changes nothing."""
+    live_kills.prepare(tmp_path, model, "x", INTERVAL, 60.0)
+    (tmp_path / "fed.csv").write_text(csv_of(day(20) - np.array([START, 0, 0, 0, 0, 0])))
+    service, file = live_kills.started(tmp_path, "killed"), tmp_path / "killed.toml"
+    log, text = tmp_path / "killed.log", file.read_text()
+
+    async def told(kind, count):
+        await until(lambda: log.read_text().count(f"event={kind}") >= count)
+
+    async def live():
+        await told("ready", 1)
+        file.write_text("nonsense")
+        service.send_signal(signal.SIGHUP)
+        await told("reload-refused", 1)
+        file.write_text(text)
+        service.send_signal(signal.SIGHUP)
+        await told("ready", 2)
+
+    try:
+        asyncio.run(live())
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(30.0) == 0
+    finally:
+        service.kill()
+    assert "20 samples, 0 again" in log.read_text()
+
+
+@needs_broker
+def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight(model, tmp_path):
+    """After a pause the first sample of each machine waits for its next message."""
+    rows = day(30)
+
+    async def live(port):
+        source = {"kind": "mqtt", "port": port, "security": "none", "topic": "plant/{machine}"}
+        data = file_of(model, source)
+        data["machines"]["mill"]["count"] = 30
+        async with serving(data, tmp_path) as running, aiomqtt.Client("127.0.0.1", port) as plant:
+            await until(lambda: _events(tmp_path, "connected"))
+            for row in (*rows[:3], *rows[12:22]):
+                told = message(row[0], dict(zip(NAMES, row[1:].tolist(), strict=True)))
+                for k in range(30):
+                    await plant.publish(f"plant/mill-{k + 1}", told, qos=1)
+            newest = running.hub.newest.values()
+            await until(lambda: min(one.time for one in newest) >= rows[13, 0])
+
+    with Broker(tmp_path, "allow_anonymous true", "max_inflight_messages 20") as broker:
+        asyncio.run(live(broker.port))
+    assert _events(tmp_path, "in-flight")
 
 
 @pytest.fixture(scope="module")
@@ -314,6 +450,7 @@ def opcua_day(model, tmp_path_factory):
                 found["before"] = newest["mill"]
                 await until(lambda: _events(base, "connected"))
                 begun = time.monotonic()
+                idle = [socket.create_connection(("127.0.0.1", own)) for _ in range(60)]
                 async with await client_of(base, own, "panel", "panel-secret") as panel:
                     node = panel.get_node("ns=2;s=mill.Displacement.x")
                     await play(day(60), 0.008)
@@ -327,6 +464,8 @@ def opcua_day(model, tmp_path_factory):
                     found["stale"] = await node.read_data_value(raise_on_bad_status=False)
                     await until(lambda: newest["mill"].quality is Quality.BAD)
                     found["silent"] = await node.read_data_value(raise_on_bad_status=False)
+                for one in idle:
+                    one.close()
                 found["refused"] = [
                     await _let_in(base, own, *who)
                     for who in (

@@ -1,16 +1,20 @@
 """The file of a service: what is wrong ends in one line; what is open to others is refused."""
 
 import stat
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.offset_invariant import served_with, settings_of
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 from thermojoint.live.certificates import own_identity
+from thermojoint.live.consistency import contradictions
 from thermojoint.live.secret import read_secret
-from thermojoint.live.settings import Secret, read_service, service_from_data
+from thermojoint.live.served import served
+from thermojoint.live.settings import ModelSection, Secret, read_service, service_from_data
 from thermojoint.live.users import (
     MOST_TRIALS,
     Gate,
@@ -20,6 +24,8 @@ from thermojoint.live.users import (
     is_password,
     read_users,
 )
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
 
 GOOD = {
     "folder": "state",
@@ -106,6 +112,23 @@ def test_a_mistake_is_one_line(parts, told, tmp_path):
         service_from_data(changed(**parts), "file", tmp_path)
     assert told in str(found.value)
     assert "\n" not in str(found.value)
+
+
+def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_model):
+    given = service_from_data(changed(watchdog={"uncertain_s": 0.5, "bad_s": 5.0}), "f", tmp_path)
+    output = settings_of({}, False)
+    narrow = replace(output, trust=replace(output.trust, widest_band=1e-8))
+    told = list(contradictions(given.given, {"m": served_with(narrow, 1.0)}))
+    assert len(told) == 2
+    assert "between samples" in told[0]
+    assert "widest_band_um 0.01 is narrower than the model's own band, 0.1 um" in told[1]
+    write_assembly(assemble(hand_made_model, 60.0, 7200.0), tmp_path / "model.json")
+    (tmp_path / "o.toml").write_text('oldest_s = 60.0\n[axes.X]\nfollows = "x"\n')
+    section = ModelSection(
+        file=tmp_path / "model.json", interval_s=60.0, offsets=tmp_path / "o.toml"
+    )
+    with pytest.raises(InputError, match="offsets would never follow"):
+        served(section, tmp_path / "kept")
 
 
 def test_without_protection_the_loopback_is_allowed(tmp_path):

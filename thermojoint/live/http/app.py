@@ -19,6 +19,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.dashboard.assets import asset
 from thermojoint.live.dashboard.pages import page
@@ -282,8 +283,11 @@ class Site:
         )
 
     async def health(self, request: Request) -> Response:
-        """Whether the server answers; of the machines it says nothing."""
-        return answered({"status": "ok"})
+        """Whether the server answers, and how many machines are how; it names none."""
+        newest = self.sources.hub.newest.values()
+        counts = {one.word: sum(said.quality is one for said in newest) for one in Quality}
+        status = "degraded" if counts[Quality.BAD.word] else "ok"
+        return answered({"status": status, "machines": counts})
 
     def _machine(self, request: Request) -> tuple[str, About]:
         name = request.path_params["machine"]

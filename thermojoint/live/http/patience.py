@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
+from typing import Any
 
 import h11
 import uvicorn
@@ -24,6 +25,41 @@ MOST_OF_ONE = 128
 TLS_S = 5.0
 
 
+class LimitedSocket(socket.socket):
+    """Listens, and closes at once what is one connection too many, also before TLS.
+
+    Attributes
+    ----------
+    most : int
+        Connections at the same time.
+    """
+
+    def __init__(self, listening: socket.socket, most: int) -> None:
+        super().__init__(
+            listening.family, listening.type, listening.proto, fileno=listening.detach()
+        )
+        self.most = most
+        self.taken: list[tuple[str, socket.socket]] = []
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Return the next connection.
+
+        Raises
+        ------
+        ConnectionAbortedError
+            It was one too many, of all or of its address; asyncio goes on with the next.
+        """
+        connection, address = super().accept()
+        host = str(address[0])
+        self.taken = [one for one in self.taken if one[1].fileno() >= 0]
+        same = sum(one[0] == host for one in self.taken)
+        if len(self.taken) >= self.most or same >= MOST_OF_ONE:
+            connection.close()
+            raise ConnectionAbortedError
+        self.taken.append((host, connection))
+        return connection, address
+
+
 class PatientProtocol(H11Protocol):
     """HTTP of one connection that does not wait for ever, neither for a request nor a reader."""
 
@@ -31,18 +67,9 @@ class PatientProtocol(H11Protocol):
     _unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin; the first request must come soon, and nobody takes all the places."""
+        """Begin; the first request must come soon."""
         super().connection_made(transport)
         self._await_request()
-        host = self.client and self.client[0]
-        same = sum(
-            isinstance(connection, PatientProtocol)
-            and connection.client is not None
-            and connection.client[0] == host
-            for connection in self.connections
-        )
-        if same > MOST_OF_ONE:
-            transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""

@@ -16,7 +16,7 @@ from thermojoint.live.http.access import access_by
 from thermojoint.live.http.app import make_app
 from thermojoint.live.http.certificate import own_certificate
 from thermojoint.live.http.gate import LARGEST_HEAD
-from thermojoint.live.http.patience import PatientProtocol, Server
+from thermojoint.live.http.patience import LimitedSocket, PatientProtocol, Server
 from thermojoint.live.http.sources import Sources
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import HttpServer, is_loopback
@@ -137,7 +137,8 @@ def open_http(section: HttpServer, sources: Sources, folder: Path) -> Opened:
             f"http: cannot listen at {section.address}:{section.port} ({error.strerror}); give "
             "an address of this computer and a port that is free"
         ) from error
-    return Opened(server, taken)
+    most = MOST_CONNECTIONS + section.most_streams
+    return Opened(server, LimitedSocket(taken, most))
 
 
 async def serve_http(opened: Opened, stop: asyncio.Event) -> None:

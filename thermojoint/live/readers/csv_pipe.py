@@ -26,7 +26,7 @@ from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import told_by
-from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.arrivals import NEVER, Arrival, Note
 
 #: A line that is longer is none.
 LONGEST_LINE = 65_536
@@ -99,7 +99,7 @@ def header_of(lines: Sequence[str], pipe: Pipe, whole: bool = False) -> Header |
 
 
 def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
-    others = {theirs: ours for ours, theirs in pipe.names.items() if theirs != ours}
+    others = {theirs: ours for ours, theirs in pipe.names.items() if theirs not in (ours, NEVER)}
     later = pipe.readings[pipe.wanted :]
     renamed = {theirs: ours for theirs, ours in others.items() if ours not in later}
     layout = layout_of(lines, str(pipe.path), renamed, whole)
@@ -111,7 +111,10 @@ def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
 
 def _header(layout: Layout, pipe: Pipe) -> Header:
     columns = [column.name for column in layout.columns]
-    places = tuple(place_of(reading, columns) for reading in pipe.readings)
+    places = tuple(
+        None if pipe.names[reading] == NEVER else place_of(reading, columns)
+        for reading in pipe.readings
+    )
     lacking = [
         name
         for name, place in zip(pipe.readings[: pipe.wanted], places, strict=False)
@@ -202,8 +205,17 @@ async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]
             continue
         told_missing = False
         with file:
-            async for block in _whole_lines(pipe, file, position):
-                yield block
+            try:
+                async for block in _whole_lines(pipe, file, position):
+                    yield block
+            except InputError as error:
+                # A wrong header: the machine waits for another file, the others go on.
+                yield [Note("source-refused", str(error), pipe.machine)]
+                if not pipe.follow:
+                    raise
+                size = os.fstat(file.fileno()).st_size
+                while not _replaced(pipe.path, file, size):
+                    await asyncio.sleep(_LOOK_S)
         if not pipe.follow:
             return
         # It was replaced by another one.

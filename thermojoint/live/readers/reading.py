@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.arrivals import NEVER, Arrival, Note
 from thermojoint.live.readers.csv_pipe import Pipe, read_pipe
 from thermojoint.live.served import Served
 from thermojoint.live.settings import CsvSource, MqttSource, OpcuaSource, Service
@@ -91,6 +91,9 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
 def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
     """Return what a source calls the readings of a model.
 
+    Readings of the displacement are read only where the columns name them: a log that happens to
+    hold the truth is not to correct an estimator which will have none.
+
     Raises
     ------
     InputError
@@ -99,7 +102,8 @@ def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, 
     for name in columns:
         if name not in model.intake.names:
             raise unknown_name("reading", name, model.intake.names, where)
-    return tuple(columns.get(name, name) for name in model.intake.names)
+    asked = model.intake.names[model.intake.wanted :]
+    return tuple(columns.get(name, NEVER if name in asked else name) for name in model.intake.names)
 
 
 def _csv(source: CsvSource, machine: str, model: Served, names: tuple[str, ...]) -> CsvReader:

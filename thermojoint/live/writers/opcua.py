@@ -25,7 +25,7 @@ from thermojoint.live.certificates import APPLICATION, certificates_in, own_iden
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
-from thermojoint.live.opcua_internals import value_of
+from thermojoint.live.opcua_internals import limit_callers, value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
@@ -309,6 +309,7 @@ async def open_server(
         raise InputError(
             f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
         ) from error
+    limit_callers(server, section.most_sessions)
     return server, nodes
 
 

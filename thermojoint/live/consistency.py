@@ -1,0 +1,49 @@
+"""Settings of a service that contradict each other, or the model, without being wrong alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.artefacts.units import MICRO
+from thermojoint.live.served import Served
+from thermojoint.live.settings import ServiceFile
+
+
+def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator[str]:
+    """Yield what is to be said of settings that keep values from ever being good.
+
+    Parameters
+    ----------
+    given : ServiceFile
+    models : mapping of str to Served
+        Those that were opened.
+    """
+    for name, model in models.items():
+        if given.watchdog.uncertain_s < model.rule.interval:
+            yield (
+                f"watchdog.uncertain_s {given.watchdog.uncertain_s:g} is shorter than interval_s "
+                f"{model.rule.interval:g} of models.{name}: values become uncertain between samples"
+            )
+        if model.output is None:
+            continue
+        band, widest = _band_at_first(model), model.output.trust.widest_band
+        if bool((band > widest).all()):
+            yield (
+                f"models.{name}: widest_band_um {widest / MICRO:g} is narrower than the model's "
+                f"own band, {band.min() / MICRO:.3g} um at a start: no offset follows while it is"
+            )
+
+
+def _band_at_first(model: Served) -> Array:
+    """Return the band of a first sample in which every reading is missing, or is zero, m."""
+    count = len(model.estimator.channels)
+    for value in (np.nan, 0.0):
+        with suppress(ThermojointError):
+            start = model.estimator.initial_state()
+            return model.estimator.sample(start, 0.0, [value] * count)[1].band
+    return np.full(len(model.estimator.axes), np.nan)
