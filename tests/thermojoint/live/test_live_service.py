@@ -148,7 +148,7 @@ def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tm
             await until(lambda: min(one.number for one in newest.values()) == 10)
             replaced("")
             await until(lambda: _events(tmp_path, "source-replaced"))
-            replaced("time_s,other_degC\n")
+            replaced("time_s,other_degC\n" + "".join(f"{k},20\n" for k in range(200)))
             await until(lambda: _events(tmp_path, "source-refused"))
             with (tmp_path / "mill.csv").open("a") as file:
                 file.write("".join(lines[11:]))
