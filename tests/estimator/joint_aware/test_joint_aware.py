@@ -91,7 +91,8 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
         moved.append(displacement)
     assert np.abs(joint.slip).max() > 0.1 * MICRO
     temperature, displacement = marched
-    assert temperature == pytest.approx(np.array(sensed), abs=1e-8)
+    # Both settle a pressure to parts in ten million.
+    assert temperature == pytest.approx(np.array(sensed), abs=1e-7)
     assert displacement == pytest.approx(np.array(moved), abs=1e-12)
 
 
