@@ -88,7 +88,7 @@ def test_a_file_read_in_pieces_is_the_file(tmp_path):
         ("time_s,x_um\n0,1\n0,2\n", "lines 2 and 3: two rows of one time contradict"),
         ("time_s,x_um\n5,1\n\n4,2\n", "line 4: the clock does not go forward"),
         ("time_s,x_um,T_degC\n0,1,2\n1,2\n", "line 3: 2 cells, expected 3"),
-        ("time_s,x_um\n0,1\n1,ein\n", "line 3: x_um is 'ein', no number"),
+        ("time_s,x_um\n0,1\n1,ein\n", "line 3: x_um is 'ein', not a number"),
         ("time_s,x_um\n0,1\n,2\n", "time is missing"),
         ("x_um,T_degC\n0,1\n", "no clock among"),
         ("time_s,x,T\n0,1,2\n", "ends in a unit"),

@@ -183,8 +183,8 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time_s;x_um\n0;1_0\n", "line 2: x_um is '1_0', no number; write it like 20.5 or 20,5"),
-        ("time_s;x_um\n0;20,5\n1;20.5\n", "line 3: x_um is '20.5', no number"),
+        ("time_s;x_um\n0;1_0\n", "line 2: x_um is '1_0', not a number; write it like 20.5 or 20,5"),
+        ("time_s;x_um\n0;20,5\n1;20.5\n", "line 3: x_um is '20.5', not a number"),
         ("time;x_um\n0;1\n1;2\n", "line 2: time is '0', no time known here; write seconds"),
         ("time;x_um\nMonday;1\n1;2\n", "time is 'Monday', no time known here"),
         ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),

@@ -184,9 +184,9 @@ def _piece(layout: Layout, record: Record, part: _Part) -> Log:
         if read.unreadable is not None:
             row = part.rows[read.unreadable]
             raise InputError(
-                f"{layout.where}, line {row.line}: {column.name} is {row.cells[k].strip()!r}, no "
-                "number; write it like 20.5 or 20,5, and leave the cell empty if the reading is "
-                "missing"
+                f"{layout.where}, line {row.line}: {column.name} is {row.cells[k].strip()!r}, "
+                "not a number; write it like 20.5 or 20,5, and leave the cell empty if the "
+                "reading is missing"
             )
         good, wrong = without_error_values(read.values, column.quantity)
         for token, count in (read.missing + wrong).items():
