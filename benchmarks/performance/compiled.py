@@ -25,9 +25,7 @@ def plain_solver(setup: Setup) -> Setup:
     """Return the same set-up, its steps taken plainly with `fesim.joint.gap.solve_gap`."""
     contact = replace(setup.machine.contact)
     # Where a cached property keeps its value.
-    vars(contact)["settle"] = partial(
-        solve_gap, contact.gap_problem, tolerance=contact.gap_tolerance
-    )
+    vars(contact)["settle"] = partial(solve_gap, contact.gap_problem, tolerance=contact.tolerance)
     return replace(setup, machine=replace(setup.machine, contact=contact))
 
 
