@@ -154,11 +154,11 @@ class Offsets(RuleBasedStateMachine):
         self.model = served_with(None, 1.0)
         self.store: sqlite3.Connection | None = None
         self.floor: Floor
-        # By axis: what the control received last, and when; and how fast and how far it may have
-        # moved since.
+        # By axis: what the control received last, and when; how fast and how far it may have moved
+        # since, by all settings in force; and the axes of which nothing was received since a kill.
         self.control: dict[str, tuple[float, float]] = {}
-        self.rate = self.largest = 0.0
-        self.coarse = False
+        self.allowed: dict[str, tuple[float, float]] = {}
+        self.unheard: set[str] = set()
         # When the last sample was taken, by both clocks; whether an offset may follow it, and how
         # late it was, s.
         self.estimated = (-math.inf, -math.inf)
@@ -237,22 +237,24 @@ class Offsets(RuleBasedStateMachine):
         if self.model.output is None:
             return
         stage = self.model.output.output
-        self.rate = max(self.rate, stage.rate)
+        for name in {*self.control, *said.layout.controls}:
+            rate, largest = self.allowed.get(name, (0.0, 0.0))
+            self.allowed[name] = max(rate, stage.rate), max(largest, stage.largest)
         for name, offset in zip(said.layout.controls, said.offsets.tolist(), strict=True):
             last, at = self.control.get(name, (0.0, -math.inf))
-            steps = 1.5 if self.coarse else 1.0
-            allowed = self.rate * (self.true - at) + steps * stage.resolution
-            assert abs(offset - last) <= allowed * (1.0 + 1e-6) + 1e-12, (
+            rate, largest = self.allowed[name]
+            steps, most = 1.0, max(stage.largest, abs(last))
+            if name in self.unheard:
+                # What a kill left in the store may never have been received.
+                steps, most = 1.5, largest + 0.5 * stage.resolution
+            reach = rate * (self.true - at) + steps * stage.resolution
+            assert abs(offset - last) <= reach * (1.0 + 1e-6) + 1e-12, (
                 f"{name}: {1e6 * last:.2f} to {1e6 * offset:.2f} um in {self.true - at:.2f} s"
             )
-            most = max(stage.largest, abs(last))
-            if self.coarse:
-                # What a kill left in the store may never have been received.
-                most = max(stage.largest, self.largest) + 0.5 * stage.resolution
             assert abs(offset) <= most * (1.0 + 1e-6), f"{name}: {1e6 * offset:.2f} um"
             self.control[name] = offset, self.true
-        self.rate, self.coarse = stage.rate, False
-        self.largest = max(stage.largest, *(abs(one) for one, _ in self.control.values()))
+            self.allowed[name] = stage.rate, max(stage.largest, abs(offset))
+            self.unheard.discard(name)
         if offset_status_of(said) == int(ua.StatusCodes.Good):
             oldest = self.oldest
             assert oldest is not None
@@ -342,7 +344,7 @@ class Offsets(RuleBasedStateMachine):
         self.model = served_with(before.output if output is None else output[0], gain)
         if gain != before.estimator.gain:  # type: ignore[attr-defined]
             self.usable = False
-        self.coarse = True
+        self.unheard = {"X", "Z"}
         self.start()
 
 

@@ -133,8 +133,8 @@ def test_a_table_of_one_row_is_constant(tmp_path):
     [
         ("rise_K\n1\n", "no header"),
         ("x_mm,rise_K\n", "needs rows"),
-        ("x_mm,rise_K\n0,1\n0,2\n", "do not form a grid"),
-        ("x_mm,y_mm,rise_K\n0,0,1\n1,1,2\n", "do not form a grid of 2 x 2"),
+        ("x_mm,rise_K\n0,1\n0,2\n", "are not a grid"),
+        ("x_mm,y_mm,rise_K\n0,0,1\n1,1,2\n", "are not a grid of 2 x 2"),
         ("x_mm,rise_K\n0,nan\n", "not finite"),
         ("x_mm,factor\n0,1\n", "'rise_K' is missing"),
     ],
