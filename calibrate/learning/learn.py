@@ -235,8 +235,7 @@ def _wide(
 ) -> list[str]:
     """Return what is to be said of displacements whose band is wider than all that they move."""
     about = rows.inputs - rows.inputs.mean(axis=0)
-    spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
-    band = _QUANTILE * judged.widening * np.sqrt(spread + fitted.errors**2).mean(axis=0)
+    band = _QUANTILE * judged.widening * _deviation(fitted, about, rules).mean(axis=0)
     return [
         f"{name}: the band of 95 %, +-{half:.2g} um, is wider than all that the log moves, "
         f"{range_:.2g} um: the model explains little of it"
@@ -247,6 +246,15 @@ def _wide(
     ]
 
 
+def _deviation(fitted: Fitted, about: Array, rules: Judging) -> Array:
+    """Standard deviation of an estimate before it is widened, µm, shape (k, axes).
+
+    `about` (k, n) are inputs, less their mean in the fit.
+    """
+    spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
+    return np.asarray(np.sqrt(spread + fitted.errors**2))
+
+
 def _judge(rows: _Rows, rules: Judging) -> _Judged:
     """Judge a kind of model: all is repeated without each block."""
     errors, ratios = [], []
@@ -255,9 +263,8 @@ def _judge(rows: _Rows, rules: Judging) -> _Judged:
         own = rows.inputs[held]
         error = rows.outputs[held] - fitted.offset - own @ fitted.weights
         about = own - rows.inputs[away].mean(axis=0)
-        spread = rules.open * np.einsum("ti,cij,tj->tc", about, fitted.covariance, about)
         errors.append(error)
-        ratios.append(np.abs(error) / np.sqrt(spread + fitted.errors**2))
+        ratios.append(np.abs(error) / _deviation(fitted, about, rules))
     widening = np.quantile(np.concatenate(ratios), rules.within, axis=0) / _QUANTILE
     return _judged(errors, np.maximum(widening, 1.0))
 

@@ -60,10 +60,7 @@ def bent_steps(history: History, step: float) -> NDArray[np.int64]:
 
     Step k ends at k times `step` (s); none of them can be told from the values at its ends alone.
     """
-    knots = history.times[history.times > 0.0]
-    places = knots / step
-    inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
-    knots, number = knots[inside], np.ceil(places[inside])
+    knots, number = _within_steps(history.times[history.times > 0.0], step)
     before, after = history((number - 1.0) * step), history(number * step)
     line = before + (after - before) * (knots / step - (number - 1.0))
     off = np.abs(history(knots) - line) > ROUNDING * float(np.abs(history.values).max())
@@ -125,13 +122,17 @@ def reversals(
         Place in `ends` to the times inside that step, s, in ascending order.
     """
     turning = [_turning(history) for history in histories]
-    times = np.unique(np.concatenate([np.empty(0), *turning]))
-    places = times / step
-    inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
-    times, number = times[inside], np.ceil(places[inside])
+    times, number = _within_steps(np.unique(np.concatenate([np.empty(0), *turning])), step)
     at = {int(one): k for k, one in enumerate(np.rint(ends / step))}
     steps = [int(one) for one in np.unique(number) if int(one) in at]
     return {at[one]: times[number == one] for one in steps}
+
+
+def _within_steps(times: Array, step: float) -> tuple[Array, Array]:
+    """Return the times that lie between the ends of steps, s, and the numbers of these steps."""
+    places = times / step
+    inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
+    return times[inside], np.ceil(places[inside])
 
 
 def _turning(history: History) -> Array:

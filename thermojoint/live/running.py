@@ -41,6 +41,8 @@ from thermojoint.live.store import (
 
 #: Blocks of arrivals that may wait; then readers wait, too.
 _MOST_BLOCKS = 2_000
+#: Name of the store in a service's folder.
+_STORE = "history.sqlite"
 
 Result = TypeVar("Result")
 
@@ -105,7 +107,7 @@ async def opened(
 ) -> AsyncIterator[Running]:
     """Give a service with its machines where the store has them; the store is closed at the end."""
     service.folder.mkdir(parents=True, exist_ok=True)
-    path = service.folder / "history.sqlite"
+    path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
         keeper = ThreadPoolExecutor(1, "keeper")
         store = open_store(path, service.given.store.durable)
@@ -159,7 +161,7 @@ def _places(
     log: EventLog,
     times: Times,
 ) -> dict[str, Place]:
-    now, archive = times.now, Archive(service.folder / "history.sqlite")
+    now, archive = times.now, Archive(service.folder / _STORE)
     of, received = single(models, service), received_last(store)
     store.execute("BEGIN IMMEDIATE")
     eras = {

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.units import MEGA
+from thermojoint.pictures.figures import write_figure
 
 _HOUR = 3600.0
 
@@ -60,5 +60,4 @@ def write_judged(panels: Sequence[Judged], path: Path) -> None:
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right", fontsize="small", frameon=False)
     axes[-1].set_xlabel("time since the first sample (h)")
-    with whole_file(path) as part:
-        figure.savefig(part, format="png", dpi=110)
+    write_figure(figure, path, dpi=110)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.log import Log
+from thermojoint.pictures.figures import write_figure
 
 #: Points that a panel shows of a curve.
 _POINTS = 4000
@@ -53,8 +53,7 @@ def write_log_picture(log: Log, path: Path) -> None:
         panel.grid(alpha=0.3)
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
     panels[-1].set_xlabel("time since the first sample (h)")
-    with whole_file(path) as part:
-        figure.savefig(part, format="png", dpi=110)
+    write_figure(figure, path, dpi=110)
 
 
 def _hours(log: Log) -> np.ndarray:
