@@ -74,6 +74,8 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
     other = replace(machine, joints=tuple(replace(one, section=section) for one in machine.joints))
     held = other.at_preload
     physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    # Settled as closely under either law: a softer one is else settled to parts of its own gaps.
+    physics = replace(physics, contact=replace(physics.contact, gap_tolerance=1e-13))
     assert (physics.kernel is None) == (law == "cmy-exact")
     inputs = np.zeros((120, 2))
     inputs[:60, 0], inputs[80:, 1] = 4.0 * machine.power[0], -3.0
@@ -91,8 +93,7 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
         moved.append(displacement)
     assert np.abs(joint.slip).max() > 0.1 * MICRO
     temperature, displacement = marched
-    # Both settle a pressure to parts in ten million.
-    assert temperature == pytest.approx(np.array(sensed), abs=1e-7)
+    assert temperature == pytest.approx(np.array(sensed), abs=1e-8)
     assert displacement == pytest.approx(np.array(moved), abs=1e-12)
 
 

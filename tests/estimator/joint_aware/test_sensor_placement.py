@@ -79,8 +79,12 @@ def test_doubling_solves_the_riccati_equation_of_the_general_solver(size, sensor
     variance = rng.uniform(0.1, 1.0, sensors)
     found = placement.steady_covariance(transition, rows, root @ root.T, variance)
     wanted = solve_discrete_are(transition.T, rows.T, root @ root.T, np.diag(variance))
-    # The general solver loses digits where the system is ill-conditioned.
+    # The general solver loses digits where the system is ill-conditioned; the equation does not.
     assert found == pytest.approx(wanted, rel=1e-4, abs=1e-4 * np.abs(wanted).max())
+    seen = rows @ found
+    gain = np.linalg.solve(seen @ rows.T + np.diag(variance), seen).T
+    again = transition @ (found - gain @ seen) @ transition.T + root @ root.T
+    assert again == pytest.approx(found, rel=0, abs=1e-9 * np.abs(found).max())
 
 
 def test_a_walk_that_no_sensor_sees_has_no_steady_covariance():
