@@ -46,7 +46,7 @@ def rows() -> Iterator[Row]:
         ALLOWED,
         ALLOWED / cold,
         "s",
-        f"{what} with an empty folder for condensations; other: what is allowed",
+        f"{what} with an empty folder for condensations; other: the limit",
     )
     yield Row(
         "reproduce-kept",

@@ -106,7 +106,7 @@ def marches(case: Case, reduced: Setup, full: Setup, repeats: int) -> Iterator[R
             allowed / worst,
             UNITS[name],
             f"largest difference from the full order over {', '.join(VALIDATION)}{more}; other: "
-            "what is allowed",
+            "the limit",
         )
 
 

@@ -87,7 +87,7 @@ def largest_rows() -> Iterator[Row | Skipped]:
         return
     note = (
         f"{one.unknowns} displacements, {one.temperatures} temperatures, {one.modes} modes, "
-        f"{one.memory:.1f} GB; other: the time allowed; measured once"
+        f"{one.memory:.1f} GB; other: the time limit; measured once"
     )
     yield Row("setup-largest", one.setup, LONGEST, LONGEST / one.setup, "s", note)
 
@@ -110,7 +110,7 @@ def _against_plain(name: str, options: list[str]) -> Iterator[Row | Skipped]:
     yield Row(f"{name}-memory", ours.memory, plain.memory, plain.memory / ours.memory, "GB", how)
     if ours.contacts > 1000:
         limit = 50.0
-        note = f"a step of the same, {ours.contacts} contact elements; other: what is allowed"
+        note = f"a step of the same, {ours.contacts} contact elements; other: the limit"
         yield Row(f"{name}-step", ours.step, limit, limit / ours.step, "ms", note)
 
 
