@@ -26,8 +26,6 @@ POOR = 0.1
 TOUCHING = 1e-4
 #: Corners coincide if they are this near to each other, relative to the structure's size.
 SAME = 1e-8
-#: Contact elements of the pairing used to measure a joint.
-ALONG, ACROSS = 9, 3
 
 
 @dataclass(frozen=True)
@@ -227,7 +225,7 @@ def _surface(structure: Structure, name: str) -> SurfaceFacts:
 def _joint(structure: Structure, name: str) -> JointFacts:
     mesh = structure.mesh
     side_a, side_b = (structure.surfaces[side] for side in structure.joints[name])
-    joint = pair_joint(structure, name, ALONG, ACROSS)
+    joint = pair_joint(structure, name)
     gap = joint.separation
     # Facets are identified by the nearest quadrature points, one normal for each.
     normals = {}

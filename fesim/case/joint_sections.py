@@ -82,6 +82,7 @@ class JointSection(Section):
 
     Properties of one machine have no default: preload, surfaces, friction. A joint without preload
     starts open by ``initial_opening_um``, or by the distance of its sides in the mesh.
+    Without ``along`` and ``across``, `meshes.pairing.pair_joint` divides it by its geometry.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
     for v = 0.25 and 0.80 for v = 0.33.
     """
@@ -91,8 +92,8 @@ class JointSection(Section):
     preload_MPa: NotNegative
     reference_pressure_MPa: Positive | None = None
     initial_opening_um: Finite | Literal["mesh"] | None = None
-    along: Count
-    across: Count = 1
+    along: Count | None = None
+    across: Count | None = None
     roughness_um: Positive
     asperity_slope: Positive
     hardness_GPa: Positive
@@ -130,7 +131,7 @@ class JointSection(Section):
             raise ValueError("preload_MPa must be below half of the hardness")
         if (self.reference_pressure_MPa or 0.0) >= 500.0 * self.hardness_GPa:
             raise ValueError("reference_pressure_MPa must be below half of the hardness")
-        if self.along * self.across > MOST_CONTACTS:
+        if (self.along or 1) * (self.across or 1) > MOST_CONTACTS:
             raise ValueError(
                 f"along x across is more than {MOST_CONTACTS} contact elements a patch"
             )

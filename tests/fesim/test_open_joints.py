@@ -27,7 +27,8 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.machine import check_joints
 
 ROD = ROOT / "examples" / "bistable_rod"
-SURFACE = {"along": 1, "roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}
+SURFACE = {"along": 1, "across": 1}
+SURFACE |= {"roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}
 CLOSED = SURFACE | {"preload_MPa": 2.0, "friction_coefficient": 0.3}
 OPEN = SURFACE | {
     "preload_MPa": 0.0,

@@ -27,6 +27,7 @@ JOINT = {
     "side_b": "high.z0",
     "preload_MPa": 1.0,
     "along": 1,
+    "across": 1,
     "roughness_um": 1.25,
     "asperity_slope": 0.14,
     "hardness_GPa": 2.0,

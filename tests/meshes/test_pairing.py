@@ -122,6 +122,21 @@ def test_sides_that_do_not_match_are_integrated_exactly(left, right, tetrahedra,
     assert np.isin(joint.cells_b, structure.bodies["right"]).all()
 
 
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.02, 50.0), st.booleans())
+def test_by_default_a_joint_resists_rocking_about_either_axis_whatever_its_shape(ratio, tetrahedra):
+    structure = two_bars(tetrahedra=tetrahedra)
+    mesh, scale = structure.mesh, np.array([1.0, ratio, 1.0])
+    stretched = type(mesh)(mesh.p * scale[:, None], mesh.t)
+    joint = pair_joint(replace(structure, mesh=stretched, probes={}), "joint")
+    arms = joint.centre - joint.area @ joint.centre / joint.area.sum()
+    resistance = joint.area @ arms[:, 1:] ** 2
+    sides = np.ptp(stretched.p[1:, :], axis=1)
+    whole = joint.area.sum() * sides**2 / 12.0
+    assert (resistance > 0.95 * whole).all()
+    assert len(joint.area) <= 75
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 3),

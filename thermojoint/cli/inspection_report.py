@@ -53,8 +53,8 @@ def show(console: Console, name: str, inspection: Inspection) -> None:
 #: What a draft says of each joint: there to be changed.
 _JOINT = (
     "preload_MPa = 1.0         # pressure at the start",
-    "along = 9                 # contact elements along its longer side",
-    "across = 3",
+    "# along = 9               # contact elements along its longer side: 5 to 15 by its shape",
+    "# across = 3              # and along its shorter side: 5",
     "roughness_um = 1.0        # ground surfaces; turned or milled ones have more",
     "asperity_slope = 0.15",
     "hardness_GPa = 2.0        # of the softer side: 0.0098 x its hardness HB",

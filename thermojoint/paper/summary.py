@@ -186,6 +186,7 @@ def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
         for name, joint in joints.items()
         if joint["preload_MPa"]
         for way in ("along", "across")
+        if joint[way]
     ]
     if not counts or min(counts)[0] > FINE:
         return []

@@ -124,6 +124,7 @@ def case_of(
                 "initial_opening_um": 1e6 * CLEARANCE,
                 "reference_pressure_MPa": 5.0,
                 "along": 1,
+                "across": 1,
                 "roughness_um": 1e6 * ROUGHNESS,
                 "asperity_slope": SLOPE,
                 "hardness_GPa": 1e-9 * HARDNESS,

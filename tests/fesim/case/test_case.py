@@ -237,7 +237,7 @@ NO_DEFAULT = [
     *(
         ("joints", "knee", name)
         for name in (
-            *("preload_MPa", "along", "roughness_um", "asperity_slope", "hardness_GPa"),
+            *("preload_MPa", "roughness_um", "asperity_slope", "hardness_GPa"),
             "friction_coefficient",
         )
     ),
