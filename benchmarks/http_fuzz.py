@@ -296,13 +296,17 @@ def serve(folder: Path) -> None:
 
     from estimator.interface import Channel
     from estimator.quality import Quality
+    from thermojoint.live.access_store import digest_of, open_access
+    from thermojoint.live.accounts import Accounts
     from thermojoint.live.archive import Archive
+    from thermojoint.live.audit import Audit
     from thermojoint.live.http import patience
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
     from thermojoint.live.hub import Hub
     from thermojoint.live.publication import Layout, Publication, as_row
-    from thermojoint.live.settings import HttpServer, Secret
+    from thermojoint.live.rights import Principal
+    from thermojoint.live.settings import HttpServer
     from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
 
     patience.REQUEST_S = REQUEST_S
@@ -331,17 +335,18 @@ def serve(folder: Path) -> None:
     words = tuple(one.status for one in run)
     commit(store, Batch(checkpoints=[Checkpoint(era, 1000, b"", "{}", rows, words)]))
     store.close()
-    token = folder / "token"
-    token.touch(mode=0o600)
-    token.write_text(TOKEN)
+    reader = Principal("fuzz", credential=digest_of(TOKEN))
+    accounts = Accounts(
+        open_access(folder), Audit(folder / "audit.jsonl"), given={digest_of(TOKEN): reader}
+    )
     hub = Hub()
     hub.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
     sources = Sources(
         hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
     )
-    section = HttpServer(port=0, token=Secret(file=folder / "token"), requests_per_s=1e4)
-    opened = open_http(section, sources, folder)
+    section = HttpServer(port=0, requests_per_s=1e4)
+    opened = open_http(section, sources, accounts, folder)
     print(opened.socket.getsockname()[1], flush=True)
     # As the service does: what stays for good is not looked through for garbage again and again,
     # which leaves the garbage collector time for connections that are over.

@@ -2,6 +2,8 @@
 
 import asyncio
 import dataclasses
+import json
+import math
 import threading
 import time
 from contextlib import contextmanager
@@ -10,17 +12,48 @@ import numpy as np
 from live_parts import free_port
 from prometheus_client import CollectorRegistry, Gauge
 
-from estimator.quality import quality_of
+from estimator.interface import Channel
+from estimator.quality import Quality, quality_of
 from estimator.registry import kind_of
+from thermojoint.live.access_store import digest_of, open_access
+from thermojoint.live.accounts import Accounts
 from thermojoint.live.archive import Archive
+from thermojoint.live.audit import Audit
 from thermojoint.live.http.server import open_http, serve_http
 from thermojoint.live.http.sources import About, Sources
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout, Publication, as_row
+from thermojoint.live.rights import Principal
 from thermojoint.live.settings import HttpServer
 from thermojoint.live.store import Batch, Checkpoint, Event, commit, era_of, open_store
 
 TOKEN = "a-token-for-tests-alone-0123456789abcdef"
+READER = Principal("http.token", credential=digest_of(TOKEN))
+
+
+LAYOUT = Layout(("x", "y"), ("X",), (Channel("heat_spindle", "W"),), ("T1_degC", "T2_degC"))
+ABOUT = About(LAYOUT, "joint-aware", "mill.h5", 1.7e9)
+BEARER = {"authorization": f"Bearer {TOKEN}"}
+
+
+def publication(number, moment, machine="mill-1", **changed):
+    return Publication(
+        **{
+            "machine": machine,
+            "number": number,
+            "time": moment,
+            "published": moment,
+            "quality": Quality.GOOD,
+            "layout": LAYOUT,
+            "displacement": np.array([1e-6 * number, -2e-6]),
+            "band": np.array([1e-7, math.nan]),
+            "offsets": np.array([-1e-6 * number]),
+            "details": np.array([250.0]),
+            "readings": np.array([30.0 + number, math.nan]),
+            "status": "reading-missing:T2_degC",
+        }
+        | changed
+    )
 
 
 def layout_of(estimator, controls=()):
@@ -86,7 +119,12 @@ class Running:
         self.server = opened.server
         app = opened.server.config.app
         self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
+        self.accounts = self.door.accounts
         self._loop, self._stop = loop, stop
+
+    def audit(self):
+        """Lines of the audit log."""
+        return [json.loads(line) for line in self.accounts.audit.path.read_text().splitlines()]
 
     def publish(self, *publications):
         self._loop.call_soon_threadsafe(self.hub.publish, publications)
@@ -113,16 +151,19 @@ def serving(
     folder, archive, machines, newest, scenes=None, residuals=None, security="none", **settings
 ):
     """Run a server until the block ends."""
-    token = folder / "token"
-    token.touch(mode=0o600)
-    token.write_text(TOKEN)
     hub, registry = Hub(), CollectorRegistry()
     hub.publish(newest)
     Gauge("machines", "Machines served", registry=registry).set(len(machines))
-    given = {"port": free_port(), "security": security, "token": {"file": "token"}}
+    given = {"port": free_port(), "security": security}
     section = HttpServer.model_validate(given | settings, context=folder)
+    accounts = Accounts(
+        open_access(folder),
+        Audit(folder / "audit.jsonl"),
+        folder / "users",
+        {digest_of(TOKEN): READER},
+    )
     sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
-    opened = open_http(section, sources, folder)
+    opened = open_http(section, sources, accounts, folder)
     ready, found = threading.Event(), []
 
     async def run():

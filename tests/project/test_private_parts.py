@@ -110,6 +110,8 @@ def test_asyncua_takes_the_limits_and_shows_its_nodes():
         for name in ("create_monitored_items", "create_subscription"):
             assert asyncio.iscoroutinefunction(getattr(service, name)), relied_on(name, where)
         assert service.subscriptions == {}, relied_on("subscriptions", where)
+        assert inner._external_sessions == {}, relied_on("_external_sessions", where)
+        assert callable(inner.decrypt_user_token), relied_on("decrypt_user_token", where)
 
     asyncio.run(looked_at())
     from asyncua.server.monitored_item_service import MonitoredItemService

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from thermojoint.cli import (
+    accounts,
     compensating,
     exporting,
     learning,
@@ -38,6 +39,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         compensating.compensate,
         compensating.control,
         serving.serve,
+        accounts.users,
+        accounts.tokens,
         scene.scene,
     ),
     "Look and check": (

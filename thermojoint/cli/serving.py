@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thermojoint.artefacts.errors import InputError, ThermojointError
+from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.extras import require
-
-
-class Role(StrEnum):
-    """Rights of a user."""
-
-    READS = "reads"
-    WRITES = "writes"
 
 
 def serve(
     service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
-    add_user: Annotated[
-        str | None,
-        typer.Option(help="Add this OPC UA user and end; the password comes from standard input."),
-    ] = None,
-    role: Annotated[
-        Role, typer.Option(help="What the user may do: reads, or also writes probe readings.")
-    ] = Role.READS,
 ) -> None:
     """Run beside the control: readings in, displacement and offsets out, until it is stopped.
 
@@ -36,16 +21,10 @@ def serve(
     SIGHUP makes it read its file again.
 
     Example: [bold]thermojoint serve service.toml[/bold]
-
-    Example: [bold]thermojoint serve service.toml --add-user panel < password.txt[/bold]
     """
     from thermojoint.live.settings import Service, read_service
 
     given = read_service(service)
-    if add_user is not None:
-        server = given.given.opcua
-        _add_user(server.users if server else None, add_user, role)
-        return
     # After the file: a mistake in it is told before the libraries are loaded.
     import asyncio
     import signal
@@ -92,19 +71,3 @@ def serve(
     )
     log_to()
     asyncio.run(until_stopped())
-
-
-def _add_user(users: Path | None, name: str, role: Role) -> None:
-    """Add a user to the file that the service names; the password is never an argument."""
-    import getpass
-    import sys
-
-    from thermojoint import console
-    from thermojoint.live.users import add_user
-
-    if users is None:
-        raise InputError("--add-user: the service has no file of users; add users to [opcua]")
-    asked = f"password of {name}: "
-    password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
-    add_user(users, name, role.value, password.rstrip("\r\n"))
-    console.wrote(users)

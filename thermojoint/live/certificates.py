@@ -1,27 +1,33 @@
-"""The service's own certificate: made at its first start, its key readable by the service alone."""
+"""Certificates of the service: of an authority by the settings, or its own, made when missing."""
 
 from __future__ import annotations
 
 import ipaddress
 import os
-from collections.abc import Sequence
+import socket
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.secret import refuse_open_to_others
+from thermojoint.live.settings import Certified, HttpServer, OpcuaServer, ServiceFile
+from thermojoint.live.trust_list import certificate_in
 
-#: What the service calls itself (OPC UA's application URI).
+#: Application URI of the service in OPC UA.
 APPLICATION = "urn:thermojoint:live"
-#: Own certificates hold so long, days; clients that trust one are told of the next by hand.
-_DAYS = 5 * 365
-_NAME = "thermojoint"
+#: OPC UA clients are told of a new certificate by hand; browsers accept none that lasts longer.
+OPCUA_LASTS, HTTP_LASTS = timedelta(days=5 * 365), timedelta(days=825)
+#: The service's own certificate for HTTP is made again at a start so long before its end.
+RENEWED = timedelta(days=60)
+#: The end of a certificate is announced so long before it.
+ANNOUNCED = timedelta(days=30)
 
 
 @dataclass(frozen=True)
@@ -38,136 +44,209 @@ class Identity:
     key: Path
 
 
+def opcua_identity(section: OpcuaServer, folder: Path) -> Identity:
+    """Return the certificate of the OPC UA server.
+
+    Parameters
+    ----------
+    section : OpcuaServer
+    folder : Path
+        Of the service; its own certificate is made there if the settings name none.
+
+    Raises
+    ------
+    InputError
+        The key is readable by others, or the certificate cannot be read or is not valid now.
+    """
+    return _given(section, "opcua") or own_identity(folder, section.host_names)
+
+
+def http_identity(section: HttpServer, folder: Path) -> Identity:
+    """Return the certificate of the HTTP server; as `opcua_identity`."""
+    return _given(section, "http") or own_certificate(folder, section)
+
+
+def _given(section: Certified, where: str) -> Identity | None:
+    if section.certificate_file is None or section.key_file is None:
+        return None
+    identity = Identity(section.certificate_file, section.key_file)
+    # A group may read it, as with keys that an administrator gives to several services.
+    return _checked(identity, where, "renew it", 0o007)
+
+
 def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
-    """Return the certificate in a folder; it is made if there is none.
+    """Return the service's own certificate for OPC UA; it is made if there is none.
 
     Parameters
     ----------
     folder : Path
-        Where the service keeps what it must not forget.
+        Of the service.
     host_names : sequence of str
         Names and addresses under which clients reach it, for a new certificate.
 
     Raises
     ------
     InputError
-        The key is open to others, or the certificate is not readable or has expired.
+        The key is readable by others, or the certificate cannot be read or has expired.
     """
     identity = Identity(folder / "certificate.pem", folder / "key.pem")
-    if not identity.certificate.exists() and not identity.key.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        _make(identity, ["localhost", "127.0.0.1", *host_names])
-    refuse_open_to_others(identity.key, "key of the service")
+    if not identity.certificate.exists():
+        names = _names("localhost", "127.0.0.1", *host_names)
+        _make_for_opcua(identity, [x509.UniformResourceIdentifier(APPLICATION), *names])
+    return _checked(identity, "opcua", "remove it and its key for a new one", 0o077)
+
+
+def own_certificate(folder: Path, section: HttpServer, now: datetime | None = None) -> Identity:
+    """Return the service's own certificate for HTTP; made if missing, or at its end.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the service.
+    section : HttpServer
+        Its address and names; the certificate also names this computer.
+    now : datetime, optional
+        Default: now.
+    """
+    identity = Identity(folder / "http_certificate.pem", folder / "http_key.pem")
+    now = now or datetime.now(UTC)
+    own = ("localhost", socket.gethostname(), "127.0.0.1", "::1", section.address)
+    names = list(_names(*own, *section.host_names))
+    if not (identity.key.is_file() and _lasts(identity.certificate, names, now)):
+        key = ec.generate_private_key(ec.SECP256R1())
+        usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+        builder = _builder(key, names, now, HTTP_LASTS).add_extension(usage, critical=False)
+        _write(identity, key, builder.sign(key, hashes.SHA256()))
+    return identity
+
+
+def _lasts(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
+    """Say whether a certificate is for these names and not near its end."""
     try:
-        certificate = x509.load_pem_x509_certificate(identity.certificate.read_bytes())
-    except (OSError, ValueError) as error:
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        return False
+    return certificate.not_valid_after_utc - RENEWED > now and set(names) <= set(named)
+
+
+def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identity:
+    refuse_open_to_others(identity.key, f"{where}: key", others)
+    certificate = certificate_in(identity.certificate)
+    if not certificate.not_valid_before_utc <= datetime.now(UTC) <= certificate.not_valid_after_utc:
+        span = (
+            f"{certificate.not_valid_before_utc:%Y-%m-%d} to "
+            f"{certificate.not_valid_after_utc:%Y-%m-%d}"
+        )
+        raise InputError(f"{identity.certificate}: is valid from {span}; {remedy}")
+    try:
+        key = serialization.load_pem_private_key(identity.key.read_bytes(), None)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{identity.key}: not a key (PEM, without a password)") from error
+    if key.public_key() != certificate.public_key():
         raise InputError(
-            f"{identity.certificate}: no certificate (PEM); remove it and its key for a new one"
-        ) from error
-    if certificate.not_valid_after_utc < datetime.now(UTC):
-        raise InputError(
-            f"{identity.certificate}: has expired; remove it and its key for a new one"
+            f"{where}: {identity.certificate} and {identity.key} do not belong together; give the "
+            "key of this certificate"
         )
     return identity
 
 
-def _make(identity: Identity, host_names: Sequence[str]) -> None:
-    """Write a key and a certificate that it signs itself."""
-    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, _NAME)])
-    now = datetime.now(UTC)
-    certificate = (
+def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
+    """Yield one line for each certificate of a service that has ended or ends soon.
+
+    Parameters
+    ----------
+    given : ServiceFile
+    folder : Path
+        Of the service.
+    now : datetime
+    """
+    sections = (
+        ("opcua", given.opcua, "certificate.pem"),
+        ("http", given.http, "http_certificate.pem"),
+    )
+    for name, section, own in sections:
+        if section is None or section.security == "none":
+            continue
+        path = section.certificate_file or folder / own
+        end = certificate_in(path).not_valid_after_utc
+        if end - ANNOUNCED < now:
+            yield (
+                f"{name}: {path} ends on {end:%Y-%m-%d %H:%M} UTC, in {(end - now).days} days; "
+                "renew it and reload the service (SIGHUP)"
+            )
+
+
+def _builder(
+    key: ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey,
+    names: Sequence[x509.GeneralName],
+    now: datetime,
+    lasts: timedelta,
+) -> x509.CertificateBuilder:
+    """Return what a certificate of the service's own has for both interfaces."""
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "thermojoint")])
+    return (
         x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
+        .subject_name(subject)
+        .issuer_name(subject)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - timedelta(hours=1))
-        .not_valid_after(now + timedelta(days=_DAYS))
-        .add_extension(
-            x509.SubjectAlternativeName(
-                [
-                    x509.UniformResourceIdentifier(APPLICATION),
-                    *(_general_name(name) for name in dict.fromkeys(host_names)),
-                ]
-            ),
-            critical=False,
-        )
+        .not_valid_after(now + lasts)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    )
+
+
+def _make_for_opcua(identity: Identity, names: Sequence[x509.GeneralName]) -> None:
+    """Make a certificate as OPC UA, Part 6, asks for it."""
+    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
+    usage = x509.KeyUsage(
+        digital_signature=True,
+        content_commitment=True,
+        key_encipherment=True,
+        data_encipherment=True,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    both = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    made = (
+        _builder(key, names, datetime.now(UTC), OPCUA_LASTS)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .add_extension(
-            x509.KeyUsage(
-                digital_signature=True,
-                content_commitment=True,
-                key_encipherment=True,
-                data_encipherment=True,
-                key_agreement=False,
-                key_cert_sign=True,
-                crl_sign=False,
-                encipher_only=False,
-                decipher_only=False,
-            ),
-            critical=True,
-        )
-        .add_extension(
-            x509.ExtendedKeyUsage(
-                [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-            ),
-            critical=False,
-        )
+        .add_extension(usage, critical=True)
+        .add_extension(x509.ExtendedKeyUsage(both), critical=False)
         .sign(key, hashes.SHA256())
     )
+    _write(identity, key, made)
+
+
+def _write(
+    identity: Identity,
+    key: ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey,
+    certificate: x509.Certificate,
+) -> None:
+    """Write a key, which nobody but its owner can read at any moment, and its certificate."""
     content = key.private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    # Never readable by others, not even for a moment.
+    identity.key.parent.mkdir(parents=True, exist_ok=True)
+    # A key without its certificate is made again; one beside the certificate of another is not.
+    identity.certificate.unlink(missing_ok=True)
+    identity.key.unlink(missing_ok=True)
     handle = os.open(identity.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "wb") as file:
         file.write(content)
     identity.certificate.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
 
 
-def _general_name(text: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ipaddress.ip_address(text))
-    except ValueError:
-        return x509.DNSName(text)
-
-
-def certificates_in(folder: Path) -> frozenset[bytes]:
-    """Return the certificates (PEM or DER) of a folder as DER.
-
-    Raises
-    ------
-    InputError
-        There is no such folder, or a file in it is no certificate.
-    """
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; make it, and put trusted certificates there")
-    certificates = set()
-    for path in sorted(folder.iterdir()):
-        if path.is_file() and not path.name.startswith("."):
-            certificates.add(certificate_der(path))
-    return frozenset(certificates)
-
-
-def certificate_der(path: Path) -> bytes:
-    """Return a certificate (PEM or DER) as DER.
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
-    try:
-        content = path.read_bytes()
-        read = (
-            x509.load_pem_x509_certificate
-            if content.lstrip().startswith(b"-----")
-            else x509.load_der_x509_certificate
-        )
-        return read(content).public_bytes(serialization.Encoding.DER)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: no certificate (PEM or DER); take it away") from error
+def _names(*texts: str) -> Iterator[x509.GeneralName]:
+    for text in dict.fromkeys(texts):
+        try:
+            yield x509.IPAddress(ipaddress.ip_address(text))
+        except ValueError:
+            yield x509.DNSName(text)

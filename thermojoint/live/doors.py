@@ -64,7 +64,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             if place.served.residuals is not None
         },
     )
-    opened = open_http(section, sources, running.service.folder)
+    opened = open_http(section, sources, running.accounts, running.service.folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
 
@@ -92,7 +92,7 @@ def _state_of(place: Place) -> Array:
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:
-    from thermojoint.live.writers.opcua import open_server, serve_nodes
+    from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
 
     def given(arrival: Arrival) -> None:
         """A value that nobody waits for; when all is full it is refused like one too many."""
@@ -104,5 +104,6 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any
         for name, place in running.floor.places.items()
     }
     service, log = running.service, running.floor.log
-    server, nodes = await open_server(section, service.folder, running.hub, machines, given, log)
+    entry = Entry(running.accounts, service.folder, log)
+    server, nodes = await open_server(section, entry, running.hub, machines, given)
     return serve_nodes(server, nodes, running.hub)

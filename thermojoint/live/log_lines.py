@@ -5,24 +5,22 @@ from __future__ import annotations
 import logging
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TextIO
 
 from thermojoint.live.publication import iso_time
+from thermojoint.live.rate_limit import LineLimit
 from thermojoint.live.store import Event
 
 LOGGER = logging.getLogger("thermojoint.live")
-#: After so many of a kind from a machine the next is told when this time has passed, s.
-AT_ONCE, AGAIN_S = 5, 60.0
-#: Kinds and machines that are remembered; whoever invents more is told of as one.
-_MOST = 20_000
 _PLAIN = re.compile(r"[^\s=\"]+")
 _LONGEST = 500
 
 
 @dataclass(eq=False)
 class EventLog:
-    """Events on their way to log and store.
+    """Events on their way to the log and the store.
 
     Attributes
     ----------
@@ -31,10 +29,10 @@ class EventLog:
     """
 
     pending: list[Event] = field(default_factory=list)
-    _seen: dict[tuple[str | None, str], list[float]] = field(default_factory=dict)
+    _limit: LineLimit = field(default_factory=LineLimit)
 
     def say(self, time: float, kind: str, text: str, machine: str | None = None) -> bool:
-        """Tell an event, unless as many of its kind were told just now; return whether it was.
+        """Log an event, and return True, unless too many of its kind were logged just now.
 
         Parameters
         ----------
@@ -43,20 +41,12 @@ class EventLog:
         kind, text : str
             What happened.
         machine : str, optional
-            To whom.
+            Where.
         """
-        key = (machine, kind) if len(self._seen) < _MOST else (None, kind)
-        # Number told at once, time of the last, number that was left out since.
-        seen = self._seen.setdefault(key, [0.0, -AGAIN_S, 0.0])
-        if time - seen[1] >= AGAIN_S:
-            seen[0] = 0.0
-        elif seen[0] >= AT_ONCE:
-            seen[2] += 1.0
+        before = self._limit.left_out((machine, kind), time)
+        if before is None:
             return False
-        if seen[2]:
-            text = f"{text} (and {seen[2]:.0f} more like it)"
-        seen[:] = [seen[0] + 1.0, time, 0.0]
-        text = " ".join(text.split())[:_LONGEST]
+        text = one_line(text, before)
         LOGGER.info("%s", line_of(kind, text, machine))
         self.pending.append(Event(time, machine, kind, text))
         return True
@@ -65,6 +55,12 @@ class EventLog:
         """Return what is to be stored, and forget it."""
         lines, self.pending = self.pending, []
         return lines
+
+
+def one_line(text: str, left_out: int) -> str:
+    """Return a text as one line of bounded length, with the number of those left out before."""
+    more = f" (and {left_out} more like it)" if left_out else ""
+    return " ".join(text.split())[: _LONGEST - len(more)] + more
 
 
 def line_of(kind: str, text: str, machine: str | None = None) -> str:
@@ -82,12 +78,13 @@ def _quoted(value: str) -> str:
 
 
 def log_to(stream: TextIO = sys.stderr) -> None:
-    """Send the lines to a stream, each with its time (UTC) and level.
+    """Write the lines to a stream, each with its time (UTC) and level.
 
-    Libraries are heard when something is wrong, and in one line: a trace is no event.
+    Errors of libraries are one line each, without a traceback, and limited like events.
     """
     handler = logging.StreamHandler(stream)
     handler.setFormatter(_Line())
+    handler.addFilter(limited(LineLimit()))
     LOGGER.setLevel(logging.INFO)
     LOGGER.addHandler(handler)
     LOGGER.propagate = False
@@ -96,10 +93,24 @@ def log_to(stream: TextIO = sys.stderr) -> None:
     root.addHandler(handler)
 
 
+def limited(limit: LineLimit) -> Callable[[logging.LogRecord], bool]:
+    """Return a filter that limits the lines of libraries by the place in which they are written."""
+
+    def passes(record: logging.LogRecord) -> bool:
+        if record.name == LOGGER.name:
+            return True
+        before = limit.left_out((record.pathname, record.lineno), record.created)
+        if before is None:
+            return False
+        text = one_line(f"{record.name}: {record.getMessage()}", before)
+        record.msg, record.args = line_of("library", text), ()
+        return True
+
+    return passes
+
+
 class _Line(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return one record as one line."""
-        said = record.getMessage()
-        if record.name != LOGGER.name:
-            said = line_of("library", f"{record.name}: {' '.join(said.split())[:_LONGEST]}")
-        return f"time={iso_time(record.created)} level={record.levelname.lower()} {said}"
+        level = record.levelname.lower()
+        return f"time={iso_time(record.created)} level={level} {record.getMessage()}"

@@ -9,23 +9,30 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.callback import CallbackType, ServerItemCallback
 from asyncua.common.connection import TransportLimits
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
 from asyncua.server import Server
 from asyncua.server.user_managers import UserManager
 
+from thermojoint.live.accounts import Accounts
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.opcua_internals import limit
-from thermojoint.live.users import Gate, Role
+from thermojoint.live.opcua_internals import limit, watch_callers
+from thermojoint.live.rights import Principal, Role
+from thermojoint.live.trust_list import TrustList
 
 #: No request is larger, bytes.
 _LARGEST = 1 << 20
 
-_WRITES = {ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary)}
 _NEVER = {ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)}
+_DENIED = ua.StatusCodes.BadUserAccessDenied
+#: Where no users are asked for, and this computer alone reaches the server.
+_ANYBODY = Principal("anybody")
 
 
 @dataclass
@@ -34,45 +41,51 @@ class Known(User):
 
     Attributes
     ----------
-    may : str
-        ``reads`` or ``writes``.
+    principal : Principal
+        Rights at that time.
+    origin : str
+        Address, as the audit log has it.
     """
 
-    may: Role = "reads"
+    principal: Principal = _ANYBODY
+    origin: str = "opcua"
 
 
 class Rules(SimpleRoleRuleset):
-    """Reading users read, browse and subscribe; writing users also write; nobody does more."""
+    """Users who have logged in read, browse, subscribe and write; nobody calls or adds nodes."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._reads = set(map(ua.NodeId, USER_TYPES)) - _WRITES - _NEVER
+        self._allowed = set(map(ua.NodeId, USER_TYPES)) - _NEVER
 
     def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
-        """Say whether a user may ask for something."""
-        if not isinstance(user, Known):
-            return False
-        allowed = action_type_id in self._reads
-        return allowed or (user.may == "writes" and action_type_id in _WRITES)
+        """Say whether a user may ask for something; `Door` then looks at the nodes."""
+        return isinstance(user, Known) and action_type_id in self._allowed
 
 
 @dataclass(eq=False)
 class Door(UserManager):
-    """Asks for name and password, and for a certificate that is trusted.
+    """Asks for name and password and for a trusted certificate, and checks rights on machines.
 
     Attributes
     ----------
-    gate : Gate or None
-        None: whoever comes may read.
-    trusted : frozenset of bytes or None
-        Certificates (DER) of clients; None: any, as the password decides.
+    accounts : Accounts
+        Users, and the audit log.
+    asks : bool
+        False: anybody may read.
+    trust : TrustList
+        Of the clients' certificates.
     log : EventLog
-        Told of everybody who is not let in.
+        Receives everybody who is refused.
+    peer : str
+        Address of the client that logs in now.
     """
 
-    gate: Gate | None
-    trusted: frozenset[bytes] | None
+    accounts: Accounts
+    asks: bool
+    trust: TrustList
     log: EventLog
+    peer: str = ""
 
     def get_user(
         self,
@@ -81,22 +94,80 @@ class Door(UserManager):
         password: str | bytes | None = None,
         certificate: Any = None,  # noqa: ANN401
     ) -> User | None:
-        """Return who it is; None sends him away. The certificate is that of the channel."""
-        if self.trusted is not None and certificate not in self.trusted:
-            self.log.say(time.time(), "refused", "OPC UA: the client's certificate is not trusted")
+        """Return the user; None refuses the log-in. The certificate is that of the channel."""
+        origin, shown = f"opcua {self.peer}".strip(), str(username or "")[:40]
+        why = self.trust.refusal(certificate, datetime.now(UTC))
+        principal = _ANYBODY
+        if not why and self.asks:
+            if isinstance(password, bytes):
+                password = password.decode("utf-8", "replace")
+            found = self.accounts.by_password(username or "", password or "")
+            why = "" if found else "wrong name or password, or too many wrong ones"
+            principal = found or principal
+        if not why:
+            try:
+                self.accounts.audit.accepted(principal.name, origin, "login")
+            except OSError as error:
+                why = f"the audit log cannot be written ({error})"
+        if why:
+            self.accounts.audit.refused(shown, origin, "login", why)
+            self.log.say(time.time(), "refused", f"OPC UA: user {shown!r} at {self.peer}: {why}")
             return None
-        if self.gate is None:
-            return Known(role=UserRole.User, name="anybody")
-        if not isinstance(username, str) or password is None:
-            return None
-        if isinstance(password, bytes):
-            password = password.decode("utf-8", "replace")
-        role = self.gate.role_of(username, password, time.monotonic())
-        if role is None:
-            shown = username[:40]
-            self.log.say(time.time(), "refused", f"OPC UA: user {shown!r}: not let in")
-            return None
-        return Known(role=UserRole.User, name=username, may=role)
+        return Known(role=UserRole.User, name=principal.name, principal=principal, origin=origin)
+
+    def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
+        """Return why a user may not read or write a node now; empty if he may."""
+        machine = machine_of(node)
+        if not isinstance(user, Known) or machine is None:
+            return ""
+        principal: Principal | None = user.principal
+        if user.principal.credential:
+            principal = self.accounts.by_credential(user.principal.credential)
+        return "the user was removed" if principal is None else principal.refusal(role, machine)
+
+    def before_write(self, event: ServerItemCallback, service: object) -> None:
+        """Refuse a request that writes a node without the right to.
+
+        Raises
+        ------
+        ServiceError
+            BadUserAccessDenied.
+        """
+        if not event.is_external:
+            return
+        for one in event.request_params.NodesToWrite:
+            why = self.refusal(event.user, one.NodeId, "operator")
+            if why or not isinstance(event.user, Known):
+                self._audit(event.user, one.NodeId, why or "not logged in")
+                raise ServiceError(_DENIED)
+            if machine_of(one.NodeId) is not None:
+                self._audit(event.user, one.NodeId, "")
+
+    def after_read(self, event: ServerItemCallback, service: object) -> None:
+        """Replace the values of machines that the user may not see."""
+        if not isinstance(event.user, Known) or event.user.principal.sees_all:
+            return
+        for k, one in enumerate(event.request_params.NodesToRead):
+            if self.refusal(event.user, one.NodeId, "viewer"):
+                event.response_params[k] = ua.DataValue(StatusCode=ua.StatusCode(_DENIED))
+
+    def _audit(self, user: User, node: ua.NodeId, why: str) -> None:
+        """Write one line; what cannot be audited is refused."""
+        who, origin = str(user.name), getattr(user, "origin", "opcua")
+        what, machine = f"write {node.Identifier}", machine_of(node)
+        if why:
+            self.accounts.audit.refused(who, origin, what, why, machine)
+            return
+        try:
+            self.accounts.audit.accepted(who, origin, what, machine)
+        except OSError as error:
+            raise ServiceError(_DENIED) from error
+
+
+def machine_of(node: ua.NodeId) -> str | None:
+    """Return the machine that a node belongs to (``NAME.Folder.name``); None for all others."""
+    text = node.Identifier
+    return text.partition(".")[0] if isinstance(text, str) and "." in text else None
 
 
 def restrict(
@@ -110,7 +181,7 @@ def restrict(
     encrypted : bool
         Basic256Sha256, signed and encrypted, and nothing else; or no security at all.
     door : Door
-        Whom it lets in.
+        Who may come in and do what.
     sessions, subscriptions, items : int
         How many there may be at once.
     """
@@ -120,8 +191,10 @@ def restrict(
         else ua.SecurityPolicyType.NoSecurity
     )
     server.set_security_policy([policy], permission_ruleset=Rules())
-    token = ua.AnonymousIdentityToken if door.gate is None else ua.UserNameIdentityToken
+    token = ua.UserNameIdentityToken if door.asks else ua.AnonymousIdentityToken
     server.set_identity_tokens([token])
+    server.subscribe_server_callback(CallbackType.PreWrite, door.before_write)
+    server.subscribe_server_callback(CallbackType.PostRead, door.after_read)
     server.allow_remote_admin(False)
     server.limits = TransportLimits(
         max_recv_buffer=65535,
@@ -130,3 +203,4 @@ def restrict(
         max_message_size=_LARGEST,
     )
     limit(server, sessions, subscriptions, items)
+    watch_callers(server, door)

@@ -5,11 +5,14 @@ What is relied on is in tests/project/test_private_parts.py; `pyproject.toml` bo
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import User
 from asyncua.server import Server
+
+from thermojoint.live.rights import Role
 
 #: A session without a sign of life ends after this time, ms; a subscription publishes at most so
 #: often, ms.
@@ -87,6 +90,40 @@ def limit_callers(server: Server, sessions: int) -> None:
     """Bound the connections of a server that has just started."""
     assert server.bserver is not None
     server.bserver.clients = Callers(sessions)
+
+
+class Watched(Protocol):
+    """Whoever checks users and their rights on nodes."""
+
+    peer: str
+
+    def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
+        """Return why a user may not read a node; empty if he may."""
+
+
+def watch_callers(server: Server, door: Watched) -> None:
+    """Tell a door from where a user logs in, and refuse items that a user may not see."""
+    inner = server.iserver
+    decrypt, service = inner.decrypt_user_token, inner.subscription_service
+    create = service.create_monitored_items
+
+    def decrypt_of(session: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:  # noqa: ANN401
+        # A session carries the address of its connection as its name.
+        door.peer = str(session.name[0]) if session.name else ""
+        return decrypt(session, token)
+
+    async def create_seen(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
+        owner = getattr(service.subscriptions.get(params.SubscriptionId), "session_id", None)
+        for session in list(inner._external_sessions.values()):
+            if session.session_id == owner and any(
+                door.refusal(session.user, item.ItemToMonitor.NodeId, "viewer")
+                for item in params.ItemsToCreate
+            ):
+                raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+        return await create(params)
+
+    inner.decrypt_user_token = decrypt_of
+    service.create_monitored_items = create_seen
 
 
 def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401

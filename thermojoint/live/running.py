@@ -15,6 +15,7 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live import floor as floors
+from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
@@ -63,6 +64,8 @@ class Running:
         What was.
     metrics : Metrics
         Figures.
+    accounts : Accounts
+        Who may come in.
     store : Connection
         Used in `keeper` alone.
     keeper : ThreadPoolExecutor
@@ -85,6 +88,7 @@ class Running:
     hub: Hub
     archive: Archive
     metrics: Metrics
+    accounts: Accounts
     store: sqlite3.Connection
     keeper: ThreadPoolExecutor
     arrivals: asyncio.Queue[list[Arrival | Note]]
@@ -109,6 +113,8 @@ async def opened(
     service.folder.mkdir(parents=True, exist_ok=True)
     path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
+        accounts = accounts_of(service)
+        ends.callback(accounts.store.close)
         keeper = ThreadPoolExecutor(1, "keeper")
         store = open_store(path, service.given.store.durable)
         ends.callback(store.close)
@@ -122,6 +128,7 @@ async def opened(
             Hub(),
             Archive(path),
             metrics,
+            accounts,
             store,
             keeper,
             asyncio.Queue(_MOST_BLOCKS),

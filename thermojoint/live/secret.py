@@ -46,8 +46,16 @@ def read_secret(secret: Secret, where: str) -> str:
     return _line(text, f"{where}: {path}")
 
 
-def refuse_open_to_others(path: Path, where: str) -> None:
-    """Refuse a file that is not its owner's alone.
+def refuse_open_to_others(path: Path, where: str, others: int = 0o077) -> None:
+    """Refuse a file that others than its owner can read or write.
+
+    Parameters
+    ----------
+    path : Path
+    where : str
+        What it is for, in error messages.
+    others : int
+        Bits of the mode that must not be set.
 
     Raises
     ------
@@ -60,7 +68,7 @@ def refuse_open_to_others(path: Path, where: str) -> None:
         raise InputError(
             f"{where}: {path} is not readable ({error.strerror}); put the secret there"
         ) from None
-    if mode & 0o077:
+    if mode & others:
         raise InputError(f"{where}: others can read {path} (mode {mode:o}); chmod 600 {path}")
 
 

@@ -136,7 +136,30 @@ class StoreSection(Section):
     durable: bool = False
 
 
-class OpcuaServer(Section):
+class AuditSection(Section):
+    """``[audit]``: size of a file of the audit log, and how long earlier files are kept."""
+
+    largest_mb: Positive = 10.0
+    keep_days: Positive = 365.0
+
+
+class Certified(Section):
+    """A certificate and its key (PEM); without them the service makes its own."""
+
+    certificate_file: File | None = None
+    key_file: File | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Certified:
+        if (self.certificate_file is None) != (self.key_file is None):
+            raise ValueError(
+                "certificate_file and key_file belong together; give both, or neither for a "
+                "certificate of the service's own"
+            )
+        return self
+
+
+class OpcuaServer(Certified):
     """``[opcua]``: the service's own OPC UA server."""
 
     address: str = "127.0.0.1"
@@ -158,30 +181,17 @@ class MqttTopics(MqttAddress):
     status_topic: str = "thermojoint/service"
 
 
-class HttpServer(Section):
-    """``[http]``: the dashboard, JSON and the stream.
-
-    Without a certificate the service makes its own.
-    """
+class HttpServer(Certified):
+    """``[http]``: the dashboard, JSON and the stream."""
 
     address: str = "127.0.0.1"
     port: Port = 8443
     security: Literal["tls", "none"] = "tls"
-    token: Secret
-    certificate_file: File | None = None
-    key_file: File | None = None
+    token: Secret | None = None
+    host_names: Texts = ()
     session_hours: Annotated[float, Field(gt=0.0, le=8760.0)] = 168.0
     most_streams: Annotated[int, Field(ge=1, le=1000)] = 64
     requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
-
-    @model_validator(mode="after")
-    def _whole(self) -> HttpServer:
-        if (self.certificate_file is None) != (self.key_file is None):
-            raise ValueError(
-                "certificate_file and key_file belong together; give both, or neither for a "
-                "certificate of the service's own"
-            )
-        return self
 
 
 class ServiceFile(Section):
@@ -193,8 +203,10 @@ class ServiceFile(Section):
     sources: Annotated[dict[str, Source], Field(min_length=1)]
     ahead_s: Positive = 60.0
     behind_s: NotNegative = 60.0
+    users: File | None = None
     watchdog: WatchdogSection = WatchdogSection()
     store: StoreSection = StoreSection()
+    audit: AuditSection = AuditSection()
     opcua: OpcuaServer | None = None
     mqtt: MqttTopics | None = None
     http: HttpServer | None = None
@@ -219,6 +231,11 @@ class Service:
     def folder(self) -> Path:
         """Folder of the service's persistent data."""
         return self.given.folder
+
+    @property
+    def users_file(self) -> Path | None:
+        """File of the users; earlier versions named it in ``[opcua]``."""
+        return self.given.users or (self.given.opcua.users if self.given.opcua else None)
 
 
 def read_service(path: Path | str) -> Service:

@@ -1,6 +1,7 @@
-"""Users with roles and hashed passwords, in a file private to the service.
+"""Users with roles, machines and hashed passwords, in a file that only its owner can read.
 
-A line each: ``name:reads:scrypt$N$r$p$salt$hash``, the last two in hexadecimal.
+One line each: ``name:role:machines:scrypt$N$r$p$salt$hash``, machines separated by commas, salt and
+hash in hexadecimal. Lines of earlier versions have no machines and the roles `reads` and `writes`.
 """
 
 from __future__ import annotations
@@ -10,41 +11,59 @@ import hmac
 import os
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.rights import ALL_MACHINES, FORMER_ROLES, ROLES, Principal, Role
 from thermojoint.live.secret import refuse_open_to_others
 
-Role = Literal["reads", "writes"]
 #: Cost of a hash: 16 MB, and about 50 ms.
 _N, _R, _P = 1 << 14, 8, 1
 _SHORTEST, _LONGEST = 8, 256
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_MACHINES = re.compile(r"[A-Za-z0-9_*?-]{1,64}(,[A-Za-z0-9_*?-]{1,64})*")
 _HASH = re.compile(r"scrypt\$(\d{4,6})\$(\d{1,2})\$(\d{1,2})\$([0-9a-f]{32})\$([0-9a-f]{64})")
-#: Passwords not known to be right are checked so often in a time (s), of all users together.
+#: Passwords not known to be right that are checked in this time (s), of all users together.
 MOST_TRIALS, TRIALS_S = 20, 60.0
 
 
 @dataclass(frozen=True)
 class UserLine:
-    """One user.
+    """A user.
 
     Attributes
     ----------
     role : str
-        ``reads`` or ``writes``.
+        One of `thermojoint.live.rights.ROLES`.
     password : str
         Hashed.
+    machines : tuple of str
+        Names or patterns.
     """
 
     role: Role
-    password: str
+    password: str = field(repr=False)
+    machines: tuple[str, ...] = ALL_MACHINES
 
-    def __repr__(self) -> str:
-        return f"UserLine({self.role})"
+
+def checked_rights(name: str, role: str, machines: Sequence[str]) -> tuple[Role, tuple[str, ...]]:
+    """Return role and machines of a user or a token.
+
+    Raises
+    ------
+    InputError
+        The name, the role or a machine's pattern cannot be used.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r}: a user's name is up to 64 letters, digits, ., - and _")
+    role = FORMER_ROLES.get(role, role)
+    if role not in ROLES:
+        raise InputError(f"{name}: no role {role!r}; give one of {', '.join(ROLES)}")
+    if not _MACHINES.fullmatch(",".join(machines)):
+        raise InputError(f"{name}: machines are names or patterns like mill-*; correct them")
+    return role, tuple(machines)
 
 
 def read_users(path: Path) -> dict[str, UserLine]:
@@ -53,20 +72,22 @@ def read_users(path: Path) -> dict[str, UserLine]:
     Raises
     ------
     InputError
-        It is missing, open to others, or a line is none.
+        It is missing, readable by others, or a line cannot be read.
     """
     refuse_open_to_others(path, "users")
     users: dict[str, UserLine] = {}
     for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
-        name, _, rest = line.partition(":")
-        role, _, password = rest.partition(":")
-        if not _NAME.fullmatch(name) or role not in ("reads", "writes") or name in users:
-            raise InputError(f"{path}, line {number}: no user; write it with --add-user")
-        if not _HASH.fullmatch(password):
-            raise InputError(f"{path}, line {number}: no hashed password; write it with --add-user")
-        users[name] = UserLine(role, password)  # type: ignore[arg-type]
+        name, role, *machines, password = line.split(":") if line.count(":") > 1 else ("", "", "")
+        where = f"{path}, line {number}"
+        if name in users or not _HASH.fullmatch(password) or len(machines) > 1:
+            raise InputError(f"{where}: not a user; write it with `thermojoint users`")
+        try:
+            known, patterns = checked_rights(name, role, ",".join(machines or "*").split(","))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+        users[name] = UserLine(known, password, patterns)
     return users
 
 
@@ -90,7 +111,7 @@ def _derived(password: str, salt: bytes, n: int, r: int, p: int) -> bytes:
 
 
 def is_password(password: str, kept: str) -> bool:
-    """Say whether a password is the one that a hash was made of."""
+    """Say whether a hash was made of a password."""
     match = _HASH.fullmatch(kept)
     if match is None or len(password) > _LONGEST:
         return False
@@ -99,19 +120,41 @@ def is_password(password: str, kept: str) -> bool:
     return hmac.compare_digest(key, bytes.fromhex(match[5]))
 
 
-def add_user(path: Path, name: str, role: Role, password: str) -> None:
-    """Add a user to a file, or give one another role and password; the file is its owner's alone.
+def add_user(
+    path: Path, name: str, role: str, password: str, machines: Sequence[str] = ALL_MACHINES
+) -> None:
+    """Add a user to a file, or replace the user of that name.
 
     Raises
     ------
     InputError
-        The name or the password is none, or the file is unusable.
+        Name, role, machines or password cannot be used, or the file cannot.
     """
-    if not _NAME.fullmatch(name):
-        raise InputError(f"{name!r}: a user's name is up to 64 letters, digits, ., - and _")
+    known, patterns = checked_rights(name, role, machines)
     users = read_users(path) if path.exists() else {}
-    users[name] = UserLine(role, hashed(password))
-    text = "".join(f"{user}:{line.role}:{line.password}\n" for user, line in users.items())
+    _write(path, users | {name: UserLine(known, hashed(password), patterns)})
+
+
+def remove_user(path: Path, name: str) -> None:
+    """Remove a user from a file.
+
+    Raises
+    ------
+    InputError
+        The file has no such user, or cannot be used.
+    """
+    users = read_users(path)
+    if users.pop(name, None) is None:
+        raise InputError(f"{path}: no user named {name!r}; list them with `thermojoint users`")
+    _write(path, users)
+
+
+def _write(path: Path, users: Mapping[str, UserLine]) -> None:
+    """Write the file whole; it is its owner's alone at every moment."""
+    text = "".join(
+        f"{name}:{user.role}:{','.join(user.machines)}:{user.password}\n"
+        for name, user in users.items()
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -120,9 +163,15 @@ def add_user(path: Path, name: str, role: Role, password: str) -> None:
     part.replace(path)
 
 
+def principal_of(name: str, user: UserLine) -> Principal:
+    """Return the rights of a user."""
+    credential = hashlib.sha256(f"{name}:{user.password}".encode()).hexdigest()
+    return Principal(name, user.role, user.machines, credential)
+
+
 @dataclass(eq=False)
 class Gate:
-    """Lets users in, and nobody try for long.
+    """Checks passwords, and slows down guessing.
 
     Attributes
     ----------
@@ -134,8 +183,8 @@ class Gate:
     _trials: list[float] = field(default_factory=list)
     _key: bytes = field(default_factory=lambda: secrets.token_bytes(32))
 
-    def role_of(self, name: str, password: str, clock: float) -> Role | None:
-        """Return what a user may do; None if the password is wrong or too many were tried.
+    def admitted(self, name: str, password: str, clock: float) -> Principal | None:
+        """Return the rights of a user; None if the password is wrong or too many were tried.
 
         Parameters
         ----------
@@ -144,18 +193,18 @@ class Gate:
             The service's own clock, s.
         """
         user = self.users.get(name)
-        # A login that was right costs nothing the next time.
-        mark = hmac.digest(self._key, f"{name}\0{password}".encode(), "sha256")
+        kept = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"
+        # A password that was right costs nothing the next time.
+        mark = hmac.digest(self._key, f"{name}\0{password}\0{kept}".encode(), "sha256")
         if user and hmac.compare_digest(self._right.get(name, b""), mark):
-            return user.role
+            return principal_of(name, user)
         self._trials = [trial for trial in self._trials if clock - trial < TRIALS_S]
         if len(self._trials) >= MOST_TRIALS:
             return None
         self._trials.append(clock)
-        # As long for a name that is not there.
-        kept = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"
+        # An unknown name takes as long as a wrong password.
         if not is_password(password, kept) or user is None:
             return None
         self._trials.pop()
         self._right[name] = mark
-        return user.role
+        return principal_of(name, user)

@@ -122,7 +122,7 @@ def test_the_dashboard_asks_for_the_token(chromium, floor):
     assert page.url == f"{floor.url}/login"
     page.fill("#token", "wrong")
     page.click("button.main")
-    assert "not the token" in page.inner_text("[role=alert]")
+    assert "are wrong" in page.inner_text("[role=alert]")
     page.fill("#token", TOKEN)
     page.click("button.main")
     page.wait_for_selector("#line[data-state=live]")

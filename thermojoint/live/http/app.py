@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,7 +24,6 @@ from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.dashboard.assets import asset
 from thermojoint.live.dashboard.pages import page
-from thermojoint.live.http.access import Access
 from thermojoint.live.http.bodies import (
     Words,
     about_body,
@@ -37,14 +37,15 @@ from thermojoint.live.http.gate import (
     Gate,
     body_of,
     client,
-    open_door,
+    origin,
     refused,
+    ticket_of,
     too_many,
-    wrong_token,
+    wrong_secret,
 )
 from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
 from thermojoint.live.http.sources import About, Sources
-from thermojoint.live.http.stream import Counted, stream
+from thermojoint.live.http.stream import Counted, Reader, stream
 from thermojoint.live.publication import as_json
 
 #: Rows of the history and events that one request may ask for.
@@ -116,32 +117,43 @@ class Site:
         return HTMLResponse(page("machine", machine=name))
 
     async def login(self, request: Request) -> Response:
-        """The page that asks for the token, and what takes it."""
+        """The page that asks for a password or a token, and what takes it."""
         if request.method != "POST":
             return HTMLResponse(page("login", wrong=False))
-        waiting = self.door.failures.wait(client(request.scope), time.monotonic())
+        door = self.door
+        waiting = door.failures.wait(client(request.scope), time.monotonic())
         if waiting > 0.0:
             return too_many(waiting)
         body = await body_of(request, LARGEST_LOGIN)
         if body is None:
-            raise HTTPException(413, "the body is too large; send the token alone")
-        given = parse_qs(body.decode("utf-8", "replace"), max_num_fields=4).get("token", [""])
-        if not self.door.access.admits(given[0].strip()):
-            answer = wrong_token(self.door, request.scope)
+            raise HTTPException(413, "the body is too large; send name and password alone")
+        given = parse_qs(body.decode("utf-8", "replace"), max_num_fields=4)
+        name, secret = (given.get(key, [""])[0].strip() for key in ("name", "token"))
+        accounts = door.accounts
+        found = accounts.by_password(name, secret) if name else accounts.by_token(secret)
+        if found is None:
+            answer = wrong_secret(door, request.scope, name, "login")
             return answer or HTMLResponse(page("login", wrong=True), 401)
+        try:
+            ticket = accounts.begin(found, door.session)
+            accounts.audit.accepted(found.name, origin(request.scope), "login")
+        except (sqlite3.Error, OSError) as error:
+            return refused(503, f"the log-in cannot be kept or audited now ({error})")
         done = RedirectResponse("/", 303)
         done.set_cookie(
-            self.door.cookie,
-            self.door.access.ticket(time.time()),
-            max_age=int(self.door.access.session),
-            secure=self.door.secure,
+            door.cookie,
+            ticket,
+            max_age=int(door.session),
+            secure=door.secure,
             httponly=True,
             samesite="strict",
         )
         return done
 
     async def logout(self, request: Request) -> Response:
-        """Take the ticket back."""
+        """End the session, here and in the browser."""
+        self.door.accounts.end(ticket_of(request.headers, self.door.cookie))
+        self.door.accounts.audit.accepted(request.user.name, origin(request.scope), "logout")
         done = RedirectResponse("/login", 303)
         done.delete_cookie(
             self.door.cookie, secure=self.door.secure, httponly=True, samesite="strict"
@@ -173,6 +185,7 @@ class Site:
                     {"machine": name, "kind": about.kind, "model": about.model}
                     | (summary(newest[name]) if name in newest else {})
                     for name, about in self.sources.machines.items()
+                    if request.user.sees(name)
                 ],
             }
         )
@@ -216,7 +229,7 @@ class Site:
         since, until, given = self._span(
             request,
             USUAL_EVENTS,
-            machine=one_of(*self.sources.machines),
+            machine=one_of(*self._visible(request)),
             most=whole_number(1, MOST_EVENTS),
         )
         async with self._reading:
@@ -227,7 +240,10 @@ class Site:
                 until,
                 given.get("most", 100),
             )
-        return answered(events_body(events))
+        user = request.user
+        # Events of the service itself may name any machine.
+        seen = [one for one in events if user.sees_all or (one.machine and user.sees(one.machine))]
+        return answered(events_body(seen))
 
     async def scene(self, request: Request) -> Response:
         """The shape of a machine."""
@@ -259,7 +275,7 @@ class Site:
         """News, as long as the reader stays."""
         given = read_parameters(
             request.query_params.multi_items(),
-            {"machine": one_of(*self.sources.machines), "every_s": number(0.1, 60.0)},
+            {"machine": one_of(*self._visible(request)), "every_s": number(0.1, 60.0)},
         )
         if request.method == "HEAD":
             return Response(media_type="text/event-stream")
@@ -267,9 +283,10 @@ class Site:
             return refused(
                 429, f"{self.streams} streams are open already; close one", **{"retry-after": "10"}
             )
-        wanted = [given["machine"]] if "machine" in given else list(self.sources.machines)
+        wanted = [given["machine"]] if "machine" in given else self._visible(request)
         told = self._whole if "machine" in given else self._short
-        news = stream(self.sources.hub, frozenset(wanted), given.get("every_s", 1.0), told)
+        reader = Reader(frozenset(wanted), given.get("every_s", 1.0), request.scope["check"])
+        news = stream(self.sources.hub, reader, told)
         self.streams += 1
         return Counted(news, self._left)
 
@@ -278,6 +295,8 @@ class Site:
 
     async def metrics(self, request: Request) -> Response:
         """For Prometheus."""
+        if not request.user.sees_all:
+            raise HTTPException(403, "the metrics are of all machines; ask as one who sees all")
         return Response(
             generate_latest(self.sources.registry), headers={"content-type": CONTENT_TYPE_LATEST}
         )
@@ -289,11 +308,16 @@ class Site:
         status = "degraded" if counts[Quality.BAD.word] else "ok"
         return answered({"status": status, "machines": counts})
 
+    def _visible(self, request: Request) -> list[str]:
+        """Return the machines that a user may see."""
+        return [name for name in self.sources.machines if request.user.sees(name)]
+
     def _machine(self, request: Request) -> tuple[str, About]:
         name = request.path_params["machine"]
         machine = self.sources.machines.get(name)
-        if machine is None:
-            error = unknown_name("machine", name[:40], self.sources.machines, "address")
+        visible = self._visible(request)
+        if machine is None or name not in visible:
+            error = unknown_name("machine", name[:40], visible, "address")
             raise HTTPException(404, str(error))
         return name, machine
 
@@ -330,25 +354,18 @@ async def _none(request: Request, error: Exception) -> Response:
     return refused(status, usual.get(status, detail) if plain else detail, **headers)
 
 
-def make_app(
-    sources: Sources, access: Access, secure: bool, requests_per_s: float, most_streams: int
-) -> Starlette:
+def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
     """Return the application.
 
     Parameters
     ----------
     sources : Sources
         What it shows.
-    access : Access
+    door : Door
         Who may see it.
-    secure : bool
-        Whether it is reached by TLS.
-    requests_per_s : float
-        Of one client in the long run.
     most_streams : int
         At the same time.
     """
-    door = open_door(access, secure, requests_per_s)
     site = Site(sources, door, most_streams)
     made = Starlette(
         routes=site.routes(),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import logging
+import sqlite3
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from http.cookies import CookieError, SimpleCookie
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -12,18 +13,18 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from thermojoint.live.accounts import Accounts
 from thermojoint.live.dashboard.assets import OPEN
-from thermojoint.live.http.access import Access
 from thermojoint.live.http.bodies import encoded
-from thermojoint.live.http.rates import Buckets, client_of
-
-log = logging.getLogger("thermojoint.http")
+from thermojoint.live.http.hosts import misdirected
+from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
+from thermojoint.live.rights import Principal
 
 #: Longest address with its parameters, and all headers together, bytes.
 LONGEST_ADDRESS, LARGEST_HEAD = 2048, 16384
 #: Requests that a client may make at once, in seconds of its rate.
 BURST_S = 5.0
-#: Wrong tokens of one client in a row, and how long each is remembered, s.
+#: Wrong tokens and passwords of one client in a row, and how long each is remembered, s.
 WRONG_TOKENS, FORGOTTEN_S = 10.0, 10.0
 #: Nothing from elsewhere, nothing written into the page, no frame around it. The one hash is that
 #: of the empty style element, into which plotly.js then puts its rules.
@@ -36,7 +37,7 @@ HEADERS = {
     "content-security-policy": POLICY,
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
-    "referrer-policy": "no-referrer",
+    "referrer-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "permissions-policy": "camera=(), geolocation=(), microphone=()",
@@ -49,28 +50,39 @@ class Door:
 
     Attributes
     ----------
-    access : Access
-        The token.
+    accounts : Accounts
+        Who may come in.
+    hosts : frozenset of str
+        Names under which the service is reached.
     secure : bool
-        With TLS: the ticket is then for TLS alone.
+        With TLS; the session's cookie is then sent over TLS only.
+    session : float
+        How long a browser stays logged in, s.
     requests, failures : Buckets
-        Requests and wrong tokens of each client.
+        Requests and refused log-ins of each client.
     """
 
-    access: Access
+    accounts: Accounts
+    hosts: frozenset[str]
     secure: bool
+    session: float
     requests: Buckets
     failures: Buckets = field(default_factory=lambda: Buckets(1.0 / FORGOTTEN_S, WRONG_TOKENS))
+    _heard: dict[tuple[str, str], None] = field(default_factory=dict)
 
     @property
     def cookie(self) -> str:
-        """Name of the ticket; by its prefix a browser takes it over TLS and for all pages alone."""
+        """Name of the session's cookie; the prefix binds it to TLS and to this host."""
         return "__Host-thermojoint" if self.secure else "thermojoint"
 
-
-def open_door(access: Access, secure: bool, requests_per_s: float) -> Door:
-    """Return a door at which nobody has been."""
-    return Door(access, secure, Buckets(requests_per_s, max(1.0, BURST_S * requests_per_s)))
+    def note_token(self, principal: Principal, scope: Scope) -> None:
+        """Audit a token the first time that it comes from an address."""
+        key = (principal.credential, client(scope))
+        if key not in self._heard:
+            self.accounts.audit.accepted(principal.name, origin(scope), "token")
+            self._heard[key] = None
+            if len(self._heard) > MOST_CLIENTS:
+                del self._heard[next(iter(self._heard))]
 
 
 def refused(status: int, text: str, **headers: str) -> Response:
@@ -99,14 +111,18 @@ def ticket_of(headers: Headers, name: str) -> str:
     return cookie.value if cookie else ""
 
 
-def wrong_token(door: Door, scope: Scope) -> Response | None:
-    """Note a wrong token; returns the answer if it is one too many."""
-    who, now = client(scope), time.monotonic()
-    waiting = door.failures.take(who, now)
-    if waiting > 0.0:
-        return too_many(waiting)
-    log.warning("http: wrong token from %s", who)
-    return None
+def origin(scope: Scope) -> str:
+    """Return where a request comes from, as the audit log has it."""
+    peer = scope.get("client")
+    return f"http {peer[0]}" if peer else "http"
+
+
+def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | None:
+    """Note a wrong password or token; returns the answer if it is one too many."""
+    waiting = door.failures.take(client(scope), time.monotonic())
+    why = "too many wrong ones" if waiting > 0.0 else "wrong, revoked or expired"
+    door.accounts.audit.refused(who, origin(scope), what, why)
+    return too_many(waiting) if waiting > 0.0 else None
 
 
 class Gate:
@@ -131,7 +147,10 @@ class Gate:
                     headers["strict-transport-security"] = "max-age=31536000"
             await send(message)
 
-        answer = self._stopped(scope)
+        try:
+            answer = self._stopped(scope)
+        except (sqlite3.Error, OSError) as error:
+            answer = refused(503, f"log-ins cannot be checked or audited now ({error})")
         await (answer or self.app)(scope, receive, with_headers)
 
     def _stopped(self, scope: Scope) -> Response | None:
@@ -144,6 +163,12 @@ class Gate:
         if sum(len(name) + len(value) for name, value in scope["headers"]) > LARGEST_HEAD:
             return refused(431, f"the headers have more than {LARGEST_HEAD} bytes; send fewer")
         headers = Headers(scope=scope)
+        elsewhere = misdirected(headers, scope, self.door.hosts)
+        if elsewhere is not None:
+            status, why = elsewhere
+            if status == 403:
+                self.door.accounts.audit.refused("", origin(scope), scope["path"][:40], why)
+            return refused(status, why)
         if scope["method"] != "POST" and (
             headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
         ):
@@ -159,16 +184,24 @@ class Gate:
         return path.startswith("/assets/") and path.rpartition("/")[2] in OPEN
 
     def _unknown(self, scope: Scope, headers: Headers) -> Response | None:
-        """The answer to who has shown neither token nor ticket."""
-        if self.door.access.valid(ticket_of(headers, self.door.cookie), time.time()):
-            return None
+        """Return the answer to a request without a valid session or token."""
+        accounts = self.door.accounts
         scheme, _, token = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer":
-            if self.door.access.admits(token.strip()):
-                return None
-            answer = wrong_token(self.door, scope)
-            if answer is not None:
-                return answer
+        check = partial(accounts.by_session, ticket_of(headers, self.door.cookie))
+        principal = check()
+        if principal is None and scheme.lower() == "bearer":
+            check = partial(accounts.by_token, token.strip())
+            principal = check()
+            if principal is None:
+                answer = wrong_secret(self.door, scope, "", "token")
+                if answer is not None:
+                    return answer
+            else:
+                self.door.note_token(principal, scope)
+        if principal is not None:
+            # `check` is asked again while a stream lasts.
+            scope["user"], scope["check"] = principal, check
+            return None
         if scope["method"] in ("GET", "HEAD") and "text/html" in headers.get("accept", ""):
             return RedirectResponse("/login", 303)
         return refused(

@@ -12,14 +12,16 @@ import uvicorn
 from starlette.applications import Starlette
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.http.access import access_by
+from thermojoint.live.accounts import Accounts
+from thermojoint.live.certificates import http_identity
 from thermojoint.live.http.app import make_app
-from thermojoint.live.http.certificate import own_certificate
-from thermojoint.live.http.gate import LARGEST_HEAD
+from thermojoint.live.http.gate import BURST_S, LARGEST_HEAD, Door
+from thermojoint.live.http.hosts import hosts_of
 from thermojoint.live.http.patience import LimitedSocket, PatientProtocol, Server
+from thermojoint.live.http.rates import Buckets
 from thermojoint.live.http.sources import Sources
-from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import HttpServer, is_loopback
+from thermojoint.live.tokens import tokens_in
 
 #: Connections at the same time, beside one for each stream.
 MOST_CONNECTIONS = 256
@@ -44,11 +46,8 @@ def make_server(app: Starlette, section: HttpServer, folder: Path) -> Server:
     """
     security: dict[str, Any] = {}
     if section.security == "tls":
-        if section.certificate_file is not None and section.key_file is not None:
-            certificate, key = section.certificate_file, section.key_file
-        else:
-            certificate, key = own_certificate(folder, section.address)
-        security = {"ssl_certfile": certificate, "ssl_keyfile": key}
+        own = http_identity(section, folder)
+        security = {"ssl_certfile": own.certificate, "ssl_keyfile": own.key}
     config = uvicorn.Config(
         app,
         host=section.address,
@@ -102,8 +101,8 @@ class Opened:
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def open_http(section: HttpServer, sources: Sources, folder: Path) -> Opened:
-    """Read token and certificate and take the address.
+def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder: Path) -> Opened:
+    """Read the certificate and take the address.
 
     Parameters
     ----------
@@ -111,23 +110,32 @@ def open_http(section: HttpServer, sources: Sources, folder: Path) -> Opened:
         Settings.
     sources : Sources
         What is shown.
+    accounts : Accounts
+        Who may see it.
     folder : Path
         Where the service keeps its own certificate.
 
     Raises
     ------
     InputError
-        Token or certificate cannot be used, or the address cannot be had.
+        Nobody could log in, the certificate cannot be used, or the address cannot be had.
     """
     secure = section.security == "tls"
     if not secure and not is_loopback(section.address):
         raise InputError(
-            f'http: security = "none" at {section.address} would send the token unencrypted; use '
+            f'http: security = "none" at {section.address} would send passwords unencrypted; use '
             "127.0.0.1, or TLS"
         )
-    token = read_secret(section.token, "http.token")
-    access = access_by(token, 3600.0 * section.session_hours, "http.token")
-    app = make_app(sources, access, secure, section.requests_per_s, section.most_streams)
+    if not (accounts.given or accounts.users_file or tokens_in(accounts.store)):
+        raise InputError("http: no one could log in; name a token or a file of users")
+    door = Door(
+        accounts,
+        hosts_of(section),
+        secure,
+        3600.0 * section.session_hours,
+        Buckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
+    )
+    app = make_app(sources, door, section.most_streams)
     server = make_server(app, section, folder)
     family = socket.AF_INET6 if ":" in section.address else socket.AF_INET
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from typing import Any
 
 from starlette.responses import StreamingResponse
@@ -25,35 +26,48 @@ LONGEST_S = 3600.0
 AT_ONCE = 64
 
 
+@dataclass(frozen=True)
+class Reader:
+    """Who reads a stream.
+
+    Attributes
+    ----------
+    machines : frozenset of str
+        Those that the reader wants.
+    every : float
+        Shortest time between two events, s.
+    check : callable
+        Returns None once the reader's session or token has ended.
+    """
+
+    machines: frozenset[str]
+    every: float
+    check: Callable[[], object]
+
+
 async def stream(
-    hub: Hub,
-    machines: frozenset[str],
-    every: float,
-    told: Callable[[Publication], bytes],
+    hub: Hub, reader: Reader, told: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
-    """Yield events: at once all that is there, then what has changed, at most once in `every` s.
+    """Yield events: the newest of each machine at once, then what changes, until `LONGEST_S`.
 
     Parameters
     ----------
     hub : Hub
         Where the newest is.
-    machines : frozenset of str
-        Those that the reader wants.
-    every : float
-        Shortest time between two events, s.
+    reader : Reader
     told : callable
-        What is said of a publication, as JSON.
+        Publication to JSON.
     """
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
     with hub.follow() as follower:
-        while time.monotonic() - begun < LONGEST_S:
+        while time.monotonic() - begun < LONGEST_S and reader.check() is not None:
             try:
                 changed = await asyncio.wait_for(follower.wait(), BEAT_S)
             except TimeoutError:
                 changed = set()
             news = []
-            for name in sorted(changed & machines):
+            for name in sorted(changed & reader.machines):
                 news.append(told(hub.newest[name]))
                 if len(news) % AT_ONCE == 0:
                     await asyncio.sleep(0)
@@ -63,7 +77,7 @@ async def stream(
                     now,
                     b",".join(news),
                 )
-            await asyncio.sleep(every)
+            await asyncio.sleep(reader.every)
 
 
 class Counted(StreamingResponse):

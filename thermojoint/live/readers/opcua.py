@@ -22,12 +22,13 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.certificates import APPLICATION, certificate_der, own_identity
+from thermojoint.live.certificates import APPLICATION, own_identity
 from thermojoint.live.mqtt_session import FIRST_S, next_delay
 from thermojoint.live.readers.session import beside
 from thermojoint.live.secret import read_secret
 from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
+from thermojoint.live.trust_list import certificate_in
 
 #: An answer is waited for so long, and so often one is asked for, s.
 _TIMEOUT_S, _ALIVE_S = 10.0, 5.0
@@ -325,7 +326,7 @@ def opcua_reader(
                 "certificate (PEM or DER)"
             )
         server = source.server_certificate
-        certificate_der(server)
+        certificate_in(server)
         own = own_identity(service.folder, ())
         certificate, key = own.certificate, own.key
     password = None

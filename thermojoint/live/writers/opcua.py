@@ -20,8 +20,9 @@ from asyncua import ua
 from asyncua.server import Server
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.accounts import Accounts
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.certificates import APPLICATION, certificates_in, own_identity
+from thermojoint.live.certificates import APPLICATION, opcua_identity
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
@@ -29,7 +30,7 @@ from thermojoint.live.opcua_internals import limit_callers, value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
-from thermojoint.live.users import Gate, read_users
+from thermojoint.live.trust_list import TrustList, contents_of
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
@@ -253,25 +254,40 @@ def fresh_server(section: OpcuaServer) -> Server:
     return server
 
 
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """What a log-in is checked by.
+
+    Attributes
+    ----------
+    accounts : Accounts
+        Users, and the audit log.
+    folder : Path
+        Of the service: its certificate, and the certificates of clients that were rejected.
+    log : EventLog
+        Receives those who are refused.
+    """
+
+    accounts: Accounts
+    folder: Path
+    log: EventLog
+
+
 async def open_server(
     section: OpcuaServer,
-    folder: Path,
+    entry: Entry,
     hub: Hub,
     machines: Mapping[str, tuple[Layout, int]],
     given: Callable[[Arrival], None],
-    log: EventLog,
 ) -> tuple[Server, Nodes]:
     """Open the service's OPC UA server.
 
     Parameters
     ----------
     section : OpcuaServer
-    folder : Path
-        Where the service keeps its certificate.
+    entry : Entry
     hub, machines, given
         As in `add_machines`.
-    log : EventLog
-        Told of those who are not let in.
 
     Raises
     ------
@@ -279,20 +295,22 @@ async def open_server(
         There are no users, a file is unusable, or the address is taken.
     """
     encrypted = section.security == "sign-and-encrypt"
-    if section.users is None and encrypted:
+    asks = entry.accounts.users_file is not None
+    if not asks and encrypted:
         raise InputError(
-            "opcua.users: no one could log in; name a file, and add users with --add-user"
+            "opcua: no one could log in; name a file of users, and add them: thermojoint users"
         )
-    gate = Gate(read_users(section.users)) if section.users is not None else None
-    trusted = certificates_in(section.trusted) if section.trusted is not None else None
+    if section.trusted is not None:
+        contents_of(section.trusted)
     server = fresh_server(section)
     await server.init()
     await server.set_application_uri(APPLICATION)
     if encrypted:
-        own = own_identity(folder, section.host_names)
+        own = opcua_identity(section, entry.folder)
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
-    door = Door(gate, trusted, log)
+    trust = TrustList(section.trusted, entry.folder / "rejected")
+    door = Door(entry.accounts, asks, trust, entry.log)
     server.iserver.set_user_manager(door)
     restrict(
         server,

@@ -1,0 +1,385 @@
+"""Users, tokens, sessions and the audit log, through the real servers."""
+
+import asyncio
+import contextlib
+import json
+import time
+from datetime import UTC, datetime, timedelta
+
+import httpx
+import pytest
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from dashboard_server import ABOUT, BEARER, TOKEN, again, keep, publication, serving
+from live_parts import free_port
+from typer.testing import CliRunner
+
+from thermojoint.cli.app import app
+from thermojoint.live.access_store import open_access
+from thermojoint.live.accounts import Accounts
+from thermojoint.live.audit import Audit
+from thermojoint.live.certificates import APPLICATION, own_identity
+from thermojoint.live.hub import Hub
+from thermojoint.live.log_lines import EventLog
+from thermojoint.live.rate_limit import AT_ONCE
+from thermojoint.live.settings import OpcuaServer
+from thermojoint.live.tokens import add_token, revoke_token, tokens_in
+from thermojoint.live.users import add_user, hashed, read_users, remove_user
+from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
+
+WEEK = 7 * 86400.0
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory):
+    """A server with two machines, and users of one or both of them."""
+    folder = tmp_path_factory.mktemp("access")
+    add_user(folder / "users", "anna", "engineer", "annas-secret")
+    add_user(folder / "users", "ben", "viewer", "bens-secret", ["mill-*"])
+    now = time.time()
+    runs = [[publication(k, now + k, name) for k in (1, 2)] for name in ("mill-1", "lathe-1")]
+    machines = {"mill-1": ABOUT, "lathe-1": ABOUT}
+    newest = [run[-1] for run in runs]
+    with serving(folder, keep(folder / "store.db", runs), machines, newest) as found:
+        found.folder = folder
+        yield found
+
+
+@pytest.fixture
+def browser(floor):
+    floor.forget_failures()
+    with httpx.Client(base_url=floor.url, trust_env=False) as client:
+        yield client
+
+
+def bearer(token):
+    return {"authorization": f"Bearer {token}"}
+
+
+def test_logging_out_ends_the_session_on_the_server(floor, browser):
+    assert browser.post("/login", data={"name": "anna", "token": "wrong"}).status_code == 401
+    assert browser.post("/login", data={"name": "anna", "token": "annas-secret"}).status_code == 303
+    (ticket,) = browser.cookies.items()
+    stolen = {"cookie": "=".join(ticket)}
+    assert httpx.get(f"{floor.url}/api/machines", headers=stolen).status_code == 200
+    browser.post("/logout")
+    assert httpx.get(f"{floor.url}/api/machines", headers=stolen).status_code == 401
+    said = [(one["who"], one["what"], one["outcome"]) for one in floor.audit()[-3:]]
+    assert said == [
+        ("anna", "login", "refused"),
+        ("anna", "login", "accepted"),
+        ("anna", "logout", "accepted"),
+    ]
+    stored = b"".join(path.read_bytes() for path in floor.folder.glob("access.sqlite*"))
+    assert ticket[1].encode() not in stored
+
+
+def test_a_session_ends_with_its_user_or_password(floor, browser):
+    add_user(floor.folder / "users", "carl", "viewer", "carls-secret")
+    browser.post("/login", data={"name": "carl", "token": "carls-secret"})
+    with browser.stream("GET", "/api/stream?every_s=0.1") as news:
+        lines = news.iter_lines()
+        assert next(lines)
+        remove_user(floor.folder / "users", "carl")
+        # It ends by itself; without that this would wait for an hour.
+        floor.publish(again(floor.hub.newest["mill-1"]))
+        list(lines)
+    assert browser.get("/api/machines").status_code == 401
+
+
+def test_a_user_sees_the_machines_for_which_the_role_holds(floor, browser):
+    browser.post("/login", data={"name": "ben", "token": "bens-secret"})
+    seen = browser.get("/api/machines").json()["machines"]
+    assert [one["machine"] for one in seen] == ["mill-1"]
+    for path in ("/api/machines/lathe-1", "/api/machines/lathe-1/history", "/machines/lathe-1"):
+        answer = browser.get(path)
+        assert answer.status_code == 404
+    assert browser.get("/api/events?machine=lathe-1").status_code == 400
+    assert browser.get("/metrics").status_code == 403
+    with browser.stream("GET", "/api/stream?every_s=0.1") as news:
+        told = next(line for line in news.iter_lines() if line.startswith("data: "))
+    assert "mill-1" in told
+    assert "lathe-1" not in told
+
+
+def test_tokens_end_one_by_one(floor):
+    store, now = floor.accounts.store, time.time()
+    logger = add_token(store, "logger", "viewer", (now, now + WEEK))
+    other = add_token(store, "other", "viewer", (now, now + WEEK), ["mill-1"])
+    over = add_token(store, "over", "viewer", (now - WEEK, now - 1.0))
+    url = f"{floor.url}/api/machines"
+    status = [httpx.get(url, headers=bearer(one)).status_code for one in (logger, other, over)]
+    assert status == [200, 200, 401]
+    assert len(httpx.get(url, headers=bearer(other)).json()["machines"]) == 1
+    used = {one.principal.name: one.used for one in tokens_in(store)}
+    assert used["over"] is None
+    assert used["logger"] >= now
+    revoke_token(store, "logger")
+    status = [httpx.get(url, headers=bearer(one)).status_code for one in (logger, other)]
+    assert status == [401, 200]
+    assert {("other", "token", "accepted"), ("", "token", "refused")} <= {
+        (one["who"], one["what"], one["outcome"]) for one in floor.audit()
+    }
+    floor.forget_failures()
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"host": "evil.example"}, 421),
+        ({"host": "localhost:1"}, 401),
+        ({"host": "["}, 421),
+        ({"origin": "https://evil.example"}, 403),
+        ({"origin": "null"}, 403),
+    ],
+)
+def test_requests_for_other_names_and_from_other_pages_are_refused(floor, headers, status):
+    assert httpx.get(f"{floor.url}/api/machines", headers=headers).status_code == status
+    if status == 403:
+        answer = httpx.post(f"{floor.url}/login", data={"token": TOKEN}, headers=headers)
+        assert answer.status_code == 403
+        assert httpx.get(f"{floor.url}/api/stream", headers=headers | BEARER).status_code == 403
+
+
+def test_pages_of_the_service_itself_may_log_in(floor, browser):
+    headers = {"origin": floor.url}
+    assert browser.post("/login", data={"token": TOKEN}, headers=headers).status_code == 303
+
+
+def test_an_audit_log_that_cannot_be_written_lets_nobody_in(floor, browser, monkeypatch):
+    monkeypatch.setattr(floor.accounts.audit, "path", floor.folder / "no" / "folder")
+    assert browser.post("/login", data={"token": TOKEN}).status_code == 503
+
+
+def test_the_audit_log_rotates_and_refusals_do_not_fill_it(tmp_path):
+    audit = Audit(tmp_path / "audit.jsonl", largest=1000, keep=3600.0)
+    for _ in range(100):
+        audit.refused("guest", "http 192.0.2.7", "login", "wrong")
+    assert len(audit.path.read_text().splitlines()) == AT_ONCE
+    for k in range(20):
+        audit.accepted("anna", "http 192.0.2.7", f"write {k}", "mill-1")
+    files = sorted(tmp_path.glob("audit*.jsonl"))
+    assert len(files) > 1
+    assert max(path.stat().st_size for path in files) <= 1000
+    lines = [json.loads(line) for path in files for line in path.read_text().splitlines()]
+    assert {f"write {k}" for k in range(20)} <= {one["what"] for one in lines}
+
+
+def test_users_of_earlier_versions_keep_their_rights(tmp_path):
+    path = tmp_path / "users"
+    path.touch(mode=0o600)
+    path.write_text(f"panel:reads:{hashed('panel-secret')}\nsetter:writes:{hashed('set-secret')}\n")
+    found = read_users(path)
+    assert [(one.role, one.machines) for one in found.values()] == [
+        ("viewer", ("*",)),
+        ("operator", ("*",)),
+    ]
+
+
+def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
+    (tmp_path / "service.toml").write_text(
+        'folder = "state"\nusers = "users"\n[models.m]\nfile = "m"\n'
+        '[machines.mill]\nmodel = "m"\nsource = "s"\n[sources.s]\nkind = "csv"\npath = "-"\n'
+    )
+
+    def said(command, *more, **given):
+        called = [command, str(tmp_path / "service.toml"), *more]
+        done = CliRunner().invoke(app, called, **given)
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    said("users", "--add", "anna", "--role", "operator", "--machines", "a,b", input="anna-pass\n")
+    assert read_users(tmp_path / "users")["anna"].machines == ("a", "b")
+    assert "operator" in said("users")
+    said("users", "--remove", "anna")
+    assert "anna" not in said("users")
+    secret = said("tokens", "--add", "logger", "--days", "90").strip()
+    listed = said("tokens")
+    assert "logger" in listed
+    assert secret not in listed
+    said("tokens", "--revoke", "logger")
+    assert said("tokens") == ""
+    lines = (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
+    assert len(lines) == 4
+    assert secret not in "".join(lines)
+
+
+# OPC UA
+
+
+def issued(folder, name, days=(-1, 1), authority=None):
+    """A client's certificate and key, of an authority or signed by itself."""
+    own = own_identity(folder / name, ())
+    key = serialization.load_pem_private_key(own.key.read_bytes(), None)
+    ca, ca_key = authority or (None, key)
+    now = datetime.now(UTC)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(ca.subject if ca else subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now + timedelta(days=days[0]))
+        .not_valid_after(now + timedelta(days=days[1]))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.UniformResourceIdentifier(APPLICATION)]), False
+        )
+        .add_extension(x509.BasicConstraints(ca=name == "authority", path_length=None), True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), False)
+        .sign(ca_key, hashes.SHA256())
+    )
+    own.certificate.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    return own, made, key
+
+
+async def logged_in(port, server, own, user):
+    client = Client(f"opc.tcp://127.0.0.1:{port}/thermojoint")
+    client.application_uri = APPLICATION
+    await client.set_security(
+        SecurityPolicyBasic256Sha256, own.certificate, own.key, server_certificate=str(server)
+    )
+    client.set_user(user)
+    client.set_password(f"{user}-secret")
+    return client
+
+
+async def lets_in(*given):
+    with contextlib.suppress(ua.UaError):
+        async with await logged_in(*given):
+            return True
+    return False
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    """An OPC UA server with two machines and a trust list; what its clients found."""
+    folder = tmp_path_factory.mktemp("plant")
+    for name, role, machines in (
+        ("viewer", "viewer", "*"),
+        ("setter", "operator", "mill-1"),
+        ("leaver", "operator", "*"),
+    ):
+        add_user(folder / "users", name, role, f"{name}-secret", [machines])
+    trusted = folder / "trusted"
+    trusted.mkdir()
+    panel = issued(folder, "panel")[0]
+    (trusted / "panel.pem").write_bytes(panel.certificate.read_bytes())
+    unknown = issued(folder, "unknown")[0]
+    expired = issued(folder, "expired", (-2, -1))[0]
+    early = issued(folder, "early", (1, 2))[0]
+    for one in (expired, early):
+        (trusted / f"{one.certificate.parent.name}.pem").write_bytes(one.certificate.read_bytes())
+    _, ca, ca_key = issued(folder, "authority")
+    (trusted / "ca.pem").write_bytes(ca.public_bytes(serialization.Encoding.PEM))
+    of_authority, listed, _ = issued(folder, "employee", authority=(ca, ca_key))
+
+    port, hub, given, found = free_port(), Hub(), [], {}
+    hub.publish([publication(1, time.time(), name) for name in ("mill-1", "lathe-1")])
+    audit = Audit(folder / "audit.jsonl")
+    accounts = Accounts(open_access(folder), audit, folder / "users")
+    section = OpcuaServer(port=port, users=folder / "users", trusted=trusted)
+    server_certificate = folder / "certificate.pem"
+
+    async def live():
+        machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))
+        entry = Entry(accounts, folder, EventLog())
+        server, nodes = await open_server(section, entry, hub, machines, given.append)
+        serving = asyncio.create_task(serve_nodes(server, nodes, hub))
+        at = (port, server_certificate)
+        clients = {"panel": panel, "unknown": unknown, "expired": expired, "early": early}
+        found["in"] = {name: await lets_in(*at, own, "viewer") for name, own in clients.items()}
+        found["rejected"] = list((folder / "rejected").iterdir())
+        found["rejected"][0].rename(trusted / "moved.der")
+        found["moved"] = await lets_in(*at, unknown, "viewer")
+        found["issued"] = await lets_in(*at, of_authority, "viewer")
+        now = datetime.now(UTC)
+        crl = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(ca.subject)
+            .last_update(now)
+            .next_update(now + timedelta(days=1))
+            .add_revoked_certificate(
+                x509.RevokedCertificateBuilder()
+                .serial_number(listed.serial_number)
+                .revocation_date(now)
+                .build()
+            )
+            .sign(ca_key, hashes.SHA256())
+        )
+        (trusted / "ca.crl").write_bytes(crl.public_bytes(serialization.Encoding.PEM))
+        found["revoked"] = await lets_in(*at, of_authority, "viewer")
+        value = ua.DataValue(ua.Variant(7.0, ua.VariantType.Double))
+
+        async def tries(user, machine):
+            async with await logged_in(*at, panel, user) as client:
+                node = client.get_node(f"ns=2;s={machine}.Probe.T2_degC")
+                if user == "leaver":
+                    remove_user(folder / "users", "leaver")
+                try:
+                    await node.write_value(value)
+                except ua.UaError as error:
+                    return type(error).__name__
+            return "written"
+
+        pairs = [("viewer", "mill-1"), ("setter", "mill-1"), ("setter", "lathe-1")]
+        pairs.append(("leaver", "mill-1"))
+        found["write"] = {pair: await tries(*pair) for pair in pairs}
+        async with await logged_in(*at, panel, "setter") as client:
+            for machine in ("mill-1", "lathe-1"):
+                node = client.get_node(f"ns=2;s={machine}.Displacement.x")
+                read = await node.read_data_value(raise_on_bad_status=False)
+                found["read", machine] = read.StatusCode.name
+            subscription = await client.create_subscription(100.0, None)
+            with contextlib.suppress(ua.UaError):
+                await subscription.subscribe_data_change(node)
+                found["subscribed"] = True
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+    asyncio.run(live())
+    found["audit"] = [json.loads(line) for line in audit.path.read_text().splitlines()]
+    found["given"] = given
+    return found
+
+
+def test_only_trusted_certificates_that_are_valid_now_are_let_in(plant):
+    assert plant["in"] == {"panel": True, "unknown": False, "expired": False, "early": False}
+    assert len(plant["rejected"]) == 1
+    assert plant["moved"]
+    why = {one["why"] for one in plant["audit"] if one["outcome"] == "refused"}
+    assert "the certificate is not trusted" in why
+    assert any("valid from" in one for one in why)
+
+
+def test_certificates_of_an_authority_are_let_in_until_it_revokes_them(plant):
+    assert plant["issued"]
+    assert not plant["revoked"]
+
+
+def test_writing_by_opcua_needs_the_role_on_this_machine_and_is_audited(plant):
+    denied = "BadUserAccessDenied"
+    assert plant["write"] == {
+        ("viewer", "mill-1"): denied,
+        ("setter", "mill-1"): "written",
+        ("setter", "lathe-1"): denied,
+        ("leaver", "mill-1"): denied,
+    }
+    assert [(one.machine, one.told) for one in plant["given"]] == [("mill-1", [None, 7.0])]
+    writes = [one for one in plant["audit"] if one["what"].startswith("write")]
+    assert [(one["who"], one["machine"], one["outcome"]) for one in writes] == [
+        ("viewer", "mill-1", "refused"),
+        ("setter", "mill-1", "accepted"),
+        ("setter", "lathe-1", "refused"),
+        ("leaver", "mill-1", "refused"),
+    ]
+    assert {one["from"] for one in plant["audit"]} == {"opcua 127.0.0.1"}
+
+
+def test_values_of_other_machines_are_not_read_by_opcua(plant):
+    assert plant["read", "mill-1"] == "Good"
+    assert plant["read", "lathe-1"] == "BadUserAccessDenied"
+    assert "subscribed" not in plant

@@ -1,0 +1,132 @@
+"""Commands for the users and tokens of the service beside the control."""
+
+from __future__ import annotations
+
+import sys
+import time
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermojoint.artefacts.errors import InputError
+
+#: By whom the audit log says that something was done.
+_ORIGIN = "command"
+
+
+class Role(StrEnum):
+    """Rights of a user or a token."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    ENGINEER = "engineer"
+
+
+Service = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
+RoleOption = Annotated[
+    Role,
+    typer.Option(help="viewer reads; operator also writes readings; engineer also changes models."),
+]
+Machines = Annotated[
+    str, typer.Option(help="Machines of the role: names or patterns like mill-*, with commas.")
+]
+
+
+def users(
+    service: Service,
+    add: Annotated[
+        str | None,
+        typer.Option(help="Add or change this user; the password is asked for."),
+    ] = None,
+    remove: Annotated[str | None, typer.Option(help="Remove this user.")] = None,
+    role: RoleOption = Role.VIEWER,
+    machines: Machines = "*",
+) -> None:
+    """List, add and remove the users of a service; it may be running.
+
+    A removed user's sessions end at once.
+
+    Example: [bold]thermojoint users service.toml --add anna --machines 'mill-*'[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.live.accounts import audit_of
+    from thermojoint.live.settings import read_service
+    from thermojoint.live.users import add_user, read_users, remove_user
+
+    given = read_service(service)
+    path = given.users_file
+    if path is None:
+        raise InputError(f'{service}: no file of users; write users = "users" at its beginning')
+    if add is not None:
+        import getpass
+
+        asked = f"password of {add}: "
+        password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
+        add_user(path, add, role.value, password.rstrip("\r\n"), machines.split(","))
+        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {role.value} of {machines}")
+        console.wrote(path)
+    if remove is not None:
+        remove_user(path, remove)
+        audit_of(given).accepted(user_name(), _ORIGIN, f"user {remove}: removed")
+        console.wrote(path)
+    if add is None and remove is None:
+        for name, user in (read_users(path) if path.exists() else {}).items():
+            print(f"{name:24} {user.role:10} {','.join(user.machines)}")
+
+
+def tokens(
+    service: Service,
+    add: Annotated[str | None, typer.Option(help="Make a token of this name and print it.")] = None,
+    revoke: Annotated[str | None, typer.Option(help="Revoke the token of this name.")] = None,
+    role: RoleOption = Role.VIEWER,
+    machines: Machines = "*",
+    days: Annotated[float, typer.Option(help="The token ends after these days.", min=0.0)] = 365.0,
+) -> None:
+    """List, make and revoke the tokens of a service; it may be running.
+
+    A token is printed once, when it is made; the service stores its SHA-256.
+
+    Example: [bold]thermojoint tokens service.toml --add prometheus --days 90[/bold]
+    """
+    from contextlib import closing
+
+    from thermojoint.live.access_store import open_access
+    from thermojoint.live.accounts import audit_of
+    from thermojoint.live.settings import read_service
+    from thermojoint.live.tokens import add_token, revoke_token, tokens_in
+
+    given = read_service(service)
+    with closing(open_access(given.folder)) as store:
+        if revoke is not None:
+            revoke_token(store, revoke)
+            audit_of(given).accepted(user_name(), _ORIGIN, f"token {revoke}: revoked")
+        if add is not None:
+            now = time.time()
+            span = now, now + 86400.0 * days
+            print(add_token(store, add, role.value, span, machines.split(",")))
+            what = f"token {add}: {role.value} of {machines} until {_day(span[1])}"
+            audit_of(given).accepted(user_name(), _ORIGIN, what)
+        if add is None and revoke is None:
+            for token in tokens_in(store):
+                who, used = token.principal, "never" if token.used is None else _day(token.used)
+                print(
+                    f"{who.name:24} {who.role:10} {','.join(who.machines):24} "
+                    f"until {_day(token.expires)}  used {used}"
+                )
+
+
+def user_name() -> str:
+    """Return who runs a command, as the audit log has it."""
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container may run as a number that has no name
+        return "unknown"
+
+
+def _day(seconds: float) -> str:
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M} UTC"

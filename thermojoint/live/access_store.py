@@ -1,0 +1,51 @@
+"""Store of tokens and sessions: one SQLite file, written by the service and by its commands."""
+
+from __future__ import annotations
+
+import sqlite3
+from hashlib import sha256
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError
+
+#: Its name in the folder of a service.
+NAME = "access.sqlite"
+#: The service waits at most this long for a command that writes, s.
+_PATIENCE_S = 0.5
+_TABLES = """
+CREATE TABLE IF NOT EXISTS tokens (
+  name TEXT PRIMARY KEY, digest TEXT NOT NULL UNIQUE, role TEXT NOT NULL, machines TEXT NOT NULL,
+  created REAL NOT NULL, expires REAL NOT NULL, used REAL);
+CREATE TABLE IF NOT EXISTS sessions (
+  digest TEXT PRIMARY KEY, credential TEXT NOT NULL, expires REAL NOT NULL);
+"""
+
+
+def open_access(folder: Path) -> sqlite3.Connection:
+    """Open the store in the folder of a service, or make it; only its owner can read it.
+
+    Raises
+    ------
+    InputError
+        It is damaged, or the folder cannot be written to.
+    """
+    path = folder / NAME
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.touch(mode=0o600)
+        store = sqlite3.connect(
+            path, isolation_level=None, timeout=_PATIENCE_S, check_same_thread=False
+        )
+        store.execute("PRAGMA journal_mode = WAL")
+        store.execute("PRAGMA synchronous = NORMAL")
+        store.executescript(_TABLES)
+    except (sqlite3.Error, OSError) as error:
+        raise InputError(
+            f"{path}: cannot be used ({error}); restore it, or remove it to end all tokens"
+        ) from error
+    return store
+
+
+def digest_of(text: str) -> str:
+    """Return the SHA-256 of a token, which is all that is stored of it."""
+    return sha256(text.encode("utf-8", "replace")).hexdigest()

@@ -1,0 +1,132 @@
+"""Who may come in: users by password, programs by token, browsers by their session."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.access_store import digest_of, open_access
+from thermojoint.live.audit import NAME, Audit
+from thermojoint.live.rights import Principal
+from thermojoint.live.secret import read_secret
+from thermojoint.live.sessions import begin_session, credential_of, end_session
+from thermojoint.live.settings import Service
+from thermojoint.live.tokens import token_of
+from thermojoint.live.users import Gate, principal_of, read_users
+
+#: A token of the settings is at least this long: nobody guesses so many random characters.
+SHORTEST_TOKEN = 32
+
+
+@dataclass(eq=False)
+class Accounts:
+    """Users, tokens and sessions of a service, and its audit log.
+
+    Attributes
+    ----------
+    store : Connection
+        `thermojoint.live.access_store`.
+    audit : Audit
+    users_file : Path or None
+        Read again whenever it changes.
+    given : mapping of str to Principal
+        The token of the settings by its digest.
+    """
+
+    store: sqlite3.Connection
+    audit: Audit
+    users_file: Path | None = None
+    given: Mapping[str, Principal] = field(default_factory=dict)
+    gate: Gate = field(default_factory=lambda: Gate({}))
+    _read: int = -1
+
+    def by_password(self, name: str, password: str) -> Principal | None:
+        """Return the rights of a user; None if the password is wrong."""
+        self._refresh()
+        return self.gate.admitted(name, password, time.monotonic())
+
+    def by_token(self, token: str) -> Principal | None:
+        """Return the rights of a token; None if it is unknown, revoked or expired."""
+        return self._by_digest(digest_of(token))
+
+    def by_session(self, ticket: str) -> Principal | None:
+        """Return the rights of a session; None if it, its user or its token has ended."""
+        credential = credential_of(self.store, ticket, time.time()) if ticket else None
+        return None if credential is None else self.by_credential(credential)
+
+    def by_credential(self, credential: str) -> Principal | None:
+        """Return the rights that a credential has now; None if it has ended."""
+        self._refresh()
+        for name, user in self.gate.users.items():
+            found = principal_of(name, user)
+            if found.credential == credential:
+                return found
+        return self._by_digest(credential)
+
+    def begin(self, principal: Principal, lasts: float) -> str:
+        """Return the ticket of a new session that lasts for a time (s)."""
+        return begin_session(self.store, principal.credential, time.time(), lasts)
+
+    def end(self, ticket: str) -> None:
+        """End a session."""
+        end_session(self.store, ticket)
+
+    def _by_digest(self, digest: str) -> Principal | None:
+        return self.given.get(digest) or token_of(self.store, digest, time.time())
+
+    def _refresh(self) -> None:
+        """Read the users again if their file has changed; a damaged one changes nothing."""
+        if self.users_file is None:
+            return
+        with suppress(OSError, InputError):
+            changed = self.users_file.stat().st_mtime_ns
+            if changed != self._read:
+                self.gate.users = read_users(self.users_file)
+                self._read = changed
+
+
+def audit_of(service: Service) -> Audit:
+    """Return the audit log of a service."""
+    section = service.given.audit
+    service.folder.mkdir(parents=True, exist_ok=True)
+    largest = round(1e6 * section.largest_mb)
+    return Audit(service.folder / NAME, largest, 86400.0 * section.keep_days)
+
+
+def accounts_of(service: Service) -> Accounts:
+    """Open users, tokens and sessions of a service.
+
+    Raises
+    ------
+    InputError
+        The users' file, the token of the settings or the store cannot be used.
+    """
+    http = service.given.http
+    given = {}
+    if http is not None and http.token is not None:
+        token = read_secret(http.token, "http.token")
+        given = {digest_of(token): Principal("http.token", credential=checked(token))}
+    users = service.users_file
+    gate = Gate({} if users is None else read_users(users))
+    return Accounts(open_access(service.folder), audit_of(service), users, given, gate)
+
+
+def checked(token: str) -> str:
+    """Return the digest of a token of the settings.
+
+    Raises
+    ------
+    InputError
+        It is too short, or a header cannot carry it.
+    """
+    if len(token) < SHORTEST_TOKEN or not token.isascii() or len(token.split()) != 1:
+        raise InputError(
+            f"http.token: a token has at least {SHORTEST_TOKEN} letters and digits; make one: "
+            "openssl rand -hex 32"
+        )
+    return digest_of(token)

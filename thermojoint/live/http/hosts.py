@@ -1,0 +1,47 @@
+"""Host and Origin of a request: only names of this service, only pages of its own.
+
+A page of another site can make a browser send requests here, under a name that it has pointed at
+this address (DNS rebinding) or with this service's cookie.
+"""
+
+from __future__ import annotations
+
+import socket
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import Scope
+
+from thermojoint.live.settings import HttpServer
+
+
+def hosts_of(section: HttpServer) -> frozenset[str]:
+    """Return the names under which browsers and programs reach the service."""
+    own = ("localhost", "127.0.0.1", "::1", socket.gethostname(), section.address)
+    return frozenset(name.lower() for name in (*own, *section.host_names))
+
+
+def misdirected(headers: Headers, scope: Scope, hosts: frozenset[str]) -> tuple[int, str] | None:
+    """Return status and reason if a request is not meant for this service; None if it is.
+
+    Parameters
+    ----------
+    headers : Headers
+    scope : Scope
+        The address at which it arrived is a name as well.
+    hosts : frozenset of str
+    """
+    own = hosts | {str((scope.get("server") or ("",))[0]).lower()}
+    given = headers.get("host", "")
+    if _host(f"//{given}") not in own:
+        return 421, "this name is not the service's; add it to host_names of [http]"
+    if headers.get("origin", own_origin := f"{scope['scheme']}://{given}") != own_origin:
+        return 403, "the request comes from a page of another site"
+    return None
+
+
+def _host(url: str) -> str:
+    try:
+        return (urlsplit(url).hostname or "").lower()
+    except ValueError:
+        return ""

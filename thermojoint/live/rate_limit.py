@@ -1,0 +1,40 @@
+"""Rate limit of log lines: a few of each kind at once, then one a minute with a count."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+#: This many lines of a kind are written at once, the next after this time, s.
+AT_ONCE, AGAIN_S = 5, 60.0
+#: Kinds that are remembered; all further ones share the last.
+_MOST = 20_000
+
+
+@dataclass(eq=False)
+class LineLimit:
+    """Counts of lines by kind."""
+
+    _seen: dict[Hashable, list[float]] = field(default_factory=dict)
+
+    def left_out(self, kind: Hashable, time: float) -> int | None:
+        """Return how many lines of a kind were left out before this one; None: leave it out.
+
+        Parameters
+        ----------
+        kind : hashable
+        time : float
+            s, by any clock.
+        """
+        if kind not in self._seen and len(self._seen) >= _MOST:
+            kind = None
+        # Lines written in a row, time of the last one, lines left out since.
+        seen = self._seen.setdefault(kind, [0.0, -AGAIN_S, 0.0])
+        if time - seen[1] >= AGAIN_S:
+            seen[0] = 0.0
+        elif seen[0] >= AT_ONCE:
+            seen[2] += 1.0
+            return None
+        before = int(seen[2])
+        seen[:] = [seen[0] + 1.0, time, 0.0]
+        return before

@@ -1,0 +1,54 @@
+"""Roles, and the rights of a user or token on each machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Literal
+
+Role = Literal["viewer", "operator", "engineer"]
+#: A role has the rights of those before it: to read; to write readings; to change models.
+ROLES: tuple[Role, ...] = ("viewer", "operator", "engineer")
+#: Roles of earlier versions of the service.
+FORMER_ROLES: dict[str, Role] = {"reads": "viewer", "writes": "operator"}
+#: Rights on every machine.
+ALL_MACHINES = ("*",)
+
+
+@dataclass(frozen=True)
+class Principal:
+    """A user or a token that has been recognised.
+
+    Attributes
+    ----------
+    name : str
+        Of the user or the token, for the audit log.
+    role : str
+        One of `ROLES`.
+    machines : tuple of str
+        Names or patterns (``mill-*``) of the machines for which the role holds; others are hidden.
+    credential : str
+        Digest of the password's hash or of the token: a session lives as long as it is in use.
+    """
+
+    name: str
+    role: Role = "viewer"
+    machines: tuple[str, ...] = ALL_MACHINES
+    credential: str = field(default="", repr=False)
+
+    @property
+    def sees_all(self) -> bool:
+        """Whether every machine is visible."""
+        return "*" in self.machines
+
+    def sees(self, machine: str) -> bool:
+        """Whether a machine is visible."""
+        return any(fnmatchcase(machine, pattern) for pattern in self.machines)
+
+    def refusal(self, role: Role, machine: str) -> str:
+        """Return why this principal may not act in a role on a machine; empty if it may."""
+        if not self.sees(machine):
+            return f"no right on {machine}"
+        if ROLES.index(self.role) < ROLES.index(role):
+            return f"needs the role {role}, has {self.role}"
+        return ""

@@ -1,0 +1,115 @@
+"""Tokens of programs: named, with a role and machines, for a limited time, revoked one by one."""
+
+from __future__ import annotations
+
+import secrets
+import sqlite3
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.access_store import digest_of
+from thermojoint.live.rights import ALL_MACHINES, Principal
+from thermojoint.live.users import checked_rights
+
+#: The time of the last use is written at most once in this time, s.
+_USED_S = 60.0
+
+
+@dataclass(frozen=True)
+class Token:
+    """A token without its secret.
+
+    Attributes
+    ----------
+    principal : Principal
+        Its name and rights.
+    created, expires : float
+        s since 1970.
+    used : float or None
+        When it was used last, to a minute; s since 1970.
+    """
+
+    principal: Principal
+    created: float
+    expires: float
+    used: float | None
+
+
+def add_token(
+    store: sqlite3.Connection,
+    name: str,
+    role: str,
+    span: tuple[float, float],
+    machines: Sequence[str] = ALL_MACHINES,
+) -> str:
+    """Make a token, and return its secret, which is stored nowhere.
+
+    Parameters
+    ----------
+    store : Connection
+    name, role : str
+    span : (float, float)
+        When it is made and when it ends, s since 1970.
+    machines : sequence of str
+        Names or patterns.
+
+    Raises
+    ------
+    InputError
+        Name, role or machines cannot be used, or there is a token of this name.
+    """
+    known, patterns = checked_rights(name, role, machines)
+    secret = f"tj_{secrets.token_urlsafe(32)}"
+    try:
+        store.execute(
+            "INSERT INTO tokens VALUES (?, ?, ?, ?, ?, ?, NULL)",
+            (name, digest_of(secret), known, ",".join(patterns), *span),
+        )
+    except sqlite3.IntegrityError as error:
+        raise InputError(f"{name}: a token of this name exists; revoke it first") from error
+    return secret
+
+
+def revoke_token(store: sqlite3.Connection, name: str) -> None:
+    """Revoke a token; sessions that it began end with it.
+
+    Raises
+    ------
+    InputError
+        There is no such token.
+    """
+    if not store.execute("DELETE FROM tokens WHERE name = ?", (name,)).rowcount:
+        raise InputError(f"no token named {name!r}; list them with `thermojoint tokens`")
+
+
+def tokens_in(store: sqlite3.Connection) -> list[Token]:
+    """Return all tokens, also those that have expired."""
+    rows = store.execute(
+        "SELECT name, role, machines, digest, created, expires, used FROM tokens ORDER BY name"
+    )
+    return [_token(row) for row in rows]
+
+
+def token_of(store: sqlite3.Connection, digest: str, now: float) -> Principal | None:
+    """Return the rights of a token by its digest; None if it is unknown or has expired."""
+    row = store.execute(
+        "SELECT name, role, machines, digest, created, expires, used FROM tokens "
+        "WHERE digest = ? AND expires > ?",
+        (digest, now),
+    ).fetchone()
+    if row is None:
+        return None
+    token = _token(row)
+    if token.used is None or now - token.used > _USED_S:
+        # Whoever cannot write, because the disk is full, lets the token pass nevertheless.
+        with suppress(sqlite3.OperationalError):
+            store.execute("UPDATE tokens SET used = ? WHERE digest = ?", (now, digest))
+    return token.principal
+
+
+def _token(row: Sequence[object]) -> Token:
+    name, role, machines, digest, created, expires, used = row
+    principal = Principal(name, role, tuple(str(machines).split(",")), digest)  # type: ignore[arg-type]
+    return Token(principal, created, expires, used)  # type: ignore[arg-type]
