@@ -26,7 +26,6 @@ def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
     Returns
     -------
     dict
-        max_abs_error_um, rms_error_um; with a band band_cover (part of the samples inside it) and
         max_abs_error_um, rms_error_um; with a band band_cover (share of samples inside it) and
         mean_band_um.
     """

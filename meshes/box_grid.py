@@ -6,12 +6,15 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import MeshHex
+from skfem import Mesh, MeshHex
 
 from thermojoint.artefacts.errors import InputError
+
+M = TypeVar("M", bound=Mesh)
 
 #: A grid with more cells than this indicates a wrong unit: it would need some 100 GB.
 LARGEST_GRID = 20_000_000
@@ -128,12 +131,12 @@ def box_mesh(
     return grid.restrict(np.flatnonzero(inside))
 
 
-def put_side_by_side(meshes: Sequence[MeshHex]) -> tuple[MeshHex, list[NDArray[np.int64]]]:
-    """Join meshes without merging nodes, so that a joint between them stays open.
+def put_side_by_side(meshes: Sequence[M]) -> tuple[M, list[NDArray[np.int64]]]:
+    """Join meshes of one type without merging nodes, so that a joint between them stays open.
 
     Returns
     -------
-    mesh : skfem.MeshHex
+    mesh : skfem.Mesh
         All cells.
     cells : list of ndarray of int
         The cells of each input mesh in the result.
@@ -143,4 +146,4 @@ def put_side_by_side(meshes: Sequence[MeshHex]) -> tuple[MeshHex, list[NDArray[n
     starts = np.cumsum([0, *(mesh.nelements for mesh in meshes)])
     corners = np.hstack([mesh.t + shift for mesh, shift in zip(meshes, shifts, strict=False)])
     cells = [np.arange(a, b) for a, b in pairwise(starts)]
-    return MeshHex(points, corners), cells
+    return type(meshes[0])(points, corners), cells

@@ -47,6 +47,8 @@ _READERS = {
     ".med": meshio.med.read,
 }
 Masks = list[NDArray[np.bool_]]
+#: Type and corner nodes of each block of cells.
+Cells = list[tuple[str, NDArray[np.int64]]]
 
 _MSH_END = (
     rb"(^|\n)\$End(Comments|MeshFormat|PhysicalNames|(Partitioned)?Entities|Nodes|(Ghost)?Elements"
@@ -377,21 +379,32 @@ def _check_names(names: list[str]) -> None:
             )
 
 
+def _cells(
+    mesh: Mesh,
+    volumes: meshio.CellBlock,
+    facets: NDArray[np.int64],
+    vertices: NDArray[np.int64],
+) -> Cells:
+    """Volume cells, facet cells and vertex cells, as files have them."""
+    facet_type = "quad" if mesh.facets.shape[0] == 4 else "triangle"
+    return [
+        (volumes.type, volumes.data),
+        (facet_type, mesh.facets[:, facets].T),
+        ("vertex", vertices),
+    ]
+
+
 def _as_arrays(
     structure: Structure,
     surfaces: Mapping[str, NDArray[np.int64]],
     probes: list[str],
     volumes: meshio.CellBlock,
     vertices: NDArray[np.int64],
-) -> tuple[list[tuple[str, NDArray[np.int64]]], dict[str, list[NDArray[np.int8]]]]:
+) -> tuple[Cells, dict[str, list[NDArray[np.int8]]]]:
     """Cells and arrays of 0 and 1 for VTU."""
     mesh = structure.mesh
     facets = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *surfaces.values()]))
-    cells = [
-        (volumes.type, volumes.data),
-        ("quad" if mesh.facets.shape[0] == 4 else "triangle", mesh.facets[:, facets].T),
-        ("vertex", vertices),
-    ]
+    cells = _cells(mesh, volumes, facets, vertices)
     owners = [np.arange(mesh.nelements), facets, np.arange(len(probes))]
     named = [
         {f"body:{name}": chosen for name, chosen in structure.bodies.items()},
@@ -418,20 +431,14 @@ def _as_groups(
     probes: list[str],
     volumes: meshio.CellBlock,
     vertices: NDArray[np.int64],
-) -> tuple[
-    list[tuple[str, NDArray[np.int64]]], list[NDArray[np.int32]], dict[str, NDArray[np.int64]]
-]:
+) -> tuple[Cells, list[NDArray[np.int32]], dict[str, NDArray[np.int64]]]:
     """Cells, the tag of each, and (tag, dimension) of each name, for MSH 2.2."""
     mesh = structure.mesh
     body_tag = np.zeros(mesh.nelements, dtype=np.int32)
     for tag, chosen in enumerate(structure.bodies.values(), start=1):
         body_tag[chosen] = tag
     facets = [np.empty(0, dtype=np.int64), *surfaces.values()]
-    cells = [
-        (volumes.type, volumes.data),
-        ("quad" if mesh.facets.shape[0] == 4 else "triangle", mesh.facets[:, np.hstack(facets)].T),
-        ("vertex", vertices),
-    ]
+    cells = _cells(mesh, volumes, np.hstack(facets), vertices)
     tags = [
         body_tag,
         np.repeat(np.arange(len(facets), dtype=np.int32), [len(part) for part in facets]),

@@ -1,6 +1,6 @@
 """Terminal output: results on standard output, progress and warnings on standard error.
 
-How much of it is asked for by -q and -v, and holds for the process, as its streams do.
+The verbosity (-q, -v) belongs to the process, as its streams do.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
-#: Called with (what is being worked on, done, in all).
+#: Called with (name of the task, done, total).
 Report = Callable[[str, int, int], None]
 
 
@@ -77,12 +77,12 @@ def out(as_json: Path | None = None) -> Console:
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Give a function that shows how far each thing named is: a bar, or lines without a terminal.
+    """Give a function that reports progress: as bars, or as lines without a terminal.
 
     Yields
     ------
     callable
-        To be called with (name, done, in all).
+        Called with (name, done, total).
     """
     if _verbosity is Verbosity.QUIET:
         yield lambda name, done, total: None
@@ -93,7 +93,7 @@ def progress_bars() -> Iterator[Report]:
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
-    """Show that something is at work in the block, which does not say how far it is."""
+    """Report the block as a running task, without its progress."""
     with progress_bars() as report:
         report(what, 0, 1)
         yield
@@ -123,12 +123,12 @@ def _bars() -> Iterator[Report]:
 
 @contextmanager
 def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Report]:
-    """Give a function as `progress_bars`, for a log: a line on standard error now and then.
+    """Give a function as `progress_bars`, for a log file: one line on standard error per interval.
 
     Parameters
     ----------
     first_s, every_s : float
-        When the first line comes, and the next ones after it, s.
+        Time until the first line, and between further ones, s.
     """
     begun, reached = monotonic(), dict[str, tuple[int, int]]()
     ended = Event()
@@ -136,7 +136,7 @@ def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Repo
     def report(name: str, done: int, total: int) -> None:
         reached[name] = done, total
 
-    def tell() -> None:
+    def print_lines() -> None:
         wait = first_s
         while not ended.wait(wait):
             wait = every_s
@@ -145,17 +145,17 @@ def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Repo
                     part = f" {done} of {total}," if total > 1 else ""
                     say(f"{name}:{part} {monotonic() - begun:.0f} s")
 
-    teller = Thread(target=tell, daemon=True)
-    teller.start()
+    printer = Thread(target=print_lines, daemon=True)
+    printer.start()
     try:
         yield report
     finally:
         ended.set()
-        teller.join()
+        printer.join()
 
 
 def _timed(show: Report) -> Report:
-    """Say of each thing how long it took."""
+    """Report how long each task took."""
     begun: dict[str, float] = {}
 
     def report(name: str, done: int, total: int) -> None:
@@ -168,13 +168,13 @@ def _timed(show: Report) -> Report:
 
 
 def _show_cursor() -> None:
-    """Give a terminal its cursor back, which live output hides."""
+    """Show the cursor of a terminal again, which live output hides."""
     if sys.stderr.isatty():
         os.write(sys.stderr.fileno(), b"\x1b[?25h\n")
 
 
 def say(text: str) -> None:
-    """Print one line about what was done, on standard error."""
+    """Print a line of information on standard error; not with -q."""
     if _verbosity is not Verbosity.QUIET:
         _print(text)
 
@@ -190,7 +190,7 @@ def _print(line: str) -> None:
 
 
 def wrote(*paths: Path | None) -> None:
-    """Say which files were written."""
+    """Report which files were written."""
     for path in paths:
         if path is not None and not _is_stream(path):
             say(f"wrote {path}")
@@ -201,17 +201,22 @@ def _is_stream(path: Path | None) -> bool:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number as a table shows it; a dash where there is none."""
+    """Return a number as text for a table; a dash for None."""
     return "–" if value is None else f"{value:.{digits}g}"
 
 
 def rounded(value: float) -> str:
-    """Return a number with two digits that count, or as a whole number, never with an exponent."""
+    """Return a number with two significant digits, a whole number from 10 on; no exponent."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
+def numeric(*names: str) -> list[Column]:
+    """Return columns of a table for numbers, aligned to the right."""
+    return [Column(name, justify="right") for name in names]
+
+
 def titled(console: Console, title: str, table: Table) -> None:
-    """Print a table under its title; a title inside would be broken to the table's width."""
+    """Print a table below its title; a title inside would be wrapped to the table's width."""
     console.print()
     console.print(title, style="bold")
     console.print(table)

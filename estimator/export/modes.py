@@ -14,7 +14,7 @@ v' = p v + w'/p are known in closed form by the divided differences φ_k[-λ dt,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
@@ -139,12 +139,7 @@ def operations_of_interval(modes: Modes, on_lines: bool) -> Operations:
 
 def _dearer(left: Operations, right: Operations) -> Operations:
     """Upper bound of the two costs."""
-    return Operations(
-        max(left.multiplications, right.multiplications),
-        max(left.additions, right.additions),
-        max(left.divisions, right.divisions),
-        max(left.functions, right.functions),
-    )
+    return Operations(*map(max, astuple(left), astuple(right)))
 
 
 def _sorted(bank: Bank) -> Modes:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,21 +58,11 @@ class Operations:
     functions: int = 0
 
     def __add__(self, other: Operations) -> Operations:
-        return Operations(
-            self.multiplications + other.multiplications,
-            self.additions + other.additions,
-            self.divisions + other.divisions,
-            self.functions + other.functions,
-        )
+        return Operations(*map(add, astuple(self), astuple(other)))
 
     def times(self, count: int) -> Operations:
         """Return the operations of this many repetitions."""
-        return Operations(
-            count * self.multiplications,
-            count * self.additions,
-            count * self.divisions,
-            count * self.functions,
-        )
+        return Operations(*(count * own for own in astuple(self)))
 
 
 class Variable(NamedTuple):

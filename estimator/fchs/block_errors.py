@@ -47,8 +47,6 @@ def block_errors(
 
     Rows, by ``driven_by``: "temperatures" (the estimator as it is), "true heat" (Q for Q̂ in blocks
     2 and 3), "true deviations" (∂T from the superposed reference for blocks 4 to 7), "both".
-    Errors are against the superposed reference (linear), the displacement less it (nonlinear) and
-    the displacement (total). With "both", what is left of the linear error is Eq. 8's, and of the
     Errors are relative to the superposed reference (linear), the displacement minus that
     (nonlinear) and the displacement (total). With "both", the remaining linear error is that of Eq.
     8, and the remaining nonlinear error that of the source model and Eq. 18.

@@ -93,10 +93,11 @@ def control(
     given = read_loop(loop)
     # After the file: a mistake in it is told before the libraries are loaded.
     from thermojoint import console, plausibility
+    from thermojoint.artefacts.files import write_text
     from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.compensation.loop.judging import as_content
-    from thermojoint.compensation.loop.report import report_html, write_report
+    from thermojoint.compensation.loop.report import report_html
     from thermojoint.compensation.loop.run import close_loop
 
     machine = read_case(given.plant.case)
@@ -111,7 +112,7 @@ def control(
     closed = close_loop(given, console.say)
     content = as_content(closed)
     if out:
-        write_report(report_html(closed, content), out)
+        write_text(out, report_html(closed, content))
     arguments.write_json(figures, content)
     results.show_loop(console.out(figures), content)
     console.wrote(out, figures)

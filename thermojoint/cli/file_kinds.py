@@ -95,16 +95,15 @@ def _is_march_state(path: Path) -> bool:
     return False
 
 
-def _is_estimate(path: Path) -> bool:
-    with path.open("rb") as file:
-        header = file.readline(1 << 16).strip()
-    return header.startswith(b"time_s,") and header.endswith(b",status,quality")
+def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
+    """A CSV whose header has these first and last columns."""
 
+    def holds(path: Path) -> bool:
+        with path.open("rb") as file:
+            header = file.readline(1 << 16).strip()
+        return header.startswith(first) and header.endswith(last)
 
-def _is_offsets(path: Path) -> bool:
-    with path.open("rb") as file:
-        header = file.readline(1 << 16).strip()
-    return header.startswith(b"time_s,offset_") and header.endswith(b",state")
+    return holds
 
 
 def _is_report(command: str) -> Callable[[Path], bool]:
@@ -149,14 +148,14 @@ CALIBRATION_REPORT = Kind(
 )
 BASELINES = Kind("a file of baselines", _schema("thermojoint-baselines"), ".json")
 ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimator-state"), ".json")
-ESTIMATE = Kind("an estimate", _is_estimate, ".csv")
+ESTIMATE = Kind("an estimate", _csv(b"time_s,", b",status,quality"), ".csv")
 ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"), ".json")
 FMU = Kind("an FMU of this program", _is_fmu, ".fmu")
 TABLES = Kind("tables of a model", _json("table1", "table2", "table3"), ".json")
 VALIDATION = Kind("a validation", _is_validation, ".json")
 VERIFICATION = Kind("a verification", _json("cases"), ".json")
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"), ".md")
-OFFSETS = Kind("a preview of offsets", _is_offsets, ".csv")
+OFFSETS = Kind("a preview of offsets", _csv(b"time_s,offset_", b",state"), ".csv")
 TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"), ".html")
 TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"), ".json")
 SENSORS = Kind(

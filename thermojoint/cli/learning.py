@@ -91,33 +91,28 @@ def learn(
 
 
 def _show(model: LearnedModel) -> None:
-    """Print what was found, what was chosen, and how its error compares."""
+    """Print faults of sensors, the chosen sensors, and the errors beside those of other kinds."""
     from rich.table import Table
 
     from thermojoint import console
 
-    told = model.learned_from
-    for fault in told.faults:
-        console.warn([fault])
-    for warning in told.warnings:
-        console.warn([warning])
+    origin = model.learned_from
+    console.warn([*origin.faults, *origin.warnings])
     printer = console.out()
     heats = [name for name in model.columns if name not in model.sensors]
     printer.print(
         f"{model.kind}: {', '.join(model.sensors) or 'no sensor'}"
         + (f"; heat from {', '.join(heats)}" if heats else "")
     )
-    table = Table(title="rms error on blocks of time held out, um")
-    table.add_column("kind")
-    for channel in model.channels:
-        table.add_column(channel.name, justify="right")
-    for kind, errors in told.errors_um.items():
+    columns = console.numeric(*(channel.name for channel in model.channels))
+    table = Table("kind", *columns, title="rms error on blocks of time held out, um")
+    for kind, errors in origin.errors_um.items():
         table.add_row(kind, *(f"{value:.2f}" for value in errors))
     printer.print(table)
-    best = told.best(model.kind)
+    best = origin.best(model.kind)
     worst = ", ".join(
         f"{channel.name} {value:.2f} um"
-        for channel, value in zip(model.channels, told.worst_um[best], strict=True)
+        for channel, value in zip(model.channels, origin.worst_um[best], strict=True)
     )
     printer.print(
         f"verdict by the worst block held out: {best} ({worst})"

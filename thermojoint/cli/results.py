@@ -8,23 +8,20 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from thermojoint.console import number, titled
+from thermojoint.console import number, numeric, titled
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from calibrate.placement.joint_aware import Placement
 
-#: An axis with less than this part of the largest band does not move.
+#: An axis with less than this fraction of the largest band does not move.
 STILL = 1e-6
 
 
 def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
     """Print the parameters of a thermal test after ISO 230-3."""
-    table = Table()
-    table.add_column("parameter")
-    for name in ("value", "unit", "from (min)", "to (min)"):
-        table.add_column(name, justify="left" if name == "unit" else "right")
+    table = Table("parameter", *numeric("value"), "unit", *numeric("from (min)", "to (min)"))
     for row in content["parameters"]:
         ends = (f"{row[key] / 60.0:.1f}" for key in ("begin_s", "end_s"))
         table.add_row(row["symbol"], number(row["value"]), row["unit"], *ends)
@@ -35,9 +32,9 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
     """Print margins and residuals of a closed loop."""
     design = content["design"]
     if design is not None:
-        margins = Table()
-        for name in ("delay (s)", "gain margin (dB)", "phase margin (°)", "more delay (s)"):
-            margins.add_column(name, justify="right")
+        margins = Table(
+            *numeric("delay (s)", "gain margin (dB)", "phase margin (°)", "more delay (s)")
+        )
         for delay, late in {"as it is": design["margins"], **design["late"]}.items():
             gain = "unstable" if late["phase_margin_deg"] < 0.0 else "no limit"
             if gain != "unstable" and late["gain_margin_dB"] is not None:
@@ -56,11 +53,9 @@ def show_loop(console: Console, content: Mapping[str, Any]) -> None:
             f"At worst: {'no limit' if worst is None else f'{worst:.3g} dB'}, "
             f"{design['worst_phase_margin_deg']:.3g}°."
         )
-    table = Table()
-    table.add_column("run")
-    table.add_column("axis")
-    for name in ("moves (µm)", "with offsets (µm)", "estimate's error (µm)"):
-        table.add_column(name, justify="right")
+    table = Table(
+        "run", "axis", *numeric("moves (µm)", "with offsets (µm)", "estimate's error (µm)")
+    )
     for run in content["runs"]:
         for axis, axis_run in run["axes"].items():
             left = axis_run.get("with_offsets", {"largest_um": None})
@@ -77,22 +72,19 @@ def show_placement(console: Console, placement: Placement, axes: Sequence[str]) 
     """Print the band for one sensor, two and so on, along the axes that move."""
     largest = max(float(value) for step in placement.steps for value in step.band)
     moving = [k for k in range(len(axes)) if placement.steps[0].band[k] > STILL * largest]
-    table = Table()
-    for name in ("sensors", "one more", *(f"band {axes[k]}" for k in moving)):
-        table.add_column(name, justify="left" if name == "one more" else "right")
+    bands = numeric(*(f"band {axes[k]}" for k in moving))
+    table = Table(*numeric("sensors"), "one more", *bands)
     rows = [(step.names[-1], step) for step in placement.steps]
     for name, choice in [*rows, ("after exchanges", placement.chosen)]:
-        bands = [number(1e6 * float(choice.band[k]), 3) for k in moving]
-        table.add_row(str(len(choice.names)), name, *bands)
+        cells = [number(1e6 * float(choice.band[k]), 3) for k in moving]
+        table.add_row(str(len(choice.names)), name, *cells)
     titled(console, "Half band of 95 % (µm)", table)
     console.print(f"Chosen: {', '.join(placement.chosen.names)}")
 
 
 def show_physics(console: Console, report: Mapping[str, Any]) -> None:
-    """Print the machine's fitted parameters and what of them the data determine."""
-    table = Table()
-    for name in ("parameter", "factor on the case", "uncertainty", "before"):
-        table.add_column(name, justify="left" if name == "parameter" else "right")
+    """Print the machine's fitted parameters, and the combinations that the data determine."""
+    table = Table("parameter", *numeric("factor on the case", "uncertainty", "before"))
     for parameter in report["parameters"]:
         table.add_row(
             parameter["parameter"],
@@ -101,9 +93,7 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
             f"{100.0 * parameter['prior_std']:.1f} %",
         )
     titled(console, "The machine's physics", table)
-    known = Table()
-    for name in ("singular value", "decided by", "direction"):
-        known.add_column(name, justify="right" if name == "singular value" else "left")
+    known = Table(*numeric("singular value"), "decided by", "direction")
     for direction in report["directions"]:
         parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in direction["of"].items())
         known.add_row(number(direction["singular_value"], 3), direction["decided_by"], parts)
@@ -111,18 +101,15 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
 
 
 def show_results(console: Console, response: xr.Dataset) -> None:
-    """Print what a simulated response comes to: displacement, temperature, and the joint."""
+    """Print the results of a simulated response: displacement, temperature, joints."""
     from fesim.batch.summary import figures_of
     from thermojoint.paper.summary import result_lines
 
     figures = figures_of(response)
-    table = Table()
-    table.add_column("axis")
-    for name in ("final", "peak"):
-        table.add_column(name, justify="right")
+    table = Table("axis", *numeric("final", "peak"))
     for axis in response["axis"].to_numpy():
         at = (figures[f"displacement_{axis}_{kind}_um"] for kind in ("final", "peak"))
-        # To the nanometre, and without the sign of a zero: less is rounding.
+        # To the nanometre, as the rest is rounding; adding zero removes the sign of -0.
         table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
     titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)
     for line in result_lines(response, figures):

@@ -69,6 +69,7 @@ def iso230_3(
     etve.json[/bold]
     """
     from thermojoint import console
+    from thermojoint.artefacts.files import write_text
     from thermojoint.cli import results
     from thermojoint.standards.iso230_3 import record as records
     from thermojoint.standards.iso230_3 import report
@@ -103,7 +104,7 @@ def iso230_3(
     ends = [None if minutes is None else 60.0 * minutes for minutes in (begin, end)]
     evaluation = evaluate(test, record, *ends)
     if out:
-        report.write_report(report.report_html(record, evaluation, given.name, facts), out)
+        write_text(out, report.report_html(record, evaluation, given.name, facts))
     content = report.parameters_json(evaluation, given.name)
     arguments.write_json(parameters, content)
     say(read)

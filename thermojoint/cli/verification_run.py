@@ -23,7 +23,7 @@ def run_all(report: Report) -> list[Result]:
 
 
 def show(console: Console, results: Sequence[Result]) -> None:
-    """Print one table for each group and the sum of them."""
+    """Print one table for each group, and how many checks passed."""
     for result in results:
         table = Table()
         table.add_column("quantity", overflow="fold")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -111,11 +112,8 @@ def simulate_inputs(
     ready = setup if setup is not None else set_up(case)
 
     def run(name: str, heat: HeatInput) -> xr.Dataset:
-        def told(done: int, count: int) -> None:
-            if progress is not None:
-                progress(name, done, count)
-
         own = case.model_copy(update={"heat_input": heat, "title": f"{case.title}, {name}"})
-        return simulate(own, setup=ready, progress=told).response
+        report = None if progress is None else partial(progress, name)
+        return simulate(own, setup=ready, progress=report).response
 
     return {name: run(name, heat) for name, heat in inputs.items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -152,14 +153,10 @@ def simulate_long(
         DAY: driven(case, random_day(runs.day, runs.seed), runs.day, DAY, folder),
         COOL_DOWN: driven(case, cool_down(runs.heated), runs.cool_down, COOL_DOWN, folder),
     }
-
-    def run(name: str, given: Case) -> xr.Dataset:
-        def told(done: int, count: int) -> None:
-            progress(name, done, count)
-
-        return simulate(given, setup=setup, progress=told).response
-
-    return {name: run(name, given) for name, given in cases.items()}
+    return {
+        name: simulate(long, setup=setup, progress=partial(progress, name)).response
+        for name, long in cases.items()
+    }
 
 
 def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:

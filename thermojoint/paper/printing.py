@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
-from thermojoint.console import number, rounded, titled
+from thermojoint.console import number, numeric, rounded, titled
 from thermojoint.paper import paper_values
 
 if TYPE_CHECKING:
@@ -23,11 +23,7 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     from thermojoint.paper.tables import NOTE
 
     for printed in tables:
-        table = Table()
-        table.add_column("parameter")
-        table.add_column("unit")
-        table.add_column("ours", justify="right")
-        table.add_column("paper", justify="right")
+        table = Table("parameter", "unit", *numeric("ours", "paper"))
         for block in printed.blocks:
             table.add_section()
             table.add_row(block.title, style="bold")
@@ -43,7 +39,7 @@ def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
     console.print(f"Paper: {paper_values.CITATION}.")
 
 
-#: What a row of errors may hold, in the order of its columns: heading, key, factor and unit.
+#: Possible columns of a table of errors, in their order: heading, key, factor and unit.
 _ERRORS = (
     ("max error", "max_abs_error_um", 1.0, ""),
     ("rms error", "rms_error_um", 1.0, ""),
@@ -58,23 +54,19 @@ _ERRORS = (
 
 
 def show_validation(console: Console, rows: Sequence[Row]) -> None:
-    """Print the errors of estimators of any kind, from temperatures alone: what their rows hold."""
+    """Print the errors of estimators of any kind; columns that no row has are left out."""
     from thermojoint.paper.verdict import paper_claim
 
     held = [column for column in _ERRORS if any(column[1] in row for row in rows)]
     claims = [paper_claim(row) for row in rows]
-    table = Table()
-    for name in ("case", "estimator", "axis"):
-        table.add_column(name, no_wrap=True)
-    for heading, *_ in held:
-        table.add_column(heading, justify="right")
     claimed = any(claim is not None for claim in claims)
-    if claimed:
-        table.add_column("paper's error", justify="right")
+    headings = [heading for heading, *_ in held] + ["paper's error"] * claimed
+    names = [Column(name, no_wrap=True) for name in ("case", "estimator", "axis")]
+    table = Table(*names, *numeric(*headings))
     for row, claim in zip(rows, claims, strict=True):
         cells = (_cell(row.get(key), factor, unit) for _, key, factor, unit in held)
-        names = (str(row[name]) for name in ("case", "estimator", "axis"))
-        table.add_row(*names, *cells, *([number(claim)] if claimed else []))
+        judged = (str(row[name]) for name in ("case", "estimator", "axis"))
+        table.add_row(*judged, *cells, *([number(claim)] if claimed else []))
     titled(console, "Validation from temperatures alone (µm)", table)
 
 
@@ -86,11 +78,9 @@ def _cell(value: str | float | None, factor: float, unit: str) -> str:
 
 def show_estimators(console: Console, table: ErrorTable) -> None:
     """Print the largest errors of all estimators, one line per case and axis."""
-    shown = Table()
-    for name in ("case", "axis"):
-        shown.add_column(name, no_wrap=True)
-    for name in (*table.estimators, "paper"):
-        shown.add_column(name.replace("-", "-\n"), justify="right")
+    names = [Column(name, no_wrap=True) for name in ("case", "axis")]
+    estimators = (name.replace("-", "-\n") for name in (*table.estimators, "paper"))
+    shown = Table(*names, *numeric(*estimators))
     for row in table.rows:
         shown.add_row(row.case, row.axis, *map(rounded, row.errors), number(row.paper))
     titled(console, "Largest error of the estimated displacement, from temperatures (µm)", shown)
@@ -98,11 +88,8 @@ def show_estimators(console: Console, table: ErrorTable) -> None:
 
 def show_schemes(console: Console, rows: Sequence[SchemeErrors]) -> None:
     """Print the two ways of calibrating Eq. 18 beside the linear estimator."""
-    table = Table()
-    for name in ("case", "axis"):
-        table.add_column(name)
-    for name in ("linear", "FCHS, calibrated to steps", "FCHS, to estimated strengths"):
-        table.add_column(name, justify="right")
+    schemes = numeric("linear", "FCHS, calibrated to steps", "FCHS, to estimated strengths")
+    table = Table("case", "axis", *schemes)
     for row in rows:
         errors = (number(value, 3) for value in (row.linear, row.steps, row.estimated))
         table.add_row(row.case, row.axis, *errors)
@@ -113,12 +100,7 @@ def show_blocks(console: Console, rows: Sequence[Row]) -> None:
     """Print the contributions of the blocks of Figure 5 to the error."""
     if not rows:
         return
-    table = Table()
-    title = "Largest error by what drives the blocks (µm)"
-    for name in ("case", "driven by", "axis"):
-        table.add_column(name)
-    for name in ("linear", "nonlinear", "total"):
-        table.add_column(name, justify="right")
+    table = Table("case", "driven by", "axis", *numeric("linear", "nonlinear", "total"))
     for row in rows:
         table.add_row(
             str(row["case"]),
@@ -126,16 +108,13 @@ def show_blocks(console: Console, rows: Sequence[Row]) -> None:
             str(row["axis"]),
             *(_figure(row[f"{part}_error_um"]) for part in ("linear", "nonlinear", "total")),
         )
-    titled(console, title, table)
+    titled(console, "Largest error by what drives the blocks (µm)", table)
 
 
 def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
     """Print the solver's figures of each response, then the thermal model they had."""
-    table = Table()
-    title = "Solver"
-    table.add_column("response")
-    for name in ("steps", "gap residual (m)", "heat balance", "iterations", "most", "cuts"):
-        table.add_column(name, justify="right")
+    solver = ("steps", "gap residual (m)", "heat balance", "iterations", "most", "cuts")
+    table = Table("response", *numeric(*solver))
     for name, row in rows.items():
         table.add_row(
             name,
@@ -146,8 +125,8 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
             str(row.most_iterations),
             str(row.cuts),
         )
-    titled(console, title, table)
-    # Responses of one run mostly share one set-up: one line then, not one for each.
+    titled(console, "Solver", table)
+    # Responses of one run mostly share a set-up: its line is printed once.
     for model in dict.fromkeys(row.thermal_model for row in rows.values()):
         console.print(f"Thermal model: {model}.")
 
@@ -156,14 +135,12 @@ def show_share(console: Console, share: PressureShare) -> None:
     """Print the share of the final pressure change of each contact element at a given time."""
     from thermojoint.paper.summary import STILL
 
-    table = Table()
     title = (
         f"Change of contact pressure after {share.at_s:g} s "
         f"(paper, under compression: {paper_values.PRESSURE_SHARE:.0%} of the final change)"
     )
-    table.add_column("contact element", justify="right")
-    for name in (f"after {share.at_s:g} s (MPa)", "at the end (MPa)", "share"):
-        table.add_column(name, justify="right")
+    changes = (f"after {share.at_s:g} s (MPa)", "at the end (MPa)", "share")
+    table = Table(*numeric("contact element", *changes))
     for row in share.rows:
         part = "–" if row.share is None else f"{round(100 * row.share)} %"
         table.add_row(str(row.contact), f"{row.early_MPa:+.2f}", f"{row.final_MPa:+.2f}", part)
@@ -172,5 +149,5 @@ def show_share(console: Console, share: PressureShare) -> None:
 
 
 def _figure(value: str | float | None) -> str:
-    """Return a figure of a row as a table shows it."""
+    """Return a figure of a row as text for a table."""
     return number(None if value is None else float(value), 3)

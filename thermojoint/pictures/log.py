@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from thermojoint.artefacts.figures import stacked_panels
 from thermojoint.artefacts.log import Log
 from thermojoint.pictures.figures import write_figure
 
@@ -32,13 +32,12 @@ def write_log_picture(log: Log, path: Path) -> None:
     Parameters
     ----------
     log : Log
-        Any number of runs; a clock that begins anew is drawn behind the run before it.
+        Any number of runs; a run whose clock restarts is drawn after the one before it.
     path : Path
         PNG, whole or not at all.
     """
     quantities = [quantity for quantity in _LABELS if log.of(quantity)]
-    figure = Figure(figsize=(9.0, 1.0 + 2.2 * len(quantities)), layout="constrained")
-    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked_panels(len(quantities), 9.0, 1.0 + 2.2 * len(quantities))
     hours = _hours(log)
     step = max(1, len(hours) // _POINTS)
     for panel, quantity in zip(panels, quantities, strict=True):

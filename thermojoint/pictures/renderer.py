@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -28,7 +29,6 @@ from thermojoint.artefacts.files import temporary_folder
 from thermojoint.artefacts.unfinished import cleared_at_stop
 from thermojoint.pictures.camera import Array, Camera, Window
 from thermojoint.pictures.colour_scale import ColourScale
-from thermojoint.pictures.scene_file import load_scene, save_scene
 from thermojoint.pictures.scenes import Panel, Scene, Surface
 
 Pixels = NDArray[np.uint8]
@@ -72,7 +72,7 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
         for folder, film in zip(folders, films, strict=True):
             folder.mkdir()
             for k, scene in enumerate(film):
-                save_scene(scene, folder / f"{k:06d}.npz")
+                (folder / f"{k:06d}.pickle").write_bytes(pickle.dumps(scene))
         command = [
             sys.executable,
             "-m",
@@ -277,7 +277,8 @@ def _main(height: int, folders: Sequence[Path]) -> None:
         for folder in folders:
             views: list[_View] = []
             for file in sorted(folder.iterdir()):
-                panels = load_scene(file).panels
+                # Written by the parent process into a folder of its own.
+                panels = pickle.loads(file.read_bytes()).panels
                 views = views or [_View(panel, height) for panel in panels]
                 for view, panel in zip(views, panels, strict=True):
                     output.write(view.picture(panel).tobytes())

@@ -25,7 +25,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check, closed_form
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, DENSITY, GRAVITY, HALF, WEIGHT, column_case, joint
 
 #: On the top of the column: the force, N.
@@ -36,6 +36,8 @@ PRELOAD = 2e6
 INNER, OUTER, THICK = 0.1, 0.2, 0.02
 PRESSURE, POISSON, AT = 40e6, 0.3, 0.15
 AROUND, ALONG = 32, 20
+SUPPORT = Quantity("support", "N", source="equilibrium")
+STRESS = Quantity("stress", "MPa", source="Lame, equilibrium")
 
 
 def checks() -> Iterator[Check]:
@@ -57,7 +59,7 @@ def _column_checks(folder: Path) -> Iterator[Check]:
     foot = last["reaction"].sel(support="foot")
     for axis, reference in (("x", -FORCE[0]), ("z", -FORCE[2] + 2.0 * half)):
         computed = float(foot.sel(space=axis))
-        yield _check(f"column, foot along {axis}", "support", "N", reference, computed)
+        yield SUPPORT.check(f"forces, column, foot along {axis}", reference, computed)
     across = last["joint_force"].sel(joint="joint")
     moment = last["joint_moment"].sel(joint="joint")
     # The upper half is side b: what it bears is carried there, besides the preload.
@@ -67,14 +69,15 @@ def _column_checks(folder: Path) -> Iterator[Check]:
         "bending moment": (-FORCE[0] * HALF, moment.sel(space="y"), "N m"),
     }
     for name, (reference, borne, unit) in carried.items():
-        yield _check(f"column, joint's {name}", "resultant", unit, reference, float(borne))
+        resultant = Quantity("resultant", unit, source="equilibrium")
+        yield resultant.check(f"forces, column, joint's {name}", reference, float(borne))
     pressed = {
         "loads": {"push": {"surface": "top", "pressure_MPa": 5.0}},
         "output": {"stress_probes": ["P"]},
     }
     point = _march(folder, column_case(folder, False, pressed)).sel(stress_probe="P")
-    yield _check("column, along its axis", "stress", "MPa", -5.0, _mpa(point["stress"][2]))
-    yield _check("column, von Mises", "stress", "MPa", 5.0, _mpa(point["von_mises"]))
+    yield STRESS.check("forces, column, along its axis", -5.0, _mpa(point["stress"][2]))
+    yield STRESS.check("forces, column, von Mises", 5.0, _mpa(point["von_mises"]))
 
 
 def _ring_checks(folder: Path) -> Iterator[Check]:
@@ -96,11 +99,13 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
     last = simulate(case, setup=setup, on_step=steps.append).response.isel(time=-1)
     computed = last["principal_stress"].sel(stress_probe="P").to_numpy()
     for (name, reference), stress in zip(ring_stresses(AT).items(), computed, strict=True):
-        yield _check(f"thick ring, {name}", "stress", "MPa", 1e-6 * reference, 1e-6 * stress, 5e-3)
+        compared = replace(STRESS, tolerance=5e-3)
+        yield compared.check(f"forces, thick ring, {name}", 1e-6 * reference, 1e-6 * stress)
     yield from _field_checks(structure_snapshot(setup, steps[-1]))
     # The cut carries what the pressure pushes apart: p a on either side.
     held = float(last["reaction"].sel(support="x0", space="x"))
-    yield _check("thick ring, cut", "support", "N", -PRESSURE * INNER * THICK, held, 1e-3)
+    support = replace(SUPPORT, tolerance=1e-3)
+    yield support.check("forces, thick ring, cut", -PRESSURE * INNER * THICK, held)
 
 
 def ring_stresses(radius: float) -> dict[str, float]:
@@ -126,9 +131,9 @@ def _field_checks(grid: meshio.Mesh) -> Iterator[Check]:
         )
         principal = grid.point_data["principal_stress_Pa"][node]
         computed = grid.point_data["von_mises_Pa"][node]
-        title = f"thick ring, snapshot {name}"
-        yield _check(f"{title}, around", "stress", "MPa", _mpa(around), _mpa(principal[0]), 1e-3)
-        yield _check(f"{title}, von Mises", "stress", "MPa", _mpa(mises), _mpa(computed), 1e-3)
+        title, stress = f"forces, thick ring, snapshot {name}", replace(STRESS, tolerance=1e-3)
+        yield stress.check(f"{title}, around", _mpa(around), _mpa(principal[0]))
+        yield stress.check(f"{title}, von Mises", _mpa(mises), _mpa(computed))
 
 
 def quarter_ring() -> Structure:
@@ -157,16 +162,3 @@ def _march(folder: Path, data: dict[str, object]) -> xr.Dataset:
 
 def _mpa(stress: xr.DataArray | Array | float) -> float:
     return 1e-6 * float(stress)
-
-
-def _check(
-    name: str,
-    quantity: str,
-    unit: str,
-    reference: float,
-    computed: float,
-    tolerance: float = 1e-7,
-) -> Check:
-    source = "equilibrium" if quantity != "stress" else "Lame, equilibrium"
-    check = closed_form(f"forces, {name}", quantity, unit, reference, computed, tolerance)
-    return replace(check, source=source)

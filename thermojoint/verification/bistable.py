@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcinv
-from skfem import MeshHex
 
 from fesim.case.schema import Case, case_from_data
 from fesim.joint.conductance import FixedConductance
@@ -30,8 +29,9 @@ from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rod import FOREVER
+from thermojoint.verification.structures import box_grid, box_surfaces
 
 #: Length and width of the rod, m.
 LENGTH, WIDTH = 0.1, 0.02
@@ -46,6 +46,9 @@ AIR, JUMP = 0.026, 0.4e-6
 #: Temperature of the wall, K, at which there are three states, and one at which only the closed is.
 WALL, HOTTER = 24.0, 30.0
 STATES = ("open", "middle", "closed")
+TITLE = "bistable rod from a case file"
+END = Quantity("temperature of the end", "K", 1e-6, "balance of the rod")
+PRESSURE = Quantity("pressure", "MPa", 1e-6, "balance of the rod")
 
 
 def at_opening(opening: float, wall: float) -> tuple[float, float, float]:
@@ -83,20 +86,13 @@ def steady_states(wall: float) -> list[tuple[float, float, float]]:
 
 def rod(elements: int = 20) -> Structure:
     """Return the rod along x; `wall_side` is its free end."""
-    mesh = MeshHex.init_tensor(
-        np.linspace(0.0, LENGTH, elements + 1), *(np.linspace(0.0, WIDTH, 2) for _ in "yz")
-    )
-    facets = mesh.boundary_facets()
-    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
+    mesh = box_grid("hexahedra", (elements, 1, 1), (LENGTH, WIDTH, WIDTH))
+    sides = box_surfaces(mesh)
+    names = {"foot": "x0", "wall_side": "x1", "bottom": "y0", "back": "z0"}
     return Structure(
         mesh=mesh,
         bodies={"rod": np.arange(mesh.nelements)},
-        surfaces={
-            "foot": facets[x < 1e-9],
-            "wall_side": facets[x > LENGTH - 1e-9],
-            "bottom": facets[y < 1e-9],
-            "back": facets[z < 1e-9],
-        },
+        surfaces={name: sides[side] for name, side in names.items()},
         probes={"end": Probe((LENGTH, 0.5 * WIDTH, 0.5 * WIDTH), "rod")},
     )
 
@@ -184,39 +180,16 @@ def _checks(folder: Path) -> Iterator[Check]:
     for name, (_, pressure, end) in zip(STATES, expected, strict=True):
         # The end's temperature gives the conductance: k T_L/L = h (T2 - T_L).
         state = found_near(still, still_case, CONDUCTIVITY / LENGTH * end / (WALL - end))
-        yield _check(
-            f"{name} state",
-            "temperature of the end",
-            "K",
-            end,
-            float((rows @ state.temperature)[0]),
-        )
+        yield END.check(f"{TITLE}, {name} state", end, (rows @ state.temperature)[0])
         if name != "open":
-            yield _check(
-                f"{name} state", "pressure", "MPa", 1e-6 * pressure, 1e-6 * float(state.pressure[0])
-            )
+            pressed = 1e-6 * float(state.pressure[0])
+            yield PRESSURE.check(f"{TITLE}, {name} state", 1e-6 * pressure, pressed)
     for thermal in ("full", "reduced"):
         cold = simulate(case_of(folder, thermal=thermal)).response["temperature"]
-        yield _check(
-            f"cold rod, {thermal}", "temperature of the end", "K", expected[0][2], cold[-1].item()
-        )
+        yield END.check(f"{TITLE}, cold rod, {thermal}", expected[0][2], cold[-1].item())
     middle = expected[1][2]
     kept = simulate(case_of(folder, end=middle)).response["temperature"].sel(time=600.0).item()
-    yield _check("middle state, kept for ten minutes", "temperature of the end", "K", middle, kept)
+    yield END.check(f"{TITLE}, middle state, kept for ten minutes", middle, kept)
     for way, factor, end in (("down", 0.99, expected[0][2]), ("up", 1.01, expected[2][2])):
         left = simulate(case_of(folder, end=factor * middle)).response["temperature"]
-        yield _check(
-            f"middle state left {way}wards", "temperature of the end", "K", end, left[-1].item()
-        )
-
-
-def _check(name: str, quantity: str, unit: str, reference: float, computed: float) -> Check:
-    return Check(
-        name=f"bistable rod from a case file, {name}: {quantity}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=1e-6,
-        source="balance of the rod",
-    )
+        yield END.check(f"{TITLE}, middle state left {way}wards", end, left[-1].item())

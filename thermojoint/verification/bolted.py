@@ -9,6 +9,7 @@ through a sleeve that is warmed with it by T gets F0 + (alpha_s - alpha_b) L T /
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from scipy.optimize import brentq
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, HALF, MODULUS, column_case, joint, separation
 
 #: Force after tightening and one that parts the joint, N; rise of the temperature, K.
@@ -30,6 +31,7 @@ BOLT_EXPANSION, SLEEVE_EXPANSION = 12e-6, 23e-6
 STIFFNESS = BOLT_MODULUS * 0.25 * np.pi * DIAMETER**2 / LENGTH
 #: Of the column, as a spring.
 COLUMN = MODULUS * AREA / LENGTH
+BY_DIAGRAM = Quantity("force", "N", source="joint diagram")
 
 BOLT: dict[str, Any] = {
     "head": {"surface": "top"},
@@ -64,7 +66,8 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
     data = bolted(folder, True, {"joints": {"joint": pressed}, "loads": {"part": force}})
     response = simulate(case_from_data(data, "bolted", folder)).response
     rest, last = response.isel(time=0), response.isel(time=-1)
-    yield _check("joint, after tightening", FORCE, _contact(rest), "equilibrium")
+    equilibrium = replace(BY_DIAGRAM, source="equilibrium")
+    yield equilibrium.check("bolts, joint, after tightening", FORCE, _contact(rest))
     # The joint is a nonlinear spring in series with the bars: its change of opening is known.
     free = separation(FORCE / AREA)
 
@@ -74,14 +77,15 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
         return pull - FORCE - STIFFNESS * grown
 
     pull = float(brentq(out_of_balance, PARTING + 1.0, FORCE + PARTING, xtol=1e-9))
-    yield _check("bolt, parted by a force", pull, float(last["bolt_force"][0]), "joint diagram")
-    yield _check("joint, parted by a force", pull - PARTING, _contact(last), "joint diagram")
+    yield BY_DIAGRAM.check("bolts, bolt, parted by a force", pull, float(last["bolt_force"][0]))
+    yield BY_DIAGRAM.check("bolts, joint, parted by a force", pull - PARTING, _contact(last))
     # Without the joint: a column in one piece.
     whole = bolted(folder, False, {"loads": {"part": force}})
     end = simulate(case_from_data(whole, "bolted", folder)).response.isel(time=-1)
     share = STIFFNESS / (STIFFNESS + COLUMN)
     computed = float(end["bolt_force"][0]) - FORCE
-    yield _check("bolt on one bar, change by a force", PARTING * share, computed, "joint diagram")
+    name = "bolts, bolt on one bar, change by a force"
+    yield BY_DIAGRAM.check(name, PARTING * share, computed)
 
 
 def _sleeve_checks(folder: Path) -> Iterator[Check]:
@@ -93,21 +97,9 @@ def _sleeve_checks(folder: Path) -> Iterator[Check]:
     last = simulate(case_from_data(data, "bolted", folder)).response.isel(time=-1)
     grown = (SLEEVE_EXPANSION - BOLT_EXPANSION) * LENGTH * RISE
     reference = FORCE + grown / (1.0 / STIFFNESS + 1.0 / COLUMN)
-    computed = float(last["bolt_force"][0])
-    yield _check("bolt through a warm sleeve", reference, computed, "closed form")
+    name = "bolts, bolt through a warm sleeve"
+    yield Quantity("force", "N").check(name, reference, float(last["bolt_force"][0]))
 
 
 def _contact(row: xr.Dataset) -> float:
     return float(row["pressure"] @ row["contact_area"])
-
-
-def _check(name: str, reference: float, computed: float, source: str) -> Check:
-    return Check(
-        name=f"bolts, {name}",
-        quantity="force",
-        unit="N",
-        reference=reference,
-        computed=computed,
-        tolerance=1e-7,
-        source=source,
-    )

@@ -67,21 +67,50 @@ class Check:
         return self.relative_error <= self.tolerance
 
 
-def closed_form(
-    name: str,
-    quantity: str,
-    unit: str,
-    reference: float,
-    computed: float,
-    tolerance: float = 1e-7,
-) -> Check:
-    """Return a check against a closed form; the quantity ends its name."""
-    return Check(
-        name=f"{name}, {quantity}",
-        quantity=quantity,
-        unit=unit,
-        reference=reference,
-        computed=computed,
-        tolerance=tolerance,
-        source="closed form",
-    )
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that one or more checks compare.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in `Check`.
+    tolerance : float
+        Largest relative error that passes.
+    source : str
+        Source of the references.
+    """
+
+    name: str
+    unit: str
+    tolerance: float = 1e-7
+    source: str = "closed form"
+
+    def check(
+        self,
+        case: str,
+        reference: float,
+        computed: float,
+        scale: float = math.nan,
+        relative_error: float = math.nan,
+    ) -> Check:
+        """Return the check of this quantity in a case, called "CASE: QUANTITY".
+
+        Parameters
+        ----------
+        case : str
+            What was computed; with a colon of its own the check is called "CASE, QUANTITY".
+        reference, computed, scale, relative_error
+            As in `Check`.
+        """
+        return Check(
+            name=f"{case}{',' if ': ' in case else ':'} {self.name}",
+            quantity=self.name,
+            unit=self.unit,
+            reference=float(reference),
+            computed=float(computed),
+            tolerance=self.tolerance,
+            source=self.source,
+            relative_error=relative_error,
+            scale=scale,
+        )

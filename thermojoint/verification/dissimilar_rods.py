@@ -25,7 +25,7 @@ from fesim.march.stepping import march, staggered
 from fesim.solid.materials import Material
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rods import NO_FRICTION, Rods, rods
 from thermojoint.verification.structures import STEEL
 
@@ -55,6 +55,7 @@ ELEMENTS = (160, 160)
 STEPS = {"settling": (1.0, 0.5, 0.25), "oscillating": (0.5, 0.25, 0.125)}
 CELLS = 200
 
+SOURCE = "one-dimensional finite volumes; relative to the range"
 QUANTITIES = (
     ("temperature of the steel at the joint", "K", 1.0),
     ("temperature of the aluminium at the joint", "K", 1.0),
@@ -184,13 +185,9 @@ def checks() -> Iterator[Check]:
             QUANTITIES, expected, values, strict=True
         ):
             at = int(np.argmax(np.abs(computed - known)))
-            yield Check(
-                name=f"two dissimilar rods, {name}: {quantity}",
-                quantity=quantity,
-                unit=unit,
-                reference=factor * float(known[at]),
-                computed=factor * float(computed[at]),
-                tolerance=1e-3,
-                source="one-dimensional finite volumes; relative to the range",
+            yield Quantity(quantity, unit, 1e-3, SOURCE).check(
+                f"two dissimilar rods, {name}",
+                factor * float(known[at]),
+                factor * float(computed[at]),
                 scale=factor * float(np.ptp(known)),
             )

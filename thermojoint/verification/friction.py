@@ -30,7 +30,7 @@ from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.series import HARDNESS, ROUGHNESS, law_at
 from thermojoint.verification.structures import IRON, SECTION, bars
 
@@ -145,14 +145,8 @@ def drive_block(path: Array) -> Drive:
     springs: in the gap equations this is the thermal gap (1 - C A k) U.
     """
     law = replace(law_at(PRELOAD), friction=Friction(COEFFICIENT, STIFFNESS))
-    block = pressed(
-        bars("hexahedra", (2, 2, 2), (2, 3, 2)),
-        {"left": RIGID, "right": RIGID},
-        law,
-        (3, 2),
-        ["x0", "x1"],
-        {},
-    )
+    bodies = {"left": RIGID, "right": RIGID}
+    block = pressed(bars("hexahedra", (2, 2, 2), (2, 3, 2)), bodies, law, (3, 2), ["x0", "x1"], {})
     springs = block.condensed.area * block.condensed.reference
     each = np.repeat(path, block.contacts, axis=1)
     moves = each - (each * springs) @ block.condensed.compliance
@@ -198,9 +192,7 @@ def block_checks(pressure: float) -> Iterator[Check]:
         ("work of a cycle", "J", loop, work[second].sum(), "4 mu P (u - mu p/k_t)"),
         ("dissipation of a cycle", "J", loop, dissipated[second].sum(), "its work"),
     ):
-        yield Check(
-            f"{name}: {quantity}", quantity, unit, reference, float(computed), TOLERANCE, source
-        )
+        yield Quantity(quantity, unit, TOLERANCE, source).check(name, reference, computed)
     across = drive.force @ np.array([-along[1], along[0]])
     apart = force[second] - force[first]
     for quantity, unit, computed, scale, source in (
@@ -208,16 +200,8 @@ def block_checks(pressure: float) -> Iterator[Check]:
         ("second cycle less the first", "N", np.abs(apart).max(), limit, "none"),
         ("least dissipation of a step", "J", drive.dissipated.min(), loop, "none while it sticks"),
     ):
-        yield Check(
-            f"{name}: {quantity}",
-            quantity,
-            unit,
-            0.0,
-            float(computed),
-            TOLERANCE,
-            source,
-            scale=float(scale),
-        )
+        compared = Quantity(quantity, unit, TOLERANCE, source)
+        yield compared.check(name, 0.0, computed, scale=float(scale))
 
 
 def circle_check() -> Check:
@@ -237,12 +221,7 @@ def circle_check() -> Check:
         ]
     )
     limit = COEFFICIENT * PRELOAD * SECTION[0] * SECTION[1]
-    return Check(
-        name="friction, block round a circle: dissipation of a round",
-        quantity="dissipation of a round",
-        unit="J",
-        reference=2.0 * np.pi * np.sqrt(radius**2 - length**2) * limit,
-        computed=float(drive_block(path).dissipated[-ROUND:].sum()),
-        tolerance=2e-3,
-        source="closed form",
-    )
+    expected = 2.0 * np.pi * np.sqrt(radius**2 - length**2) * limit
+    dissipated = drive_block(path).dissipated[-ROUND:].sum()
+    compared = Quantity("dissipation of a round", "J", 2e-3)
+    return compared.check("friction, block round a circle", expected, dissipated)

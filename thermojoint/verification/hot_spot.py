@@ -28,7 +28,7 @@ from fesim.solid.spaces import make_spaces, probe_cells
 from fesim.solid.stress import stress_at, stress_rows
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.solving import solve_given
 from thermojoint.verification.structures import box_surfaces
 
@@ -178,19 +178,11 @@ def _shear_power(z: Complex, k: int) -> tuple[Array, Array, Array]:
 def checks() -> Iterator[Check]:
     """NAFEMS T1 on the benchmark's plate and on one large enough to count as unbounded."""
     for width, reference, source in (
-        (
-            10e-3,
-            square_plate_stress(10e-3),
-            "series for the finite plate",
-        ),
+        (10e-3, square_plate_stress(10e-3), "series for the finite plate"),
         (40e-3, UNBOUNDED, "NAFEMS T1: 50.0 MPa, E alpha T / 2"),
     ):
-        yield Check(
-            name=f"NAFEMS T1, plate of {2e3 * width:g} mm: sigma_yy at D",
-            quantity="sigma_yy at D",
-            unit="MPa",
-            reference=1e-6 * reference,
-            computed=1e-6 * stress_at_d(width, around=12),
-            tolerance=5e-3,
-            source=source,
+        yield Quantity("sigma_yy at D", "MPa", 5e-3, source).check(
+            f"NAFEMS T1, plate of {2e3 * width:g} mm",
+            1e-6 * reference,
+            1e-6 * stress_at_d(width, around=12),
         )

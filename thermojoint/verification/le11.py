@@ -22,7 +22,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 
 #: Axial stress at A, Pa.
 STRESS = -105e6
@@ -119,12 +119,5 @@ def checks() -> Iterator[Check]:
             write_structure(quarter(*counts), folder / f"{name}.vtu")
             response = simulate(case_of(folder, f"{name}.vtu")).response
             computed = response["stress"].isel(time=0).sel(stress_probe="A", component="zz").item()
-            yield Check(
-                name=f"NAFEMS LE11, {name} mesh: axial stress at A",
-                quantity="axial stress at A",
-                unit="MPa",
-                reference=1e-6 * STRESS,
-                computed=1e-6 * computed,
-                tolerance=5e-3,
-                source="NAFEMS",
-            )
+            quantity = Quantity("axial stress at A", "MPa", 5e-3, "NAFEMS")
+            yield quantity.check(f"NAFEMS LE11, {name} mesh", 1e-6 * STRESS, 1e-6 * computed)

@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 from scipy.special import erfcinv
-from skfem import MeshHex
 
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check, closed_form
+from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.structures import box_grid, box_surfaces, facing_sides
 
 #: Half of the column, and its width, m.
 HALF, WIDTH = 0.2, 0.05
@@ -36,30 +37,17 @@ TIMES = (0.0, 60.0, 120.0)
 def column(split: bool) -> Structure:
     """Return a column along z; `split` into two bodies with a joint between them."""
     halves = [
-        MeshHex.init_tensor(
-            np.linspace(0.0, WIDTH, 3),
-            np.linspace(0.0, WIDTH, 3),
-            np.linspace(start, start + length, 5),
-        )
+        box_grid("hexahedra", (2, 2, 4), (WIDTH, WIDTH, length), (0.0, 0.0, start))
         for start, length in ([(0.0, HALF), (HALF, HALF)] if split else [(0.0, 2.0 * HALF)])
     ]
-    shift = halves[0].p.shape[1]
-    mesh = MeshHex(
-        np.hstack([half.p for half in halves]),
-        np.hstack([half.t + k * shift for k, half in enumerate(halves)]),
-    )
-    facets = mesh.boundary_facets()
-    x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
-    near = {"foot": z < 1e-9, "top": z > 2.0 * HALF - 1e-9, "back": x < 1e-9, "side": y < 1e-9}
-    cells, each = np.arange(mesh.nelements), halves[0].nelements
-    lower = mesh.f2t[0, facets] < each
-    middle = np.abs(z - HALF) < 1e-9
-    if split:
-        near |= {"joint.a": middle & lower, "joint.b": middle & ~lower}
+    mesh, bodies = put_side_by_side(halves)
+    sides = box_surfaces(mesh)
+    names = {"foot": "z0", "top": "z1", "back": "x0", "side": "y0"}
     return Structure(
         mesh=mesh,
-        bodies={"lower": cells[:each], "upper": cells[each:]} if split else {"lower": cells},
-        surfaces={name: facets[chosen] for name, chosen in near.items()},
+        bodies=dict(zip(("lower", "upper"), bodies, strict=False)),
+        surfaces={name: sides[side] for name, side in names.items()}
+        | (facing_sides(mesh, 2, HALF) if split else {}),
         joints={"joint": ("joint.a", "joint.b")} if split else {},
         probes={"top": Probe((0.5 * WIDTH, 0.5 * WIDTH, 2.0 * HALF))},
     )
@@ -90,10 +78,10 @@ def column_case(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str,
     return data | changes
 
 
-def joint(**said: float | str) -> dict[str, Any]:
+def joint(**keys: float | str) -> dict[str, Any]:
     """Return a joint of four contact elements with changed keys."""
     surface = {"along": 2, "across": 2, "asperity_slope": 0.14, "friction_coefficient": 0.2}
-    return surface | {"roughness_um": 1e6 * ROUGHNESS, "hardness_GPa": 1e-9 * HARDNESS} | said
+    return surface | {"roughness_um": 1e6 * ROUGHNESS, "hardness_GPa": 1e-9 * HARDNESS} | keys
 
 
 WEIGHT = {"weight": {"acceleration_m_s2": [0.0, 0.0, -GRAVITY]}}
@@ -131,27 +119,18 @@ def _weight_checks(folder: Path) -> Iterator[Check]:
     sunk = -DENSITY * GRAVITY * height**2 / (2.0 * MODULUS)
     held = simulate(case_from_data(column_case(folder, False, {"loads": WEIGHT}), "column", folder))
     top = float(held.response["displacement"].sel(axis="z")[-1])
-    yield closed_form("loads, column under its weight: top", "displacement", "m", sunk, top)
+    displacement = Quantity("displacement", "m")
+    yield displacement.check("loads, column under its weight: top", sunk, top)
     stands = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
     pressure = DENSITY * GRAVITY * height
     # The joint without preload gives way from where its surfaces touch.
     given = separation(pressure) - separation(1e-6 * HARDNESS)
     last = stands.response.isel(time=-1)
-    yield closed_form(
-        "loads, column on a joint without preload: top",
-        "displacement",
-        "m",
-        sunk + given,
-        float(last["displacement"].sel(axis="z")),
-    )
+    name = "loads, column on a joint without preload"
+    top = float(last["displacement"].sel(axis="z"))
+    yield displacement.check(f"{name}: top", sunk + given, top)
     force = float(last["pressure"] @ last["contact_area"])
-    yield closed_form(
-        "loads, column on a joint without preload: joint",
-        "contact force",
-        "N",
-        pressure * AREA,
-        force,
-    )
+    yield Quantity("contact force", "N").check(f"{name}: joint", pressure * AREA, force)
 
 
 def _force_checks(folder: Path) -> Iterator[Check]:
@@ -168,14 +147,9 @@ def _force_checks(folder: Path) -> Iterator[Check]:
         given = separation(pressure) - separation(PRELOAD)
         moved = given + factor * FORCE / AREA * 2.0 * HALF / MODULUS
         then = response.sel(time=time)
-        name = f"two bars and a joint under {-factor * FORCE:g} N"
-        yield closed_form(
-            f"loads, {name}: top",
-            "displacement",
-            "m",
-            moved,
-            float(then["displacement"].sel(axis="z")),
-        )
-        computed = float(then["pressure"].mean())
+        name = f"loads, two bars and a joint under {-factor * FORCE:g} N"
+        top = float(then["displacement"].sel(axis="z"))
+        yield Quantity("displacement", "m").check(f"{name}: top", moved, top)
         # The gap equations are solved to 1e-13 m, some 1e-1 Pa here.
-        yield closed_form(f"loads, {name}: joint", "pressure", "Pa", pressure, computed, 1e-6)
+        computed = float(then["pressure"].mean())
+        yield Quantity("pressure", "Pa", 1e-6).check(f"{name}: joint", pressure, computed)

@@ -35,8 +35,8 @@ from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
-from thermojoint.verification.manufactured import WITHIN
+from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.manufactured import order_of
 from thermojoint.verification.plain_march import PlainStep, plain_march
 from thermojoint.verification.series import law_at
 from thermojoint.verification.structures import IRON, LEFT, SECTION, STEEL, bars
@@ -252,16 +252,9 @@ def compared(
         at = np.unravel_index(int(np.argmax(np.abs(ours - reference))), ours.shape)
         scale = float(np.abs(reference).max())
         allowed = ALLOWED.get(quantity, ALLOWED_PRESSURE * scale) / scale
-        yield Check(
-            name=f"{name}: {quantity}",
-            quantity=quantity,
-            unit=unit,
-            reference=float(reference[at]),
-            computed=float(ours[at]),
-            tolerance=TOLERANCE if modes is None else allowed,
-            source="plain assembly",
-            scale=scale,
-        )
+        tolerance = TOLERANCE if modes is None else allowed
+        compared_quantity = Quantity(quantity, unit, tolerance, "plain assembly")
+        yield compared_quantity.check(name, reference[at], ours[at], scale)
 
 
 def splitting_checks() -> Iterator[Check]:
@@ -275,10 +268,11 @@ def splitting_checks() -> Iterator[Check]:
     for quantity, at in (("temperature", 0), ("pressure", 1)):
         loose, tight = ([end[at] for end in ends[advance]] for advance in (staggered, iterated))
         apart = [np.abs(coarse - fine).max() for coarse, fine in zip(loose, tight, strict=True)]
-        yield order(f"splitting, staggered less iterated: order of the {quantity}", apart)
+        name = f"order of the {quantity}"
+        yield order("splitting, staggered less iterated", name, apart)
         for how, series in (("staggered", loose), ("iterated", tight)):
             steps = [np.abs(coarse - fine).max() for coarse, fine in pairwise(series)]
-            yield order(f"splitting, {how} march in dt: order of the {quantity}", steps)
+            yield order(f"splitting, {how} march in dt", name, steps)
 
 
 def end_of(made: Assembled, step: float, advance: Advance) -> tuple[Array, Array]:
@@ -290,14 +284,6 @@ def end_of(made: Assembled, step: float, advance: Advance) -> tuple[Array, Array
     return state.temperature, state.pressure
 
 
-def order(name: str, errors: list[float]) -> Check:
+def order(name: str, quantity: str, errors: list[float]) -> Check:
     """Check an order of one by the last two errors; each belongs to half the step before."""
-    return Check(
-        name=name,
-        quantity=name.split(": ")[1],
-        unit="1",
-        reference=1.0,
-        computed=float(np.log2(errors[-2] / errors[-1])),
-        tolerance=WITHIN,
-        source="theory; difference of orders",
-    )
+    return order_of(quantity).check(name, 1.0, np.log2(errors[-2] / errors[-1]))

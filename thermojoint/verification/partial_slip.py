@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from fesim.joint.law import Friction
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.friction import pressed
 from thermojoint.verification.series import law_at
 from thermojoint.verification.structures import IRON, box_grid, two_bars
@@ -129,23 +129,12 @@ def checks() -> Iterator[Check]:
             # To whole contact elements: one is 0.4 % of the strip.
             ("length of the slip zone", "m", LENGTH - stuck, slip_zone, 1e-2),
         ):
-            yield Check(
-                f"partial slip, {name}: {quantity}",
-                quantity,
-                unit,
-                float(reference),
-                float(computed),
-                tolerance,
-                "closed form",
-            )
+            compared = Quantity(quantity, unit, tolerance)
+            yield compared.check(f"partial slip, {name}", reference, computed)
         error = np.sqrt(((computed_shear - shear) ** 2).sum() / (shear**2).sum())
-        yield Check(
-            name=f"partial slip, {name}: shear traction, its mean; error rms",
-            quantity="shear traction",
-            unit="Pa",
-            reference=float(shear.mean()),
-            computed=float(computed_shear.mean()),
-            tolerance=1e-3,
-            source="closed form",
+        yield Quantity("shear traction, its mean; error rms", "Pa", 1e-3).check(
+            f"partial slip, {name}",
+            shear.mean(),
+            computed_shear.mean(),
             relative_error=float(error),
         )

@@ -21,10 +21,11 @@ from fesim.solid.stress import stress_at, stress_rows
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.series import law_at
 from thermojoint.verification.solving import solve_given
 from thermojoint.verification.structures import (
+    ELEMENTS,
     IRON,
     LEFT,
     RIGHT,
@@ -39,7 +40,6 @@ TOLERANCE = 1e-9
 #: Share of the spacing by which nodes inside are moved.
 SHAKE = 0.2
 UNITS = {"temperature": "K", "displacement": "m", "stress": "Pa", "contact pressure": "Pa"}
-ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
 
 
 def heat_checks() -> Iterator[Check]:
@@ -195,22 +195,9 @@ def stress_inside(
 
 
 def worst(
-    name: str,
-    quantity: str,
-    computed: Array,
-    exact: Array,
-    source: str,
-    scale: float = 0.0,
+    name: str, quantity: str, computed: Array, exact: Array, source: str, scale: float = 0.0
 ) -> Check:
     """Check the largest error of a field, relative to `scale` or to the largest exact value."""
     at = np.unravel_index(int(np.argmax(np.abs(computed - exact))), computed.shape)
-    return Check(
-        name=f"{name}: {quantity}",
-        quantity=quantity,
-        unit=UNITS[quantity],
-        reference=float(exact[at]),
-        computed=float(computed[at]),
-        tolerance=TOLERANCE,
-        source=source,
-        scale=scale or float(np.abs(exact).max()),
-    )
+    compared = Quantity(quantity, UNITS[quantity], TOLERANCE, source)
+    return compared.check(name, exact[at], computed[at], scale or float(np.abs(exact).max()))

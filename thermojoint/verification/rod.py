@@ -39,7 +39,7 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import iterated, march, staggered
 from thermojoint.artefacts.arrays import Array
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rods import NO_FRICTION, Rods, rods
 from thermojoint.verification.structures import IRON, STEEL
 
@@ -73,6 +73,11 @@ STEPS, WAITING = 20, 10
 #: Perturbation of the rod's end at the end of the measurement, K: small beside the 1 K by which the
 #: pressure changes by half, large beside the tolerance of the gap equations (1e-6 K).
 PERTURBATION = 2e-3
+
+RATE = Quantity("growth rate", "1/s", 1e-2, "characteristic equation")
+#: Pressure of a steady state: by continuation, and where a march comes to rest.
+BALANCED = Quantity("contact pressure", "MPa", 1e-6, "balance of the rod")
+MARCHED = replace(BALANCED, tolerance=1e-4)
 
 
 @dataclass(frozen=True)
@@ -256,9 +261,8 @@ def checks() -> Iterator[Check]:
         steady = steady_near(still, case, opening)
         computed, _ = departure(built, case, steady, root, 1.0)
         kind = "growth" if rate > 0.0 else "decay"
-        yield _rate_check(
-            f"wall at {case.wall:.1f} K, {1e6 * opening:g} um: {kind}", rate, computed
-        )
+        at = f"wall at {case.wall:.1f} K, {1e6 * opening:g} um: {kind}"
+        yield RATE.check(f"Barber's rod, {at}", rate, computed)
     yield from bistable_checks(built, still)
 
 
@@ -269,8 +273,8 @@ def bistable_checks(built: Rods, still: CondensedMachine) -> Iterator[Check]:
     states = continued(still, case)
     expected = [case.pressure(opening) for opening in openings]
     for name, pressure, state in zip(STATES, expected, states, strict=True):
-        computed = float(state.pressure[0])
-        yield _pressure_check(f"{name} state by continuation", pressure, computed, 1e-6)
+        title = f"Barber's rod, {name} state by continuation"
+        yield BALANCED.check(title, 1e-6 * pressure, 1e-6 * state.pressure[0])
     long = built.machine(LONG * DIFFUSION)
     cold = initial_state(long)
     hot = replace(cold, temperature=case.wall * np.minimum(built.x / LENGTH, 1.0))
@@ -278,32 +282,8 @@ def bistable_checks(built: Rods, still: CondensedMachine) -> Iterator[Check]:
     ends = [("a cold rod", cold, expected[0]), ("a hot rod", hot, expected[2])]
     for way, sign, pressure in (("down", -1.0, expected[0]), ("up", 1.0, expected[2])):
         computed, end = departure(built, case, states[1], root, sign)
-        yield _rate_check(f"middle state left {way}wards", rate_of(root), computed)
+        yield RATE.check(f"Barber's rod, middle state left {way}wards", rate_of(root), computed)
         ends.append((f"the middle state, {way}wards", end, pressure))
     for name, start, pressure in ends:
-        computed = settled(long, case, start)
-        yield _pressure_check(f"march from {name}", pressure, computed, 1e-4)
-
-
-def _rate_check(name: str, reference: float, computed: float) -> Check:
-    return Check(
-        name=f"Barber's rod, {name}",
-        quantity="growth rate",
-        unit="1/s",
-        reference=reference,
-        computed=computed,
-        tolerance=1e-2,
-        source="characteristic equation",
-    )
-
-
-def _pressure_check(name: str, reference: float, computed: float, tolerance: float) -> Check:
-    return Check(
-        name=f"Barber's rod, {name}",
-        quantity="contact pressure",
-        unit="MPa",
-        reference=1e-6 * reference,
-        computed=1e-6 * computed,
-        tolerance=tolerance,
-        source="balance of the rod",
-    )
+        computed = 1e-6 * settled(long, case, start)
+        yield MARCHED.check(f"Barber's rod, march from {name}", 1e-6 * pressure, computed)

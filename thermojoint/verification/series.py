@@ -31,7 +31,7 @@ from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.structures import IRON, LEFT, RIGHT, SECTION, STEEL, bars
 
 #: Temperatures of the ends, K.
@@ -145,12 +145,5 @@ def _flow_check(name: str, machine: CondensedMachine, conductance: float) -> Che
     inputs = np.array([0.0, HOT, COLD])
     step = next(march(machine, lambda _: inputs, staggered))
     resistance = LEFT / IRON.conductivity + 1.0 / conductance + RIGHT / STEEL.conductivity
-    return Check(
-        name=f"{name}: heat flow",
-        quantity="heat flow",
-        unit="W",
-        reference=SECTION[0] * SECTION[1] * (HOT - COLD) / resistance,
-        computed=float(step.heat_flow.sum()),
-        tolerance=1e-6,
-        source="closed form",
-    )
+    flow = SECTION[0] * SECTION[1] * (HOT - COLD) / resistance
+    return Quantity("heat flow", "W", 1e-6).check(name, flow, step.heat_flow.sum())

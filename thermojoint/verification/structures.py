@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshTet
 
 from fesim.solid.materials import Material
+from meshes.box_grid import put_side_by_side
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
@@ -29,8 +30,9 @@ STEEL = Material(
     expansion=11.0e-6,
 )
 
-#: Cells a verification case is run on.
+#: Cells a verification case is run on, and their elements for temperature and displacement.
 KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
+ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
 
 
 def box_grid(
@@ -95,20 +97,32 @@ def two_bars(left: Mesh, right: Mesh) -> Structure:
     left, right : skfem.Mesh
         Meshes of the same kind; `right` begins at the x where `left` ends. They share no node.
     """
-    mesh = type(left)(np.hstack([left.p, right.p]), np.hstack([left.t, right.t + left.p.shape[1]]))
-    cells = np.arange(mesh.nelements)
-    surfaces = box_surfaces(mesh)
-    facets = mesh.boundary_facets()
-    x = mesh.p[0, mesh.facets[:, facets]].mean(axis=0)
-    between = facets[np.abs(x - left.p[0].max()) < 1e-9]
-    on_left = mesh.f2t[0, between] < left.nelements
-    surfaces |= {"joint.a": between[on_left], "joint.b": between[~on_left]}
+    mesh, bodies = put_side_by_side([left, right])
     return Structure(
         mesh,
-        bodies={"left": cells[: left.nelements], "right": cells[left.nelements :]},
-        surfaces=surfaces,
+        bodies=dict(zip(("left", "right"), bodies, strict=True)),
+        surfaces=box_surfaces(mesh) | facing_sides(mesh, 0, float(left.p[0].max())),
         joints={"joint": ("joint.a", "joint.b")},
     )
+
+
+def facing_sides(mesh: Mesh, axis: int, place: float) -> dict[str, NDArray[np.int64]]:
+    """Return the facets "joint.a" and "joint.b" of two bodies that meet in a plane.
+
+    Parameters
+    ----------
+    mesh : skfem.Mesh
+        Both bodies; they share no node.
+    axis : int
+        Normal of the plane: 0, 1 or 2. Side a belongs to the body at the lower coordinates.
+    place : float
+        Coordinate of the plane along this axis, m.
+    """
+    facets = mesh.boundary_facets()
+    at = mesh.p[axis, mesh.facets[:, facets]].mean(axis=0)
+    between = facets[np.abs(at - place) < 1e-9]
+    lower = mesh.p[axis, mesh.t[:, mesh.f2t[0, between]]].mean(axis=0) < place
+    return {"joint.a": between[lower], "joint.b": between[~lower]}
 
 
 def bars(kind: str, left: tuple[int, int, int], right: tuple[int, int, int]) -> Structure:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fesim.joint.law import exact_conductance, power_law_conductance
 from fesim.setup.laws import CONDUCTANCE_CONSTANTS
-from thermojoint.verification.check import Check
+from thermojoint.verification.check import Check, Quantity
 
 #: p/H: h_c sigma / (k_h m) of h = exp(-x^2/2) / (2 sqrt(2 pi) [1 - sqrt(p/H)]^1.5).
 EXACT = {1e-4: 2.009304e-4, 1e-3: 1.766680e-3, 1e-2: 1.560768e-2}
@@ -39,36 +39,19 @@ def conductance(law: str, share: float, slope: float, roughness: float, k: float
 def checks() -> Iterator[Check]:
     """The three laws, without dimensions and at the paper's joint."""
     for share, reference in EXACT.items():
-        yield Check(
-            name=f"conductance, exact, p/H = {share:g}",
-            quantity="conductance",
-            unit="1",
-            reference=reference,
-            computed=conductance("exact", share, 1.0, 1.0, 1.0),
-            tolerance=5e-7,
-            source=SOURCE,
-        )
+        computed = conductance("exact", share, 1.0, 1.0, 1.0)
+        dimensionless = Quantity("conductance", "1", 5e-7, SOURCE)
+        yield dimensionless.check(f"conductance, exact, p/H = {share:g}", reference, computed)
     for law, deviations in DEVIATION.items():
         for share, (reference, digit) in deviations.items():
             exact = conductance("exact", share, 1.0, 1.0, 1.0)
-            yield Check(
-                name=f"conductance, {law}, p/H = {share:g}: deviation from the exact model",
-                quantity="deviation from the exact model",
-                unit="%",
-                reference=reference,
-                computed=100.0 * (conductance(law, share, 1.0, 1.0, 1.0) / exact - 1.0),
-                tolerance=digit / 100.0,
-                source=LAW_SOURCE[law],
-                scale=100.0,
-            )
+            computed = 100.0 * (conductance(law, share, 1.0, 1.0, 1.0) / exact - 1.0)
+            quantity = "deviation from the exact model"
+            deviation = Quantity(quantity, "%", digit / 100.0, LAW_SOURCE[law])
+            name = f"conductance, {law}, p/H = {share:g}"
+            yield deviation.check(name, reference, computed, scale=100.0)
     for law, reference in AT_JOINT.items():
-        yield Check(
-            name=f"conductance, {law}, the paper's joint",
-            quantity="conductance",
-            unit="W/(m2 K)",
-            reference=reference,
-            computed=conductance(law, JOINT_SHARE, SLOPE, ROUGHNESS, CONDUCTIVITY),
-            # Half of the last digit.
-            tolerance=3e-5,
-            source=LAW_SOURCE[law],
-        )
+        computed = conductance(law, JOINT_SHARE, SLOPE, ROUGHNESS, CONDUCTIVITY)
+        # The tolerance is half of the last digit.
+        at_joint = Quantity("conductance", "W/(m2 K)", 3e-5, LAW_SOURCE[law])
+        yield at_joint.check(f"conductance, {law}, the paper's joint", reference, computed)

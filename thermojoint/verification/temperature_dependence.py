@@ -18,19 +18,20 @@ T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from scipy.constants import Stefan_Boltzmann, zero_Celsius
-from skfem import MeshHex
 
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check, closed_form
+from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.structures import box_grid
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -51,6 +52,7 @@ EMISSIVITY, AMBIENT = 0.8, 20.0
 POWER, FILM = 2.0, 40.0
 #: Length of the bar that cools as a whole, m.
 SHORT = 0.001
+TEMPERATURE = Quantity("temperature", "K", 1e-6)
 
 
 def checks() -> Iterator[Check]:
@@ -70,14 +72,8 @@ def _conducting(folder: Path) -> Iterator[Check]:
         middle = response["temperature"][-1].sel(probe="middle").item()
         half = 0.5 * (HOT + 0.5 * slope * HOT**2)
         expected = (np.sqrt(1.0 + 2.0 * slope * half) - 1.0) / slope
-        yield closed_form(
-            f"temperature dependence, {name} conductivity: middle",
-            "temperature",
-            "K",
-            expected,
-            middle,
-            1e-6,
-        )
+        title = f"temperature dependence, {name} conductivity: middle"
+        yield TEMPERATURE.check(title, expected, middle)
         yield _settled(f"{name} conductivity", response)
 
 
@@ -95,9 +91,7 @@ def _radiating(folder: Path) -> Iterator[Check]:
     for name, lost, expected in (("radiation", black, hot), ("film", film, warm)):
         response = run(bar_case(folder, driven | lost), folder)
         end = response["temperature"][-1].sel(probe="end").item()
-        yield closed_form(
-            f"temperature dependence, {name}: surface", "temperature", "K", expected, end, 1e-6
-        )
+        yield TEMPERATURE.check(f"temperature dependence, {name}: surface", expected, end)
         yield _settled(name, response)
 
 
@@ -110,14 +104,8 @@ def _growing(folder: Path) -> Iterator[Check]:
     expected = EXPANSION * LENGTH * (60.0 + 0.5 * SLOPE * 60.0**2)
     for name, row in (("start", 0), ("end", -1)):
         computed = response["displacement"][row].sel(axis="x").item()
-        yield closed_form(
-            f"temperature dependence, expansion, {name}: growth",
-            "displacement",
-            "m",
-            expected,
-            computed,
-            1e-6,
-        )
+        title = f"temperature dependence, expansion, {name}: growth"
+        yield Quantity("displacement", "m", 1e-6).check(title, expected, computed)
 
 
 def _cooling(folder: Path) -> Iterator[Check]:
@@ -134,23 +122,15 @@ def _cooling(folder: Path) -> Iterator[Check]:
     computed = response["temperature"][-1].sel(probe="end").item()
     left = HOT / (1.0 + SLOPE * HOT) * np.exp(-rate * float(response["time"][-1]))
     expected = left / (1.0 - SLOPE * left)
-    yield closed_form(
-        "temperature dependence, film of a cooling plate: end",
-        "temperature",
-        "K",
-        expected,
-        computed,
-        2e-3,
-    )
+    compared = replace(TEMPERATURE, tolerance=2e-3)
+    yield compared.check("temperature dependence, film of a cooling plate: end", expected, computed)
 
 
 def facing_bars() -> Structure:
     """Return two bars along x, `LENGTH` and half of it, with 1 mm of air between them."""
     gap = 1e-3
     halves = [
-        MeshHex.init_tensor(
-            np.linspace(start, start + length, 6), *(np.linspace(0.0, WIDTH, 2) for _ in "yz")
-        )
+        box_grid("hexahedra", (5, 1, 1), (length, WIDTH, WIDTH), (start, 0.0, 0.0))
         for start, length in ((0.0, LENGTH), (LENGTH + gap, 0.5 * LENGTH))
     ]
     mesh, (left, right) = put_side_by_side(halves)
@@ -185,27 +165,14 @@ def _enclosing(folder: Path) -> Iterator[Check]:
     flux = HOT / (1.5 * LENGTH / CONDUCTIVITY + 2.0 / FILM)
     computed = response["temperature"][-1, 0].item()
     expected = flux * LENGTH / CONDUCTIVITY
-    yield closed_form(
-        "temperature dependence, enclosed air: cold face",
-        "temperature",
-        "K",
-        expected,
-        computed,
-        1e-6,
-    )
+    title = "temperature dependence, enclosed air: cold face"
+    yield TEMPERATURE.check(title, expected, computed)
     yield _settled("enclosed air", response)
 
 
 def _settled(name: str, response: xr.Dataset) -> Check:
     """Last change of the secant iteration relative to the converged temperatures."""
     largest = float(np.abs(response["temperature"]).max())
-    return Check(
-        name=f"temperature dependence, {name}: last secant step, temperature",
-        quantity="temperature",
-        unit="K",
-        reference=0.0,
-        computed=float(response["secant_residual"].max()),
-        tolerance=1e-8,
-        source="none left",
-        scale=largest,
-    )
+    residual = Quantity("temperature", "K", 1e-8, "none left")
+    title = f"temperature dependence, {name}: last secant step"
+    return residual.check(title, 0.0, float(response["secant_residual"].max()), largest)

@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import erfc
 
 from thermojoint.artefacts.files import temporary_folder
-from thermojoint.verification.check import Check, closed_form
+from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import (
     HALF,
     HARDNESS,
@@ -81,10 +81,10 @@ def _decaying_wave(folder: Path) -> Iterator[Check]:
         }
         response = run(bar_case(folder, changes, (40, 1, 1)), folder)
         computed = response["temperature"].sel(probe="start").to_numpy()
-        name, begun, ended = f"wave left alone, {thermal}", float(computed[0]), float(computed[-1])
-        yield closed_form(f"thermal fields, {name}: start", "temperature", "K", WAVE, begun, 1e-9)
+        name = f"thermal fields, wave left alone, {thermal}"
+        yield Quantity("temperature", "K", 1e-9).check(f"{name}: start", WAVE, computed[0])
         expected = WAVE * np.exp(-rate * float(response["time"][-1]))
-        yield closed_form(f"thermal fields, {name}: end", "temperature", "K", expected, ended, 2e-3)
+        yield Quantity("temperature", "K", 2e-3).check(f"{name}: end", expected, computed[-1])
 
 
 def _warm_start(folder: Path) -> Iterator[Check]:
@@ -102,15 +102,8 @@ def _warm_start(folder: Path) -> Iterator[Check]:
         pressure = run(data, folder)["pressure"].to_numpy()
         expected = pressed_pressure(WARM)
         for name, row in (("start", 0), ("end", -1)):
-            title = f"warm bars between walls, {thermal}: {name}"
-            yield closed_form(
-                f"thermal fields, {title}",
-                "pressure",
-                "Pa",
-                expected,
-                float(pressure[row].mean()),
-                1e-6,
-            )
+            title = f"thermal fields, warm bars between walls, {thermal}: {name}"
+            yield Quantity("pressure", "Pa", 1e-6).check(title, expected, pressure[row].mean())
 
 
 def _uneven_source(folder: Path) -> Check:
@@ -127,9 +120,8 @@ def _uneven_source(folder: Path) -> Check:
     }
     computed = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
     expected = 2.0 * POWER * LENGTH / (3.0 * WIDTH**2 * CONDUCTIVITY)
-    return closed_form(
-        "thermal fields, heat in proportion to x: end", "temperature", "K", expected, computed, 1e-6
-    )
+    compared = Quantity("temperature", "K", 1e-6)
+    return compared.check("thermal fields, heat in proportion to x: end", expected, computed)
 
 
 def _uneven_edge(folder: Path) -> Check:
@@ -144,6 +136,5 @@ def _uneven_edge(folder: Path) -> Check:
     plate = bar_case(folder, changes, (32, 32, 1), (SIDE, SIDE, 0.01))
     computed = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
     expected = 100.0 / (2.0 * np.cosh(0.5 * np.pi))
-    return closed_form(
-        "thermal fields, edge held at a sine: middle", "temperature", "K", expected, computed, 5e-3
-    )
+    compared = Quantity("temperature", "K", 5e-3)
+    return compared.check("thermal fields, edge held at a sine: middle", expected, computed)

@@ -30,7 +30,6 @@ from thermojoint.pictures.figures import (
     temperatures_figure,
     write_figure,
 )
-from thermojoint.pictures.scene_file import load_scene, save_scene
 from thermojoint.pictures.scenes import (
     boundary_faces,
     finished,
@@ -184,19 +183,6 @@ def test_a_point_that_does_not_exist_cannot_be_marked():
     structure = box_milling_machine(element_size=0.1)
     with pytest.raises(InputError, match="probe named 'C'"):
         probe_position(structure, "C")
-
-
-def test_a_scene_survives_the_way_to_another_process(tmp_path, coarse_case, coarse_setup):
-    (scene,) = finished([whole_structure(coarse_case, coarse_setup.structure)])
-    save_scene(scene, tmp_path / "scene.npz")
-    back = load_scene(tmp_path / "scene.npz")
-    for panel, other in zip(scene.panels, back.panels, strict=True):
-        assert panel.markers == other.markers
-        assert (panel.title, panel.camera, panel.frame) == (other.title, other.camera, other.frame)
-        for surface, copy in zip(panel.surfaces, other.surfaces, strict=True):
-            assert np.array_equal(surface.points, copy.points)
-            assert np.array_equal(surface.faces, copy.faces)
-            assert (surface.colour, surface.opacity) == (copy.colour, copy.opacity)
 
 
 def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coarse_setup, tmp_path):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.joint_aware.observer_model import ObserverModel
+from thermojoint.artefacts.figures import SHADES, stacked_panels
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
 from thermojoint.compensation.loop.linear import (
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 #: Length of the step response, s, and points drawn of a curve.
 _STEP, _POINTS = 7200.0, 1500
 
@@ -47,7 +47,7 @@ def bode_figure(design: Design, delay: float) -> Figure:
             "its estimate, µm/kW": 1e9 * responses.heater.estimate,
         }.items()
     ):
-        line: dict[str, Any] = {"label": name, "color": _SHADES[k], "linewidth": 1.2}
+        line: dict[str, Any] = {"label": name, "color": SHADES[k], "linewidth": 1.2}
         line["linestyle"] = "--" if k == 2 else "-"
         gain.loglog(w, np.abs(values), **line)
         phase.semilogx(w, np.degrees(np.unwrap(np.angle(values))), **line)
@@ -60,8 +60,8 @@ def bode_figure(design: Design, delay: float) -> Figure:
     phase.set_ylabel("phase (°)")
     closed = disturbed(responses, tuned.controller, delay)
     for name, values, shade in (
-        ("free", responses.disturbance.displacement, _SHADES[1]),
-        ("controlled", closed, _SHADES[2]),
+        ("free", responses.disturbance.displacement, SHADES[1]),
+        ("controlled", closed, SHADES[2]),
     ):
         moved.loglog(w, 1e9 * np.abs(values), label=name, color=shade, linewidth=1.2)
     moved.set_ylabel("δ per disturbing\nheat (µm/kW)")
@@ -82,7 +82,7 @@ def step_figure(model: ObserverModel, closed: Closed) -> Figure:
                 state_space(model, source, channels.axis), times
             )
             panel.plot(
-                times / 60.0, 1e9 * response.outputs.ravel(), label=name, color=_SHADES[k + 1]
+                times / 60.0, 1e9 * response.outputs.ravel(), label=name, color=SHADES[k + 1]
             )
         panel.set_ylabel(f"δ {heater.axis} (µm)")
     panel.set_xlabel("time after a step of 1 kW (min)")
@@ -95,7 +95,7 @@ def runs_figure(closed: Closed) -> Figure:
     figure, panels = _panels(2 * len(axes) + (closed.heated is not None))
     for k, axis in enumerate(axes):
         first, second = panels[2 * k], panels[2 * k + 1]
-        for shade, (name, course, _) in zip(_SHADES, runs_of(closed), strict=False):
+        for shade, (name, course, _) in zip(SHADES, runs_of(closed), strict=False):
             thin = slice(None, None, max(1, course.times.size // _POINTS))
             time = course.times[thin] / 60.0
             for panel, values in ((first, course.displacement), (second, course.residual)):
@@ -108,7 +108,7 @@ def runs_figure(closed: Closed) -> Figure:
         if closed.loop.offsets is None:
             second.set_ylim(-5.0, 5.0)
     if closed.heated is not None:
-        for shade, (name, course, heated) in zip(_SHADES, runs_of(closed), strict=False):
+        for shade, (name, course, heated) in zip(SHADES, runs_of(closed), strict=False):
             if heated:
                 thin = slice(None, None, max(1, course.times.size // _POINTS))
                 panels[-1].plot(
@@ -124,12 +124,7 @@ def runs_figure(closed: Closed) -> Figure:
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.5, 1.0 + 2.0 * count), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    return stacked_panels(count, 8.5, 1.0 + 2.0 * count)
 
 
 def _finished(figure: Figure) -> Figure:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-from pathlib import Path
 from typing import Any
 
 from estimator.joint_aware.model_file import read_observer
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.svg import as_svg
+from thermojoint.artefacts.figures import svg_address
 from thermojoint.artefacts.templates import templates_of
 from thermojoint.compensation.loop.figure import bode_figure, runs_figure, step_figure
 from thermojoint.compensation.loop.run import Closed
@@ -32,15 +29,7 @@ def report_html(closed: Closed, content: dict[str, Any]) -> str:
             ("Bode diagram", bode_figure(closed.design, closed.loop.estimator.delay_s)),
             ("Step responses near the preload", step_figure(model, closed)),
         ]
-    pictures = [
-        (title, base64.b64encode(as_svg(figure, "control")).decode("ascii"))
-        for title, figure in figures
-    ]
+    pictures = [(title, svg_address(figure, "control")) for title, figure in figures]
     return environment.get_template("report.html.j2").render(
         content=content, loop=closed.loop, pictures=pictures
     )
-
-
-def write_report(page: str, path: Path) -> None:
-    """Write a page to `path`, whole or not at all."""
-    write_text(Path(path), page)

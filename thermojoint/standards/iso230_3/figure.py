@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.figures import SHADES, stacked_panels
 from thermojoint.standards.iso230_3.evaluation import Evaluation
 from thermojoint.standards.iso230_3.parameters import FIRST, Parameter, Quantity
 from thermojoint.standards.iso230_3.protocol import Protocol
@@ -23,7 +24,6 @@ SHOWN: dict[Quantity, tuple[float, str, str]] = {
     "tilt": (1e6, "µm/m", "tilt (µm/m)"),
     "temperature": (1.0, "K", "temperature (°C or K)"),
 }
-_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 _STYLES = ("-", "--", "-.", ":")
 #: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
@@ -43,17 +43,12 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     evaluation : Evaluation
         Of the same record.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
     if record.tilts:
         groups.append(("tilt", record.tilts))
     if record.temperatures:
         groups.append(("temperature", record.temperatures))
-    figure = Figure(figsize=(8.5, 1.0 + 2.6 * len(groups)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = list(figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0])
+    figure, panels = stacked_panels(len(groups), 8.5, 1.0 + 2.6 * len(groups))
     first, last = _shown(record, evaluation)
     inside = (record.times >= first) & (record.times <= last)
     marked = {
@@ -74,7 +69,7 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
 
 
 def _shown(record: Record, evaluation: Evaluation) -> tuple[float, float]:
-    """Return from when to when a figure goes, s: the test and a part of what is around it."""
+    """Return the range of time shown, s: the test and some time before and after it."""
     begin, end = evaluation.period
     first = max(float(record.times[0]), begin - _BEFORE * evaluation.period.length)
     last = min(float(record.times[-1]), end + _AFTER * evaluation.period.length)
@@ -89,7 +84,7 @@ def _draw(panel: Axes, times: Array, quantity: Quantity, channels: Mapping[str, 
             times[read] / 3600.0,
             factor * values[read],
             color=_shade(k),
-            linestyle=_STYLES[(k // len(_SHADES)) % len(_STYLES)],
+            linestyle=_STYLES[(k // len(SHADES)) % len(_STYLES)],
             linewidth=1.2,
             label=name,
         )
@@ -142,4 +137,4 @@ def _mark_ranges(
 
 
 def _shade(index: int) -> str:
-    return _SHADES[index % len(_SHADES)]
+    return SHADES[index % len(SHADES)]

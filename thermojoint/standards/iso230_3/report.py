@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.svg import as_svg
+from thermojoint.artefacts.figures import svg_address
 from thermojoint.artefacts.templates import templates_of
 from thermojoint.standards.iso230_3.evaluation import Evaluation
 from thermojoint.standards.iso230_3.figure import SHOWN, figure_of
@@ -56,7 +53,6 @@ def report_html(
         Further lines on what was tested, e.g. the distance of two sensors.
     """
     environment = templates_of("thermojoint.standards.iso230_3")
-    drawn = base64.b64encode(as_svg(figure_of(record, evaluation), "iso230-3")).decode("ascii")
     return environment.get_template("report.html.j2").render(
         title=evaluation.protocol.heading,
         moves=evaluation.protocol is not Protocol.ETVE,
@@ -64,13 +60,8 @@ def report_html(
         period=evaluation.period,
         rows=[_row(parameter) for parameter in evaluation.parameters],
         unsettled=evaluation.unsettled,
-        picture=f"data:image/svg+xml;base64,{drawn}",
+        picture=svg_address(figure_of(record, evaluation), "iso230-3"),
     )
-
-
-def write_report(page: str, path: Path) -> None:
-    """Write a page to `path`, whole or not at all."""
-    write_text(Path(path), page)
 
 
 def _row(parameter: Parameter) -> dict[str, Any]:

@@ -1,0 +1,48 @@
+"""Figures of panels one above the other, and figures as SVG for a page."""
+
+from __future__ import annotations
+
+import base64
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Colours of curves; as greys they differ, too.
+SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
+
+
+def stacked_panels(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `count` panels one above the other with a common axis below.
+
+    Parameters
+    ----------
+    count : int
+        Number of panels.
+    width, height : float
+        Size of the figure, inches.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def svg_address(figure: Figure, salt: str) -> str:
+    """Return a figure as SVG in a data address, the same text for the same figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        Any figure.
+    salt : str
+        Makes the names inside differ from those of another kind of figure on the same page.
+    """
+    import matplotlib as mpl
+
+    target = BytesIO()
+    with mpl.rc_context({"svg.hashsalt": salt}):
+        figure.savefig(target, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(target.getvalue()).decode('ascii')}"
