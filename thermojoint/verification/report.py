@@ -77,13 +77,11 @@ def _table(checks: Sequence[Check]) -> str:
 
 
 def shown(check: Check) -> tuple[str, str, str, str, str, str]:
-    """Return quantity, reference, computed value, error, tolerance and source as text."""
-    named = check.quantity in check.name
-    what = check.name if named else f"{check.name}: {check.quantity}"
+    """Return name and unit, reference, computed value, error, tolerance and source as text."""
     unit = "" if check.unit == "1" else f", {check.unit}"
     mark = "" if check.passed else " **out**"
     return (
-        f"{what}{unit}",
+        f"{check.name}{unit}",
         f"{check.reference:.7g}",
         f"{check.computed:.7g}",
         f"{check.relative_error:.1e}{mark}",
