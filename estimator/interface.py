@@ -23,7 +23,9 @@ class Status(IntFlag):
 
     Beyond: outside the calibrated range. Unsettled: an unknown start or missing readings still have
     an effect. Distrusted: a sensor is excluded because it contradicts the others or the model.
-    Reading refused: a displacement reading was inconsistent and was not used.
+    Reading refused: a displacement reading was inconsistent and was not used. Readings lost: so
+    much has been missing for so long that the estimate is little more than a guess; its quality is
+    bad.
     """
 
     OK = 0
@@ -35,6 +37,7 @@ class Status(IntFlag):
     SENSOR_DISTRUSTED = auto()
     BEYOND_DISPLACEMENT = auto()
     READING_REFUSED = auto()
+    READINGS_LOST = auto()
 
     @property
     def reasons(self) -> list[str]:

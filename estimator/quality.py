@@ -11,6 +11,8 @@ from thermojoint.artefacts.arrays import Array
 #: Reasons that leave a value good: a service is meant to run longer than the calibration, and a
 #: refused displacement reading changes nothing.
 HARMLESS = frozenset({"ok", "beyond-time", "reading-refused"})
+#: Reason that makes a value bad.
+LOST = "readings-lost"
 
 
 class Quality(IntEnum):
@@ -36,9 +38,10 @@ def quality_of(status: str, displacement: Array) -> Quality:
     displacement : ndarray, shape (axes,)
         m; a value that is not finite is bad.
     """
-    if not np.isfinite(displacement).all():
+    reasons = reasons_of(status)
+    if LOST in reasons or not np.isfinite(displacement).all():
         return Quality.BAD
-    return Quality.UNCERTAIN if reasons_of(status) - HARMLESS else Quality.GOOD
+    return Quality.UNCERTAIN if reasons - HARMLESS else Quality.GOOD
 
 
 def reasons_of(status: str) -> set[str]:

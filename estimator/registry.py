@@ -178,9 +178,11 @@ def resumed(
         estimator = kind.start(model, options)
     else:
         estimator = kind.resumed(model, options, saved.carried, str(path))
-    if saved.values.size != estimator.initial_state().size:
+    initial = estimator.initial_state()
+    values = states.completed(saved.values, initial)
+    if values.size != initial.size:
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    return estimator, saved.values
+    return estimator, values
 
 
 @lru_cache

@@ -132,6 +132,14 @@ def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
     return np.frombuffer(content, dtype="<f8").copy()
 
 
+def completed(values: Array, initial: Array) -> Array:
+    """Return a state; one of an earlier version gets the initial values of what it lacks.
+
+    What a version adds to a state of a kind stands at the end.
+    """
+    return np.concatenate((values, initial[values.size :]))
+
+
 def _checksum(body: dict[str, Any]) -> str:
     return _digest(json.dumps(body, sort_keys=True).encode()).hex()
 

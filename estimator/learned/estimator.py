@@ -21,8 +21,9 @@ import numpy as np
 
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in
+from estimator.learned.unread import Unread, at_start, later
 from estimator.span import SLACK
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
@@ -58,6 +59,13 @@ class Following:
         fraction of it, on either side.
     within : float
         Half-width of the band, 95 %, in standard deviations.
+    wanders : float
+        Time constant with which a missing temperature may leave its last value, s
+        (`estimator.learned.unread`).
+    unsettled, lost : float
+        An estimate is unsettled where missing readings or an unknown past may have moved a
+        displacement by more than this fraction of what all readings together move it over the range
+        of the log; beyond the second one, while readings are missing, it is bad.
     """
 
     drift_size: float = 2.0
@@ -67,6 +75,9 @@ class Following:
     goes_on: float = 3600.0
     reach: float = 0.5
     within: float = 1.96
+    wanders: float = 1800.0
+    unsettled: float = 0.1
+    lost: float = 0.5
 
     def reached(self, span: tuple[float, float]) -> tuple[float, float]:
         """Return the limits of an estimate for a log's range of displacements, m."""
@@ -147,6 +158,7 @@ class Learned(Described):
                 mean=np.array([(one.zero, 0.0, *one.weights) for one in model.channels]),
                 refused=np.zeros(len(model.channels)),
                 covariance=self._prior,
+                unread=Unread(*np.zeros((2, len(model.features)))),
             )
         )
 
@@ -178,35 +190,70 @@ class Learned(Described):
         now, readings = told[:columns], told[columns:]
         lowest, highest = self._possible
         now = np.where((now > lowest) & (now < highest), now, np.nan)
-        status = Status.READING_MISSING if np.isnan(now).any() else Status.OK
-        now = np.where(np.isnan(now), self._middle if last.fresh else last.values, now)
+        missing = np.isnan(now)
+        now = np.where(missing, self._middle if last.fresh else last.values, now)
         low = self._relaxations(last, time, now)
+        last = last._replace(unread=self._unread(last, time, now, missing))
         if not last.fresh:
             last = self._forgotten(last, time - last.time)
         row = np.concatenate(([1.0, 1.0], low))
+        unknown = np.abs(last.mean[:, WEIGHTS]) @ last.unread.relaxed
+        status = Status.OK
         for c in np.flatnonzero(~np.isnan(readings)):
-            if self._correct(last, int(c), row, float(readings[c])):
+            noise = self.reading_noise**2 + unknown[c] ** 2
+            if self._correct(last, int(c), row, float(readings[c]), noise):
                 status |= Status.READING_REFUSED
         estimate = last.mean @ row
         variance = np.einsum("i,cij,j->c", row, last.covariance, row)
         band = self.following.within * self._widening * np.sqrt(variance)
         begun = time if last.fresh else last.begun
         status |= self._status(now, estimate, time - begun)
+        status |= self._status_unread(last, missing, unknown)
         after = last._replace(time=time, begun=begun, values=now, relaxations=low)
-        return flat(after), Estimate(time, estimate, band, status, np.empty(0))
+        return flat(after), Estimate(
+            time, estimate, band + unknown, status, np.empty(0), self._names(missing)
+        )
+
+    def _names(self, missing: Flags) -> tuple[str, ...]:
+        return tuple(
+            name for name, gone in zip(self.model.columns, missing.tolist(), strict=True) if gone
+        )
+
+    def _before(self, last: State, time: float) -> float:
+        """Time of the sample before, s; the log's end if it is continued, NaN in a new run."""
+        end = self.model.log_end
+        if last.fresh and end and 0.0 < time - end.time_s <= self.following.goes_on:
+            return end.time_s
+        return last.time
+
+    def _unread(self, last: State, time: float, now: Array, missing: Flags) -> Unread:
+        """Bounds on what is not known, at a sample."""
+        before = self._before(last, time)
+        if np.isnan(before):
+            return at_start(self.model, now, missing)
+        return later(self.model, last.unread, missing, time - before, self.following.wanders)
+
+    def _status_unread(self, last: State, missing: Flags, unknown: Array) -> Status:
+        """Status bits for missing readings and an unknown past."""
+        status = Status.READING_MISSING if missing.any() else Status.OK
+        whole = np.abs(last.mean[:, WEIGHTS]) @ self.model.signal_ranges
+        if (unknown > self.following.unsettled * whole).any():
+            status |= Status.UNSETTLED
+        if missing.any() and (unknown > self.following.lost * whole).any():
+            status |= Status.READINGS_LOST
+        return status
 
     def _relaxations(self, last: State, time: float, now: Array) -> Array:
         """Relaxations of the features at `time`, s, with values now: (n,)."""
         model, end = self.model, self.model.log_end
-        new = signals(model.features, model.columns, now)
-        if last.fresh and end and 0.0 < time - end.time_s <= self.following.goes_on:
-            begun, values, since = np.array(end.relaxations), np.array(end.values), end.time_s
-        elif last.fresh:
+        new, before = signals(model.features, model.columns, now), self._before(last, time)
+        if np.isnan(before):
             return np.where(model.taus > 0.0, at_rest(model.features, new), new)
-        else:
-            begun, values, since = last.relaxations, last.values, last.time
+        begun, values = last.relaxations, last.values
+        if last.fresh and end:
+            begun, values = np.array(end.relaxations), np.array(end.values)
         old = signals(model.features, model.columns, values)
-        return relaxed(begun, old, new, time - since, model.taus)
+        return relaxed(begun, old, new, time - before, model.taus)
 
     @cached_property
     def _possible(self) -> Array:
@@ -231,9 +278,12 @@ class Learned(Described):
         covariance = both * state.covariance + (1.0 - both) * self._prior
         return state._replace(mean=mean, covariance=covariance)
 
-    def _correct(self, state: State, c: int, row: Array, reading: float) -> bool:
-        """Correct filter c by a reading, m, in place; return whether the reading was refused."""
-        noise, mean, spread = self.reading_noise**2, state.mean[c], state.covariance[c]
+    def _correct(self, state: State, c: int, row: Array, reading: float, noise: float) -> bool:
+        """Correct filter c by a reading, m, in place; return whether it was refused.
+
+        `noise` is the reading's variance, m2, with that of what is not known at this moment.
+        """
+        mean, spread = state.mean[c], state.covariance[c]
         cross = spread @ row
         variance = float(row @ cross)
         innovation = reading - float(mean @ row)

@@ -34,7 +34,9 @@ _STATUSES = (
     Status.BEYOND_HEAT,
     Status.BEYOND_TEMPERATURE,
     Status.READING_MISSING,
+    Status.UNSETTLED,
     Status.BEYOND_DISPLACEMENT,
+    Status.READINGS_LOST,
 )
 
 
@@ -88,12 +90,14 @@ def contents(estimator: Learned, interval: float) -> Contents:
     powers = sum(feature.exponent not in (0.0, *_PRODUCTS) for feature in features)
     slow = sum(feature.tau > 0.0 for feature in features)
     usual = Operations(
-        axes * (2 + count + count * (count + 1)) + 3 * count + 2 * slow,
-        axes * (2 + count + count * (count + 1)) + count + 8 * slow + 3,
-        count,
+        axes * (2 + 2 * count + count * (count + 1)) + 3 * count + 4 * slow,
+        axes * (3 + 2 * count + count * (count + 1)) + count + 13 * slow + 2 * columns + 3,
+        count + columns,
         powers + axes,
     )
     ranges = [model.spans[name] for name in model.columns]
+    sensors = [name in model.sensors for name in model.columns]
+    weights = np.array([channel.weights for channel in model.channels])
     return Contents(
         # The program does not know the log's clock: it starts a new run.
         replace(estimator, model=replace(model, log_end=None)),
@@ -102,7 +106,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
             "features": features,
             "gains": gains(model.taus, interval),
             "zeros": [channel.zero for channel in model.channels],
-            "weights": np.array([channel.weights for channel in model.channels]),
+            "weights": weights,
             "spreads": np.array([channel.covariance for channel in model.channels]),
             "unexplained": [
                 (1.0 + own.drift_size**2) * channel.drift**2 for channel in model.channels
@@ -112,15 +116,28 @@ def contents(estimator: Learned, interval: float) -> Contents:
             "possible": model.possible,
             "limits": [with_slack(limits) for limits in ranges],
             "middles": [0.5 * (low + high) for low, high in ranges],
-            "temperatures": [name in model.sensors for name in model.columns],
+            "spans": ranges,
+            "thermometers": [
+                k for k, (low, high) in enumerate(ranges) if high > low and sensors[k]
+            ],
+            "signal_ranges": model.signal_ranges,
+            "most_unknown": np.outer(
+                np.abs(weights) @ model.signal_ranges, (own.unsettled, own.lost)
+            ),
+            "wanders": own.wanders,
+            "unsettled": own.unsettled,
+            "lost": own.lost,
+            "temperatures": sensors,
             "longest": (1.0 + SLACK) * model.duration_s,
             "largest": LARGEST,
             "terms": TERMS,
         },
-        constants=7 * count + axes * (count + count**2 + 5) + 5 * columns,
-        state=columns + 3 * count + 3,
+        constants=8 * count + axes * (count + count**2 + 7) + 7 * columns,
+        state=columns + 5 * count + 3,
         usual=usual,
-        worst=usual + Operations(TERMS + 2, TERMS + 2, TERMS + 2, 1).times(slow),
+        worst=usual
+        + Operations(TERMS + 2, TERMS + 2, TERMS + 2, 1).times(slow)
+        + Operations(count, 2 * count, 1, 1),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
         duty=lambda: duty_cycle(ranges, interval).tolist(),
     )

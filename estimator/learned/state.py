@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.learned.unread import Unread
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.learned import LearnedModel
 
@@ -30,6 +31,8 @@ class State(NamedTuple):
         Innovation of the last refused reading of each displacement, m; 0 after an accepted one.
     covariance : ndarray, shape (a, 2 + n, 2 + n)
         Of `mean`, m2.
+    unread : Unread
+        Bounds on the errors of missing readings.
     """
 
     time: float
@@ -39,6 +42,7 @@ class State(NamedTuple):
     mean: Array
     refused: Array
     covariance: Array
+    unread: Unread
 
     @property
     def fresh(self) -> bool:
@@ -50,15 +54,15 @@ def flat(state: State) -> Array:
     """Return a state as one array: each mean is followed by its refused innovation."""
     filters = np.column_stack((state.mean, state.refused))
     head = [state.time, state.begun], state.values, state.relaxations
-    return np.concatenate((*head, filters.ravel(), state.covariance.ravel()))
+    return np.concatenate((*head, filters.ravel(), state.covariance.ravel(), *state.unread))
 
 
 def state_in(array: Array, model: LearnedModel) -> State:
     """Return the state of a model in an array of `flat`; nothing in it is shared with the array."""
     columns, features, axes = len(model.columns), len(model.features), len(model.channels)
     size = 2 + features
-    ends = np.cumsum([2, columns, features, axes * (size + 1)])
-    clock, values, relaxations, filters, covariance = np.split(array.copy(), ends)
+    ends = np.cumsum([2, columns, features, axes * (size + 1), axes * size**2, features])
+    clock, values, relaxations, filters, covariance, *unread = np.split(array.copy(), ends)
     filters = filters.reshape(axes, size + 1)
     return State(
         float(clock[0]),
@@ -68,4 +72,5 @@ def state_in(array: Array, model: LearnedModel) -> State:
         filters[:, :-1],
         filters[:, -1],
         covariance.reshape(axes, size, size),
+        Unread(*unread),
     )

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.quality import Quality, quality_of
-from estimator.states import as_bytes, from_bytes
+from estimator.states import as_bytes, completed, from_bytes
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.compensation.offsets.output import (
@@ -314,12 +314,13 @@ def restored(
     machine = replace(at_rest(name, served, times.now), output=None)
     if kept.state is not None and last is not None:
         numbers = from_bytes(kept.state, served.digest, name)
-        if numbers.size != machine.state.size + 1:
+        state = completed(numbers[1:], machine.state)
+        if state.size != machine.state.size:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
         machine = replace(
             machine,
             cold=float(numbers[0]),
-            state=numbers[1:],
+            state=state,
             said=_laid_out(last, served.layout),
             usable=_laid_out(last, served.layout),
         )

@@ -18,9 +18,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter
 
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
@@ -272,6 +273,23 @@ class LearnedModel(Described):
         return np.array([feature.tau_s for feature in self.features])
 
     @cached_property
+    def heats(self) -> Flags:
+        """Whether each feature is a heat."""
+        return np.array([feature.exponent > 0.0 for feature in self.features], dtype=bool)
+
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """Index of the column of each feature."""
+        return np.array([self.columns.index(feature.column) for feature in self.features])
+
+    @cached_property
+    def signal_ranges(self) -> Array:
+        """Width of the range of each feature's signal in the log; of a heat, from zero."""
+        ends = np.array([self.spans[name] for name in self.columns]).T
+        low, high = signals(self.features, self.columns, ends)
+        return np.where(self.heats, np.maximum(low, high), high - low)
+
+    @cached_property
     def digest(self) -> str:
         """Fingerprint: of another model it is another one."""
         content = _MODEL.dump_python(self, mode="json")
@@ -294,7 +312,7 @@ def at_rest(features: Sequence[Feature], first: Array) -> Array:
 
     Temperatures have long been as they are; no heat has gone in before.
     """
-    heats = np.array([feature.exponent > 0.0 for feature in features], dtype=bool)
+    heats = [feature.exponent > 0.0 for feature in features]
     return np.where(heats, 0.0, first)
 
 

@@ -19,9 +19,11 @@ from estimator.learned.estimator import Learned
 from estimator.learned.judging import judge, run
 from estimator.learned.kind import KIND
 from estimator.probe_readings import with_probe_readings
+from estimator.quality import Quality, quality_of
 from estimator.registry import resumed, save_state
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.compensation.offsets.usable import Trust, usable
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.learned import LearnedFrom, read_learned, write_learned
 
@@ -316,6 +318,86 @@ def test_what_is_no_reading_is_missing_and_said(model, bad):
     assert all("reading-missing" in one for one in words)
 
 
+def without(log, names, rows):
+    for name in names:
+        log = changed(log, name, lambda values: np.where(rows, np.nan, values))
+    return log
+
+
+def estimates(model, log):
+    """Every estimate of a run."""
+    estimator = Learned(model)
+    samples = samples_of(model.columns, [log])
+    return [one for _, one in follow(estimator, samples, estimator.initial_state())]
+
+
+@pytest.mark.parametrize("kind", ["learned", "ridge", "arx"])
+def test_ten_hours_without_any_reading_widen_the_band_and_make_the_estimate_bad(kind):
+    model = learn([LOG], AXES, 4, kind)
+    day = machine_log(hours=16.0, seed=5, start=500000.0)
+    gone = (np.arange(960) >= 200) & (np.arange(960) < 800)
+    found = estimates(model, without(day, model.columns, gone))
+    band = np.array([one.band for one in found])
+    assert (np.diff(band[200:800], axis=0) > -0.01 * band[200:799]).all()
+    assert (band[799] > 3.0 * band[199]).all()
+    error = np.array([one.displacement for one in found])
+    error -= np.stack([day.at(axis) for axis in AXES], axis=1)
+    assert (np.abs(error) <= band)[200:].mean() > 0.95
+    quality = np.array([quality_of(one.words, one.displacement) for one in found])
+    assert quality[199] == Quality.GOOD
+    assert quality[200] == Quality.UNCERTAIN
+    assert (quality[260:800] == Quality.BAD).all()
+    assert (quality[800:] < Quality.BAD).all()
+    assert quality[-1] == Quality.GOOD
+    trust = Trust((), np.inf, np.inf)
+    assert not any(usable(trust, 0.0, one.band, one.words) for one in found[260:800])
+
+
+def test_a_state_from_before_bounds_were_kept_goes_on(model, tmp_path):
+    estimator = Learned(model)
+    values = [model.spans[name][0] for name in model.columns]
+    state, _ = estimator.sample(estimator.initial_state(), 0.0, values)
+    save_state(estimator, state[: -2 * len(model.features)], tmp_path / "state.json")
+    _, begun = resumed(KIND, model, Options(), tmp_path / "state.json")
+    np.testing.assert_array_equal(begun, state)
+
+
+@settings(max_examples=20, deadline=None)
+@given(data=st.data(), hours=st.floats(0.05, 30.0))
+def test_the_more_is_missing_and_the_longer_the_wider_is_the_band(model, data, hours):
+    names = data.draw(st.permutations(model.columns))
+    few = data.draw(st.integers(0, len(names)))
+    many = data.draw(st.integers(few, len(names)))
+    estimator = Learned(model)
+    known = {name: model.spans[name][0] for name in names}
+
+    def bands(missing):
+        values = [np.nan if name in missing else known[name] for name in model.columns]
+        start = [known[name] for name in model.columns]
+        state, _ = estimator.sample(estimator.initial_state(), 0.0, start)
+        for time in (3600.0 * hours, 7200.0 * hours):
+            state, found = estimator.sample(state, time, values)
+            yield found.band
+
+    one, two = bands(names[:few]), bands(names[:many])
+    (early, late), (wide, wider) = one, two
+    assert (early <= late * (1.0 + 1e-9)).all()
+    assert (early <= wide).all()
+    assert (late <= wider).all()
+
+
+def test_a_start_on_a_warm_machine_is_said_until_it_has_died_out(model):
+    """The same machine, cold, is settled at once."""
+    day = machine_log(hours=24.0, seed=5, start=500000.0)
+    hottest = int(day.at(model.sensors[0])[:900].argmax())
+    warm = estimates(model, day.part(slice(hottest, None)))
+    unsettled = np.array([Status.UNSETTLED in one.status for one in warm])
+    assert unsettled[0]
+    assert not unsettled[unsettled.argmin() :].any()
+    assert not unsettled[-1]
+    assert Status.UNSETTLED not in estimates(model, DAY)[0].status
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     kelvin=st.lists(st.floats(250.0, 400.0), min_size=6, max_size=6),
@@ -340,17 +422,17 @@ def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(model, kelvin, sp
 
 def test_where_the_log_has_not_been_is_said(model):
     estimator = Learned(model)
-    middle = {name: 0.5 * sum(model.spans[name]) for name in model.columns}
+    cold = {name: model.spans[name][0] for name in model.columns}
 
     def words(time, **changes):
-        known = middle | changes
+        known = cold | changes
         values = [known[name] for name in model.columns] + [np.nan] * 2
         state, _ = estimator.sample(estimator.initial_state(), 0.0, values)
         return estimator.sample(state, time, values)[1].status
 
     sensor = model.sensors[0]
     assert words(60.0) == Status.OK
-    assert Status.BEYOND_TEMPERATURE in words(60.0, **{sensor: middle[sensor] + 50.0})
+    assert Status.BEYOND_TEMPERATURE in words(60.0, **{sensor: cold[sensor] + 50.0})
     assert Status.BEYOND_HEAT in words(60.0, n_rpm=2.0 * model.spans["n_rpm"][1])
     assert Status.BEYOND_TIME in words(10.0 * model.duration_s)
 

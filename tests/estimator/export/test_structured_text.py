@@ -132,8 +132,8 @@ def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(f
 
 
 def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
-    middle = [0.5 * sum(learned.model.spans[name]) for name in learned.model.columns]
-    samples = [(60.0 * k, *middle) for k in range(3)]
+    cold = [learned.model.spans[name][0] for name in learned.model.columns]
+    samples = [(60.0 * k, *cold) for k in range(3)]
     program = export_program(learned, Precision.DOUBLE, "m", samples, interval=60.0)
     key = f"reading_{program.interface.inputs[0].name}"
     found = told(program, tmp_path, [{}, {key: "NAN"}, {key: 10272.15}])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.interface import Status
-from estimator.quality import reasons_of
+from estimator.quality import LOST, reasons_of
 from thermojoint.artefacts.arrays import Array
 
 #: Reasons that make an estimate unusable where the settings name none: what was never calibrated,
@@ -36,7 +36,7 @@ class Trust:
 
 
 def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
-    """Say whether an estimate may move an axis.
+    """Say whether an estimate may move an axis; one of bad quality never does.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
     """
     return (
         age <= trust.oldest
-        and not (reasons_of(status) & set(trust.unusable))
+        and not (reasons_of(status) & {LOST, *trust.unusable})
         and not bool(np.any(band > trust.widest_band))
     )
 

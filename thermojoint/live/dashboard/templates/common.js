@@ -12,6 +12,7 @@ const REASONS = {
   "beyond-temperature": "a temperature outside the calibrated range",
   "beyond-displacement": "a displacement outside the calibrated range",
   "reading-missing": "no reading",
+  "readings-lost": "too little is read",
   "unsettled": "settling after a start or a gap",
   "sensor-distrusted": "left out, contradicts the rest",
   "reading-refused": "a measured displacement was refused",
