@@ -72,7 +72,7 @@ def candidates_on(sizes: tuple[float, float]) -> ReducedMachine:
     case = case_from_data(data, "benchmark", Path())
     setup = set_up(case)
     machine = along(reduce_machine(case, setup, list(setup.probes)), ["x", "y"])
-    return plant_family.fewer_modes(replace(machine, step=STEP), shortest=STEP)
+    return plant_family.fewer_modes(replace(machine, step=STEP), plant_family.Drawing(step=STEP))
 
 
 def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:

@@ -61,7 +61,7 @@ class FictitiousCalibration:
     sources : tuple of FictitiousSource
         From the joint fit.
     deviations : Deviations
-        What was fitted.
+        The fitted data.
     joint : SourceFit
         Rates and products shared by all inputs.
     strength_condition : float
@@ -99,8 +99,8 @@ def check_steps(
     Raises
     ------
     InputError
-        A response is no step, its level is not the one named or the reference's, or its times or
-        axes differ from the reference's.
+        A response is not to a step, its level is not the one given or is the reference's, or its
+        times or axes differ from the reference's.
     """
     base = steps.step_level(reference, f"{where}, reference")
     t = steps.times(reference)
@@ -114,7 +114,9 @@ def check_steps(
             raise InputError(f"{name}: this is the reference input; give another step")
         at = steps.times(response)
         if at.shape != t.shape or not bool(np.allclose(at, t, rtol=0.0, atol=1e-6)):
-            raise InputError(f"{name}: sample times differ from the reference's; sample alike")
+            raise InputError(
+                f"{name}: sample times differ from the reference's; sample both at the same times"
+            )
         known = axes_of(response)
         for axis in axes:
             if axis not in known:
@@ -132,7 +134,7 @@ def deviations_from(
     Parameters
     ----------
     reference, others, where
-        As in `check_steps`, which sees to them; the reference is taken per unit of its level.
+        As in `check_steps`, which checks them; the reference is divided by its level.
     """
     base = check_steps(reference, others, where)
     t = steps.times(reference)
@@ -235,7 +237,7 @@ def calibrate_fictitious(
     unity = max(data.inputs) if reference_input is None else float(reference_input)
     if unity not in data.inputs:
         raise InputError(
-            f"{where}: strength 1 is asked for at input {unity:g}, which is not among "
+            f"{where}: no response at reference_input {unity:g}; choose one of "
             f"{', '.join(f'{level:g}' for level in data.inputs)}"
         )
     joint = source_thermal.fit_jointly(data.t, data.temperatures, data.inputs, geometry)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Two parameters whose estimates correlate more than this cannot be told apart.
+#: Two parameters whose estimates correlate more than this are not distinguishable.
 INDISTINCT = 0.99
 
 

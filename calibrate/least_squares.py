@@ -205,7 +205,7 @@ def fit(
         What to fit.
     coarse : Separable, optional
         The same problem on fewer samples: the starts are compared on it, and the best `polished`
-        of their ends are taken further on `problem`. Default: `problem` itself.
+        results are refined on `problem`. Default: `problem` itself.
     starts : int
         Scrambled Sobol starts, besides `guesses`.
     guesses : sequence
@@ -213,7 +213,7 @@ def fit(
     seed : int
         Of the Sobol sequence.
     polished : int
-        Number of the best ends to be polished.
+        Number of the best results to be refined.
 
     Raises
     ------

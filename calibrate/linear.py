@@ -38,6 +38,8 @@ SLOWEST = 0.5
 FADING = 2.0
 #: Rates of the relaxation spectrum.
 RELAXATION_RATES = 24
+#: Name of the response in error messages.
+WHERE = "reference response"
 
 #: (times s, displacement m per unit heat input) -> model and fit
 DeformationFit = Callable[[np.ndarray, np.ndarray], tuple[DeformationModel, Fit]]
@@ -75,9 +77,9 @@ def rate_bounds(t: np.ndarray) -> tuple[float, float]:
 def deformation_bounds(t: np.ndarray, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the bounds of the `count` rates c, d, e [, f] of Eq. 8 or 18, 1/s.
 
-    As `rate_bounds`, but a term t exp(-e t) must also be seen to decay: e is at least `FADING` over
-    the run's length. Otherwise it represents what has not settled by the end of the run, and takes
-    the displacement back to zero afterwards.
+    As `rate_bounds`, but a term t exp(-e t) must decay within the run: e is at least `FADING` over
+    the run's length. Otherwise the term represents continuing warm-up at the end of the run, and
+    returns the displacement to zero afterwards.
     """
     slowest, fastest = rate_bounds(t)
     return (slowest, slowest, *(FADING / float(t[-1]),) * (count - 2)), (fastest,) * count
@@ -86,8 +88,8 @@ def deformation_bounds(t: np.ndarray, count: int) -> tuple[tuple[float, ...], tu
 def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
     """Return the fit of Eq. 2 to one series: K linear, a, alpha and r searched.
 
-    r is kept above r0 (the paper's side), from 1.01 r0 to 30 r0; at r = r0 the response would have
-    no delay and its derivative by r jumps.
+    r lies outside the ring, as in the paper, from 1.01 r0 to 30 r0: at r = r0 the response would
+    have no delay and its derivative by r jumps.
     """
 
     def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,27 +144,33 @@ def fit_ring(
     return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), best
 
 
-def _deformation_problem(
+def _best_deformation(
     t: np.ndarray,
     data: np.ndarray,
     basis: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     linear_names: tuple[str, ...],
-    bounds: tuple[tuple[float, ...], tuple[float, ...]],
-) -> Separable:
-    return Separable(
-        basis=lambda theta: basis(t, theta),
-        data=data[:, None],
-        names=("c", "d", "e"),
-        linear_names=linear_names,
-        lower=bounds[0],
-        upper=bounds[1],
-        unit="m",
-    )
+) -> tuple[list[float], list[float], Fit]:
+    """Return linear coefficients, rates c, d, e, and the fit of Eq. 8 in a given basis."""
+    lower, upper = deformation_bounds(t, 3)
+
+    def problem(at: np.ndarray, values: np.ndarray) -> Separable:
+        return Separable(
+            basis=lambda theta: basis(at, theta),
+            data=values[:, None],
+            names=("c", "d", "e"),
+            linear_names=linear_names,
+            lower=lower,
+            upper=upper,
+            unit="m",
+        )
+
+    thin = steps.thinned(t.size)
+    best = fit(problem(t, data), coarse=problem(t[thin], data[thin]))
+    value = best.values
+    return [value[name] for name in linear_names], [value[name] for name in "cde"], best
 
 
-def fit_deformation(
-    t: np.ndarray, data: np.ndarray, *, starts: int = 24, seed: int = 0
-) -> tuple[DeformationModel, Fit]:
+def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
     """Return Eq. 8, as printed, fitted to a step response of displacement.
 
     Parameters
@@ -171,39 +179,18 @@ def fit_deformation(
         Times after the step, s.
     data : ndarray, shape (n,)
         Displacement, m per unit heat input.
-    starts, seed : int
-        Of the search (`least_squares.fit`).
     """
-    thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
-    names = ("C", "D", "E")
-    best = fit(
-        _deformation_problem(t, data, deformation.basis, names, bounds),
-        coarse=_deformation_problem(t[thin], data[thin], deformation.basis, names, bounds),
-        starts=starts,
-        seed=seed,
-    )
-    coefficients = [best.values[name] for name in names]
-    return deformation.model_from(coefficients, [best.values[name] for name in "cde"]), best
+    coefficients, rates, best = _best_deformation(t, data, deformation.basis, ("C", "D", "E"))
+    return deformation.model_from(coefficients, rates), best
 
 
-def fit_flat_deformation(
-    t: np.ndarray, data: np.ndarray, *, starts: int = 24, seed: int = 0
-) -> tuple[DeformationModel, Fit]:
+def fit_flat_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
     """Return Eq. 8 with dδ/dt = 0 at t = 0 fitted to a step response (as `fit_deformation`).
 
     E follows from the other parameters, so the fit lists C and D only.
     """
-    thin, bounds = steps.thinned(t.size), deformation_bounds(t, 3)
-    names = ("C", "D")
-    best = fit(
-        _deformation_problem(t, data, deformation.flat_basis, names, bounds),
-        coarse=_deformation_problem(t[thin], data[thin], deformation.flat_basis, names, bounds),
-        starts=starts,
-        seed=seed,
-    )
-    rates = [best.values[name] for name in "cde"]
-    full = deformation.full_coefficients([best.values[name] for name in names], rates)
-    return deformation.model_from(full, rates), best
+    free, rates, best = _best_deformation(t, data, deformation.flat_basis, ("C", "D"))
+    return deformation.model_from(deformation.full_coefficients(free, rates), rates), best
 
 
 def fit_relaxation(
@@ -229,77 +216,59 @@ def fit_relaxation(
     return Relaxation(tuple(map(float, amplitudes)), tuple(map(float, rates)))
 
 
-def calibrate_linear(
-    response: xr.Dataset,
-    *,
-    r0: float = RING_RADIUS,
-    fit_displacement: DeformationFit = fit_deformation,
-    where: str = "reference response",
-) -> LinearCalibration:
-    """Return Table 1 from the response to the reference step.
+def calibrate_displacements(
+    response: xr.Dataset, fit_displacement: DeformationFit = fit_deformation
+) -> dict[str, tuple[DeformationModel, Fit]]:
+    """Return Eq. 8 of every axis of the reference response.
 
     Parameters
     ----------
     response : xarray.Dataset
-        Step response (`thermojoint.artefacts.response`) with probes a, b, T1 and T2. Its level need
-        not be 1; everything is divided by it.
-    r0 : float
-        Radius of the ring of Eq. 2, m.
+        Step response (`thermojoint.artefacts.response`). Its level need not be 1; everything is
+        divided by it.
     fit_displacement : callable
         `fit_deformation` (Eq. 8 as printed) or `fit_flat_deformation` (zero slope at t = 0).
-    where : str
-        Name of the response for error messages.
 
     Raises
     ------
     InputError
-        The response is no step, or a probe or an axis is missing.
-    ConvergenceError
-        The thermal model has no stable inverse.
+        The response is not to a step.
     """
-    displacements = calibrate_displacements(response, fit_displacement, where)
-    heat = calibrate_heat(response, displacements, r0=r0, where=where)
-    return with_direct_models(heat, response, r0=r0, where=where)
-
-
-def calibrate_displacements(
-    response: xr.Dataset,
-    fit_displacement: DeformationFit = fit_deformation,
-    where: str = "reference response",
-) -> dict[str, tuple[DeformationModel, Fit]]:
-    """Return Eq. 8 of every axis of a step response; parameters as in `calibrate_linear`."""
-    level = steps.step_level(response, where)
+    level = steps.step_level(response, WHERE)
     t = steps.times(response)
     return {
-        axis: fit_displacement(t, steps.displacement(response, axis, where) / level)
+        axis: fit_displacement(t, steps.displacement(response, axis, WHERE) / level)
         for axis in axes_of(response)
     }
 
 
 def calibrate_heat(
-    response: xr.Dataset,
-    displacements: Mapping[str, tuple[DeformationModel, Fit]],
-    *,
-    r0: float = RING_RADIUS,
-    where: str = "reference response",
+    response: xr.Dataset, displacements: Mapping[str, tuple[DeformationModel, Fit]]
 ) -> LinearCalibration:
-    """Return the part of Table 1 that does not depend on where T1 and T2 are.
+    """Return the part of Table 1 that does not depend on the positions of T1 and T2.
 
     Parameters
     ----------
-    response, r0, where
-        As in `calibrate_linear`; of the probes only a and b are needed.
+    response : xarray.Dataset
+        As in `calibrate_displacements`, with the probes a and b.
     displacements : mapping
         Of the same response (`calibrate_displacements`).
+
+    Raises
+    ------
+    InputError
+        A probe is missing, or a and b have the same temperature.
+    ConvergenceError
+        The thermal model has no stable inverse.
     """
-    level = steps.step_level(response, where)
+    level = steps.step_level(response, WHERE)
     t = steps.times(response)
     difference = (
-        steps.temperature(response, "a", where) - steps.temperature(response, "b", where)
+        steps.temperature(response, "a", WHERE) - steps.temperature(response, "b", WHERE)
     ) / level
     if not bool(difference.any()):
-        raise InputError(f"{where}: T_a - T_b is zero throughout; place a nearer to the source")
-    thermal, thermal_fit = fit_ring(t, difference, r0)
+        raise InputError(f"{WHERE}: T_a - T_b is zero throughout; place a nearer to the source")
+    thermal, thermal_fit = fit_ring(t, difference)
     interval = float(np.median(np.diff(t)))
     shapes = {axis: shape for axis, (shape, _) in displacements.items()}
     fits = {"thermal": thermal_fit}
@@ -308,31 +277,30 @@ def calibrate_heat(
     return LinearCalibration(model, fits, {})
 
 
-def with_direct_models(
-    linear: LinearCalibration,
-    response: xr.Dataset,
-    *,
-    r0: float = RING_RADIUS,
-    where: str = "reference response",
-) -> LinearCalibration:
-    """Return Table 1 with the models of T1 and T2 of a step response added.
+def with_direct_models(linear: LinearCalibration, response: xr.Dataset) -> LinearCalibration:
+    """Return Table 1 with the models of T1 and T2 added.
 
     Parameters
     ----------
     linear : LinearCalibration
         From `calibrate_heat`.
-    response, r0, where
-        As in `calibrate_linear`.
+    response : xarray.Dataset
+        As in `calibrate_displacements`, with the probes T1 and T2.
+
+    Raises
+    ------
+    InputError
+        A probe is missing.
     """
-    level = steps.step_level(response, where)
+    level = steps.step_level(response, WHERE)
     t = steps.times(response)
     direct: dict[str, RingModel | Relaxation] = {}
     direct_errors = {}
     fits = dict(linear.fits)
     for sensor in JOINT_SENSORS:
-        data = steps.temperature(response, sensor, where) / level
+        data = steps.temperature(response, sensor, WHERE) / level
         spectrum = fit_relaxation(t, data)
         direct[sensor] = spectrum
         direct_errors[sensor] = float(np.abs(relaxation_response(t, spectrum) - data).max())
-        _, fits[f"direct.{sensor}"] = fit_ring(t, data, r0)
+        _, fits[f"direct.{sensor}"] = fit_ring(t, data)
     return LinearCalibration(replace(linear.model, direct=direct), fits, direct_errors)

@@ -34,14 +34,14 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
     Raises
     ------
     InputError
-        The response carries no case, or its case has not two boxes.
+        The response contains no case, or its case does not have two boxes.
     """
     try:
         boxes = json.loads(response.attrs["case"])["candidates"]
     except (KeyError, ValueError, TypeError):
         missing = ", ".join(sorted(set(ROLES) - set(probes_of(response))))
         raise InputError(
-            f"{WHERE}, reference: holds no case, and no probe {missing}; name the sensors a, b, "
+            f"{WHERE}, reference: contains no case and no probe {missing}; name the sensors a, b, "
             "T1 and T2"
         ) from None
     check_boxes(len(boxes))
@@ -71,8 +71,8 @@ def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -
     Raises
     ------
     InputError
-        They are no steps, are not sampled alike and evenly, are too few, or the reference lacks the
-        positions of its probes or its heat.
+        They are not steps, not sampled evenly at the same times, or too few, or the reference lacks
+        the positions of its probes or its power.
     """
     check_steps(reference, others, WHERE)
     steps.even_interval(steps.times(reference), f"{WHERE}, reference")
@@ -83,7 +83,7 @@ def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -
         )
     if "probe_position" not in reference:
         raise InputError(
-            f"{WHERE}, reference: variable 'probe_position' is missing; give the place of each "
+            f"{WHERE}, reference: variable 'probe_position' is missing; give the position of each "
             "probe in m"
         )
     reference_power(reference)
@@ -124,7 +124,7 @@ def checked_distances(distances: Sequence[Sequence[float]]) -> list[list[float]]
     Raises
     ------
     InputError
-        They are too few, too many or not positive.
+        Their number is wrong, or one is not positive.
     """
     count = len(JOINT_SENSORS)
     if [len(row) for row in distances] != [count] * count:
@@ -135,7 +135,7 @@ def checked_distances(distances: Sequence[Sequence[float]]) -> list[list[float]]
 
 
 def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> list[str]:
-    """Return the axes with motion, in the order of the reference.
+    """Return the axes along which something moves, in the order of the reference.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> li
     Raises
     ------
     InputError
-        There is none.
+        Nothing moves along any axis.
     """
     axes = axes_of(reference)
     peaks = np.max(

@@ -12,7 +12,7 @@ LEAST = 1e-6
 
 
 def linear_weights(features: Array, target: Array) -> Array:
-    """Return the weights w that make |features w - target|² least.
+    """Return the weights w that minimise |features w - target|².
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def linear_weights(features: Array, target: Array) -> Array:
 
 
 def ridge_weights(features: Array, target: Array, penalty: float) -> Array:
-    """Return the weights w that make |features w - target|² + penalty |w|² least.
+    """Return the weights w that minimise |features w - target|² + penalty |w|².
 
     Parameters
     ----------

@@ -118,30 +118,6 @@ class Averaging:
     reason: str
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Comparison of the joint fit with the averaging loop.
-
-    Attributes
-    ----------
-    largest_ratio : float
-        Largest factor, >= 1, between an a or alpha of the two.
-    max_abs_error_joint, max_abs_error_averaged : float
-        K.
-    rms_joint, rms_averaged : float
-        K.
-    agree : bool
-        The rates are within 1 % of each other.
-    """
-
-    largest_ratio: float
-    max_abs_error_joint: float
-    max_abs_error_averaged: float
-    rms_joint: float
-    rms_averaged: float
-    agree: bool
-
-
 def unit_responses(
     t: np.ndarray, rates: np.ndarray, geometry: SourceGeometry
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -269,8 +245,8 @@ def fit_by_averaging(
     Each input is fitted separately; if the inputs' a_i and alpha_i differ, their geometric means
     (they are positive) are the next round's initial guess. The first round searches from
     `FIRST_STARTS` points. The loop ends when every rate is within `tolerance` (in ln) of its mean,
-    when the means no longer move (the inputs want different rates, and a good optimiser returns to
-    them from any guess), or after `rounds`. The products are then fitted with the means.
+    when the means no longer change (the optima of the inputs differ, and a good optimiser returns
+    to them from any guess), or after `rounds`. The products are then fitted with the means.
 
     Parameters
     ----------
@@ -315,15 +291,7 @@ def fit_by_averaging(
     return Averaging(result, tuple(history), converged, reason)
 
 
-def compare(joint: SourceFit, averaged: SourceFit) -> Comparison:
-    """Return the differences between the joint fit and the averaging loop."""
+def largest_ratio(joint: SourceFit, averaged: SourceFit) -> float:
+    """Return the largest factor, >= 1, between an a or alpha of two fits."""
     ratios = np.concatenate([joint.a / averaged.a, joint.alpha / averaged.alpha])
-    largest = float(np.exp(np.abs(np.log(ratios)).max()))
-    return Comparison(
-        largest_ratio=largest,
-        max_abs_error_joint=joint.fit.max_abs_error,
-        max_abs_error_averaged=averaged.fit.max_abs_error,
-        rms_joint=joint.fit.rms_error,
-        rms_averaged=averaged.fit.rms_error,
-        agree=largest < 1.01,
-    )
+    return float(np.exp(np.abs(np.log(ratios)).max()))

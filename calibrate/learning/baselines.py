@@ -30,7 +30,7 @@ def ridge(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fit
 def autoregressive_tau(
     rows: Array, features: int, now: list[int], interval: float, slowest: float
 ) -> float:
-    """Return the time constant of ARX: that of its pole in one-step predictions, s, and bounded.
+    """Return the time constant of ARX, s: that of its pole in one-step predictions, bounded.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def autoregressive_tau(
     features : int
         Number of features.
     now : list of int
-        Which of them are temperatures as they are.
+        Indices of the unfiltered temperatures among them.
     interval : float
         Between rows, s.
     slowest : float

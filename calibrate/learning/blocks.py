@@ -1,8 +1,9 @@
 """Least squares with a prior and block-wise cross-validation, from sums of products.
 
-A fit needs only the products of features and displacements, summed over blocks. So a year costs no
-more than a day once it has been read, and thousands of structures are compared by solving small
-systems. Errors of neighbouring samples are correlated: one sample an hour counts.
+A fit needs only the products of features and displacements, summed over blocks. Once it has been
+read, a year therefore costs no more than a day, and thousands of structures are compared by solving
+small systems. Errors of neighbouring samples are correlated: one sample per hour counts as
+independent.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ class Blocks:
 
     @property
     def penalty(self) -> float:
-        """A unit of the prior's weight, in rows."""
+        """Number of rows that count as one independent sample."""
         return max(self.rules.independent / self.interval, 1.0)
 
 

@@ -57,8 +57,8 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     Raises
     ------
     InputError
-        The log is too short, nothing warms the machine, no sensor is usable, or a displacement
-        stands still, is mostly missing or jumps.
+        The log is too short, nothing warms the machine, no sensor is usable, or a displacement is
+        constant, mostly missing, or jumps.
     """
     names = [column.name for column in table.columns]
     length = _length(table)
@@ -97,8 +97,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
             f"log: no usable temperature{'' if drives else ', speed or power'}"
             + (f" ({'; '.join(faults)})" if faults else "")
             + "; record some while the machine warms up"
-            + (", or leave them aside with --ignore to learn from speed or load alone")
-            * bool(drives)
+            + (", or exclude them with --ignore to learn from speed or load alone") * bool(drives)
         )
     for name in displacements:
         _check_displacement(table, names.index(name), changes, rules)
@@ -120,9 +119,9 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
 
 
 def read_time(table: Table) -> Array:
-    """Return the reading time of the logger until each row, s, shape (k,).
+    """Return the time for which the logger has been reading until each row, s, shape (k,).
 
-    Pauses, nights and the time between two runs do not count: unread values are not constant.
+    Pauses and the time between two runs do not count: unread values are not constant.
     """
     steps = np.diff(table.times, prepend=table.times[0])
     steps[list(table.starts)] = 0.0
@@ -138,7 +137,7 @@ def _length(table: Table) -> float:
 
 
 def _drives(table: Table) -> tuple[list[str], list[str]]:
-    """Return the columns that carry heat and vary, and their missing readings."""
+    """Return the columns that drive heat and vary, and warnings."""
     drives, warnings = [], []
     for k, column in enumerate(table.columns):
         if column.quantity not in ("speed", "power", "current", "torque", "load"):
@@ -146,15 +145,15 @@ def _drives(table: Table) -> tuple[list[str], list[str]]:
         values = table.values[:, k][np.isfinite(table.values[:, k])]
         largest = float(np.abs(values).max(initial=0.0))
         if not largest or float(np.ptp(values)) < 1e-3 * largest:
-            warnings.append(f"{column.name} is constant: its effect cannot be told; left out")
+            warnings.append(f"{column.name} is constant: its effect is not identifiable; left out")
             continue
         drives.append(column.name)
         if column.quantity == "speed" and _levels(np.abs(values) / largest) == 1:
             warnings.append(
-                f"{column.name} has one level only: what other speeds do is extrapolated"
+                f"{column.name} has one level only: the effect of other speeds is extrapolated"
             )
     if not drives:
-        warnings.append("no speed, power or load that varies: heat is seen by temperatures alone")
+        warnings.append("no speed, power or load varies: only temperatures show the heat")
     return drives, warnings
 
 
@@ -190,7 +189,7 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     low, high = rules.possible
     if table.columns[k].unit != "K" and (seen.min() < low or seen.max() > high):
         worst = seen[np.argmax(np.abs(seen - np.median(seen)))]
-        return f"reads {float(table.columns[k].from_si(worst)):g}, no temperature of a machine"
+        return f"reads {float(table.columns[k].from_si(worst)):g}, impossible for a machine tool"
     if float(np.ptp(seen)) < rules.still:
         return f"never moves by more than {rules.still:g} K"
     if table.spikes[k] > rules.spikes * table.samples:
@@ -203,7 +202,7 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     if jump is not None:
         row, size = jump
         hours = (times[row] - times[0]) / 3600.0
-        return f"jumps by {size:+.1f} K {hours:.1f} h after the start, as a sensor that was moved"
+        return f"jumps by {size:+.1f} K {hours:.1f} h after the start, as if it had been moved"
     return None
 
 
@@ -253,8 +252,8 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
             hours = (table.times[there][row] - table.times[0]) / 3600.0
             raise InputError(
                 f"{column.name}: jumps by {1e6 * steps[row]:.1f} um {hours:.1f} h after the start, "
-                "as a probe that lost its zero; split the log there, into files whose clocks begin "
-                "anew"
+                "as if the probe had lost its zero; split the log there, into files whose times "
+                "restart"
             )
 
 

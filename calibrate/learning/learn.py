@@ -34,8 +34,7 @@ from thermojoint.models.learned import (
 
 Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
-#: A model whose error is not below this part of the mean's is of no use.
-_USEFUL = 0.9
+
 #: Half-width of the 95 % interval, in standard deviations.
 _QUANTILE = 1.96
 
@@ -92,12 +91,12 @@ def learn(
     errors = {name: _judge(own, rules.judging) for name, own in judged.items()}
     rows = judged[kind]
     mean = _judge_mean(rows, rules.judging)
-    useless = _no_better(cleaned.displacements, errors[kind], mean)
+    useless = _no_better(cleaned.displacements, errors[kind], mean, rules.judging)
     if len(useless) == len(cleaned.displacements):
         raise InputError(
-            "log: on blocks of time held out a model is no better than the mean "
-            f"({', '.join(useless)}); record more of what warms the machine, with thermometers "
-            "nearer to it"
+            "log: on held-out blocks of time the model is no better than the mean "
+            f"({', '.join(useless)}); record longer, or put thermometers nearer to what warms the "
+            "machine"
         )
     told = [*cleaned.warnings, *(f"no better than the mean: {text}" for text in useless)]
     fitted = rows.fit(rows.inputs, rows.outputs)
@@ -109,7 +108,7 @@ def learn(
 def with_origin(
     model: LearnedModel, files: Sequence[str], renamed: Mapping[str, str] | None = None
 ) -> LearnedModel:
-    """Return a model that keeps the names of its log's files and what columns were renamed to."""
+    """Return a model with the names of its log's files and the renamed columns."""
     origin = replace(model.learned_from, files=tuple(files))
     return replace(model, learned_from=origin, renamed=dict(renamed or {}))
 
@@ -214,30 +213,30 @@ def _folds(rows: _Rows, rules: Judging) -> Iterator[tuple[slice, NDArray[np.bool
 
 
 def _judge_mean(rows: _Rows, rules: Judging) -> _Judged:
-    """Judge the mean displacement of the other blocks in the place of a model."""
+    """Judge the mean displacement of the other blocks like a model."""
     errors = [
         rows.outputs[own] - rows.outputs[away].mean(axis=0) for own, away in _folds(rows, rules)
     ]
     return _judged(errors, np.ones(rows.outputs.shape[1]))
 
 
-def _no_better(names: Sequence[str], judged: _Judged, mean: _Judged) -> list[str]:
-    """Return the displacements that a model estimates no better than their mean does."""
+def _no_better(names: Sequence[str], judged: _Judged, mean: _Judged, rules: Judging) -> list[str]:
+    """Return the displacements for which a model is no better than the mean, with the errors."""
     return [
         f"{name} {own:.2g} um, the mean {other:.2g} um"
         for name, own, other in zip(names, judged.rms, mean.rms, strict=True)
-        if own > _USEFUL * other
+        if own > rules.useful * other
     ]
 
 
 def _wide(
     cleaned: Cleaned, rows: _Rows, fitted: Fitted, judged: _Judged, rules: Judging
 ) -> list[str]:
-    """Return what is to be said of displacements whose band is wider than all that they move."""
+    """Return warnings about displacements whose band is wider than their range in the log."""
     about = rows.inputs - rows.inputs.mean(axis=0)
     band = _QUANTILE * judged.widening * _deviation(fitted, about, rules).mean(axis=0)
     return [
-        f"{name}: the band of 95 %, +-{half:.2g} um, is wider than all that the log moves, "
+        f"{name}: the 95 % band, +-{half:.2g} um, is wider than the range in the log, "
         f"{range_:.2g} um: the model explains little of it"
         for name, half, range_ in zip(
             cleaned.displacements, band, np.ptp(rows.outputs, axis=0), strict=True
@@ -256,7 +255,7 @@ def _deviation(fitted: Fitted, about: Array, rules: Judging) -> Array:
 
 
 def _judge(rows: _Rows, rules: Judging) -> _Judged:
-    """Judge a kind of model: all is repeated without each block."""
+    """Judge a kind of model: the whole fit is repeated without each block."""
     errors, ratios = [], []
     for held, away in _folds(rows, rules):
         fitted = rows.fit(rows.inputs[away], rows.outputs[away])

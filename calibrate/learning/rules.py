@@ -23,9 +23,9 @@ class Thinning:
     most_rows : int
         Longer logs have longer intervals.
     spike, neighbours, least_spike : float
-        A value is a spike if it is above, or below, the median of this many neighbours on either
-        side by this multiple of their usual distance, and by more than the last, K; in a log slower
-        than `interval` by as much more as it is slower, since the machine warms up between samples.
+        A value is a spike if it is above, or below, the medians of `neighbours` values on either
+        side by `spike` times their usual distance and by `least_spike`, K. The latter grows with
+        the interval of a slower log, since the machine warms up between its samples.
     """
 
     interval: float = 60.0
@@ -61,10 +61,10 @@ class Cleaning:
     jump : float
         A displacement that jumps by this fraction of its range has lost its zero.
     pace : float
-        Between samples further apart, s, the machine moves by itself: limits of jumps grow with the
-        interval.
+        Longest interval for these limits of jumps, s; for a longer one they grow with it, since the
+        machine moves between samples.
     possible : (float, float)
-        Readings above this are not those of a machine tool, K.
+        Temperatures of a machine tool lie within this range, K.
     """
 
     shortest: float = 3.0 * 3600.0
@@ -163,11 +163,14 @@ class Judging:
         origins of a measured log.
     within : float
         Fraction of the errors that lies within the band.
+    useful : float
+        A model must have less than this fraction of the mean's error.
     """
 
     blocks: int = 4
     open: float = 4.0
     within: float = 0.95
+    useful: float = 0.9
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def thinned(
             interval *= 2.0
             rows, starts = _coarser(rows, starts, interval)
     if not rows:
-        raise InputError("log: no samples; give a CSV with a header and rows")
+        raise InputError("log: no samples; give a file with a header and rows")
     times = np.array([time for time, _ in rows])
     return Table(
         times,
@@ -112,7 +112,7 @@ def _usual_step(times: Array, interval: float) -> float:
     steps = np.diff(times)
     steps = steps[steps > 0.0]
     slower = float(np.median(steps)) if steps.size else 0.0
-    # Means of uneven samples waver about the interval.
+    # Mean times of uneven samples vary around the interval.
     return slower if slower > 1.5 * interval else interval
 
 

@@ -202,7 +202,7 @@ def choose_heat_pair(
     Raises
     ------
     InputError
-        No pair fulfils the rule.
+        No pair satisfies the rule.
     """
     t = steps.times(reference)
     interval = float(np.median(np.diff(t)))

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.joint_aware.sticking import sticking_tangent
-from calibrate.placement.plant_family import STEP, Family, loudest, make_family
+from calibrate.placement.plant_family import Family, loudest, make_family
 from estimator.joint_aware.estimator import WIDTH
 from estimator.joint_aware.filter_design import Noise, linear_system
 from thermojoint.artefacts.arrays import Array
@@ -100,21 +100,21 @@ def place_sensors(
     Raises
     ------
     InputError
-        More sensors than candidates or fewer than sources or kept ones, or no candidate of a name.
+        Too many sensors, fewer than sources or `kept` ones, or an unknown candidate in `kept`.
     ConvergenceError
         The machine cannot be marched.
     """
     names = list(machine.sensor_names)
     _check(machine, count, kept)
-    problem = _problem(machine, family or make_family(machine), noise or Noise())
+    family = family or make_family(machine)
+    problem = _problem(machine, family, noise or Noise())
     done, tell = 0, report or (lambda *_: None)
     chosen = [names.index(name) for name in kept]
     # With fewer sensors than sources no filter exists: start with one close to each.
     first = len(machine.source_names)
     if len(chosen) < first and first > 1:
-        chosen += [sensor for sensor in loudest(machine) if sensor not in chosen][
-            : first - len(chosen)
-        ]
+        others = [sensor for sensor in loudest(machine, family.step) if sensor not in chosen]
+        chosen += others[: first - len(chosen)]
     steps: list[Choice] = []
     if chosen:
         steps.append(_choice(problem, names, chosen))
@@ -156,14 +156,14 @@ class _Problem:
 
 
 def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
-    held = machine.at_preload
+    held, step = machine.at_preload, family.step
     modes = diagonal_modes(machine, held)
     nothing = Discrepancy(
         np.zeros(0), np.zeros((len(modes.sensors), 0)), np.zeros((len(machine.axes), 0))
     )
-    system = linear_system(modes, nothing, machine.power, STEP)
+    system = linear_system(modes, nothing, machine.power, step)
     # The walk over a long step is the sum of many short ones.
-    walk = math.sqrt(STEP / machine.step) * np.append(
+    walk = math.sqrt(step / machine.step) * np.append(
         noise.heat_walk * machine.power, noise.ambient_walk
     )
     count = modes.rates.size
@@ -171,7 +171,7 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
     source[count:, : walk.size] = np.diag(walk)
     source[:count, : walk.size] = system.drive * walk
     source[:count, walk.size :] = (
-        noise.joint_flow * math.sqrt(STEP * machine.step) * system.decay[:, None] * modes.jump.T
+        noise.joint_flow * math.sqrt(step * machine.step) * system.decay[:, None] * modes.jump.T
     )
     # Scaled by the walks all unknowns are of one size.
     unit = np.concatenate([np.ones(count), walk])

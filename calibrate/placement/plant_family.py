@@ -1,8 +1,8 @@
 """Machines with indistinguishable calibration responses, and their responses to a day.
 
 Parameters are drawn from the posterior after a calibration by steps; each machine has the linear
-discrepancy that gives it the nominal responses to those steps. Minutes matter here, not seconds:
-marches use `STEP`, on the few modes that this needs.
+discrepancy that gives it the nominal responses to those steps. Sensors are compared over minutes,
+not seconds: marches take long steps on few modes.
 """
 
 from __future__ import annotations
@@ -24,11 +24,6 @@ from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.physics import make_physics, simulate_known
 
-#: Step of the marches and of the filter while sensors are compared, s.
-STEP = 60.0
-#: Fields smaller than this fraction of the largest get no mode.
-NEGLIGIBLE = 1e-6
-
 
 @dataclass(frozen=True)
 class Drawing:
@@ -36,6 +31,10 @@ class Drawing:
 
     Attributes
     ----------
+    step : float
+        Step of the marches and of the filter while sensors are compared, s.
+    negligible : float
+        Fields smaller than this fraction of the largest get no mode.
     plants, seed : int
         Number to draw, of which those that cannot be marched are left out; seed of plants and day.
     seen : int
@@ -52,6 +51,8 @@ class Drawing:
         Random walk of the ambient over the day, K.
     """
 
+    step: float = 60.0
+    negligible: float = 1e-6
     plants: int = 12
     seed: int = 2
     seen: int = 4
@@ -72,12 +73,15 @@ class Family:
 
     Attributes
     ----------
+    step : float
+        Interval of the n samples, s.
     readings : ndarray, shape (n, p, plants)
         Of every candidate, K.
     displacement : ndarray, shape (n, axes, plants)
         m.
     """
 
+    step: float
     readings: Array
     displacement: Array
 
@@ -85,9 +89,9 @@ class Family:
 def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
     """Draw machines that a calibration cannot distinguish, and march them through one day.
 
-    The calibration uses the nominal machine as plant, with steps of `LEVELS`. It has the
-    displacement and some sensors, at the places where the temperatures of these steps differ most
-    (pivots of a QR factorisation), since the final choice is not yet known.
+    The calibration uses the nominal machine as plant, with the displacement and some sensors. They
+    are where the temperatures differ most (pivots of a QR factorisation), since the final choice is
+    not yet known.
 
     Parameters
     ----------
@@ -102,7 +106,7 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
         No plant, or not even the nominal machine, can be marched.
     """
     rng = np.random.default_rng(drawing.seed)
-    slow = replace(machine, step=STEP)
+    slow = replace(machine, step=drawing.step)
     runs = [_calibration(slow, level, drawing.calibrated) for level in drawing.levels]
     temperatures = np.vstack([run.temperature for run in runs])
     at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
@@ -127,7 +131,7 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
         displacement.append(moved + states @ beside.displacement.T - nominal[1])
     if not readings:
         raise ConvergenceError("placement: no plant of the family can be marched; check the case")
-    return Family(np.stack(readings, axis=-1), np.stack(displacement, axis=-1))
+    return Family(drawing.step, np.stack(readings, axis=-1), np.stack(displacement, axis=-1))
 
 
 def _calibration(machine: ReducedMachine, level: float, length: float) -> Run:
@@ -155,34 +159,38 @@ def _answers(machine: ReducedMachine, inputs: Array) -> tuple[Array, Array]:
     return simulate_known(physics, inputs, machine.step)
 
 
-def loudest(machine: ReducedMachine) -> list[int]:
-    """Return for each source a candidate that its heat reaches early, and other heat less."""
+def loudest(machine: ReducedMachine, step: float) -> list[int]:
+    """Return for each source the candidate that responds most to it, and less to the others.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        Its sensors are the candidates.
+    step : float
+        Duration of the heat, s.
+    """
     modes = diagonal_modes(machine, machine.at_preload)
-    soon = answer(modes.rates, STEP, 0.0)[:, None] * modes.drive[:, : machine.power.size]
+    soon = answer(modes.rates, step, 0.0)[:, None] * modes.drive[:, : machine.power.size]
     answers = np.abs(modes.sensors @ (soon * machine.power))
     share = answers / np.maximum(answers.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     return [int(np.argmax(column)) for column in (answers * share).T]
 
 
-def fewer_modes(
-    machine: ReducedMachine, noise: Noise | None = None, shortest: float = STEP
-) -> ReducedMachine:
+def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:
     """Return a machine with the few modes that its inputs excite at the times of a run.
 
-    The fields that every source at its power, the ambient and flows across the joint leave after
-    the times of `PAST`, (M / time + K + H) T = input, span them, but for what is smaller than
-    `NEGLIGIBLE` of the largest. Its 300 modes resolve seconds everywhere; here minutes are enough.
+    They span the fields that every source at its power, the ambient and flows across the joint
+    cause after the times of `PAST`: (M / time + K + H) T = input. The machine's 300 modes resolve
+    seconds everywhere; here minutes are enough.
 
     Parameters
     ----------
     machine : ReducedMachine
         Any.
-    noise : Noise, optional
-        Defines the flows across the joint.
-    shortest : float
-        Shortest resolved time, s.
+    drawing : Drawing
+        Its step is the shortest resolved time, s.
     """
-    flow = (noise or Noise()).joint_flow
+    flow = Noise().joint_flow
     inputs = np.column_stack(
         [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * machine.jump.T]
     )
@@ -190,12 +198,12 @@ def fewer_modes(
     linear = linear + machine.jump.T @ (machine.at_preload[:, None] * machine.jump)
     fields = [
         np.linalg.solve(machine.capacity / time + linear, inputs)
-        for time in (shortest, *PAST.lengths)
+        for time in (drawing.step, *PAST.lengths)
     ]
     # Fields are compared by their heat content: in coordinates in which M is the identity.
     root = np.linalg.cholesky(machine.capacity).T
     basis, sizes, _ = np.linalg.svd(root @ np.hstack(fields), full_matrices=False)
-    basis = np.linalg.solve(root, basis[:, sizes > NEGLIGIBLE * sizes[0]])
+    basis = np.linalg.solve(root, basis[:, sizes > drawing.negligible * sizes[0]])
     elastic = machine.elastic
     return replace(
         machine,

@@ -9,12 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibrate.linear import (
-    calibrate_linear,
+    calibrate_displacements,
+    calibrate_heat,
     fit_deformation,
     fit_flat_deformation,
     fit_relaxation,
     fit_ring,
     relaxation_response,
+    with_direct_models,
 )
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import make_response
@@ -70,6 +72,10 @@ def made_by_the_models(level=1.0, heat=None):
         {name: level * value for name, value in shapes.items()},
         np.full(RUN.size, level) if heat is None else heat,
     )
+
+
+def calibrate_linear(measured):
+    return with_direct_models(calibrate_heat(measured, calibrate_displacements(measured)), measured)
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +180,8 @@ def test_a_response_that_is_no_step_is_refused():
     heat = np.ones(RUN.size)
     heat[500:] = 1.2
     with pytest.raises(InputError, match="needs a step") as caught:
-        calibrate_linear(made_by_the_models(heat=heat), where="ramp.nc")
-    assert str(caught.value).startswith("ramp.nc: ")
+        calibrate_linear(made_by_the_models(heat=heat))
+    assert str(caught.value).startswith("reference response: ")
     assert "\n" not in str(caught.value)
 
 

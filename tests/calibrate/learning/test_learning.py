@@ -84,7 +84,7 @@ def moved(values):
         (spiked, "spikes"),
         (dropped, "missing"),
         (moved, "jumps by +6"),
-        (lambda values: values * 0.0 + 900.0, "no temperature"),
+        (lambda values: values * 0.0 + 900.0, "impossible for a machine tool"),
         (lambda values: values * 0.0 + 300.0, "never moves"),
     ],
 )
@@ -155,7 +155,7 @@ def jump(values):
         (changed(LOG, "x_um", lambda values: values * np.nan), "x_um: mostly missing"),
         (still(LOG, "n_rpm", *(f"T{k}_degC" for k in range(1, 7))), "no usable temperature"),
         # What is left is the speed, which nobody has asked for alone.
-        (still(LOG, *(f"T{k}_degC" for k in range(1, 7))), "leave them aside with --ignore"),
+        (still(LOG, *(f"T{k}_degC" for k in range(1, 7))), "exclude them with --ignore"),
         (changed(LOG, "x_um", unlike).part(slice(0, 700)), "no better than the mean (x_um "),
         (every(machine_log(hours=90.0), 90), "one every 90 min; to learn from"),
         (every(machine_log(hours=10.0), 15), "40 samples, one every 15 min"),
@@ -196,8 +196,8 @@ def test_one_verdict_is_given_and_a_band_wider_than_the_signal_is_said(model):
     small = changed(LOG, "z_um", lambda values: 1.5e-7 * unlike(values) / unlike(values).std())
     small = changed(small, "z_um", lambda values: values + 0.04 * (LOG.at("z_um") - values))
     warnings = " ".join(learn([small], AXES, 4).learned_from.warnings)
-    assert "z_um: the band of 95 %" in warnings
-    assert "x_um: the band" not in warnings
+    assert "z_um: the 95 % band" in warnings
+    assert "x_um: the 95 % band" not in warnings
 
 
 def test_names_that_are_not_there_and_columns_that_are_no_displacement_are_refused():

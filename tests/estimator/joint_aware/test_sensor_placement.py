@@ -60,7 +60,7 @@ def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):
     for one in (whole, machine):
         held = one.at_preload
         physics = make_physics(diagonal_modes(one, held), one.joints, held)
-        answers.append(simulate_known(physics, inputs, plant_family.STEP))
+        answers.append(simulate_known(physics, inputs, plant_family.USUAL.step))
     for every, few in zip(*answers, strict=True):
         assert few == pytest.approx(every, abs=0.01 * np.abs(every).max())
 
@@ -119,7 +119,7 @@ def test_a_plant_like_the_model_leaves_what_the_heat_walks_between_two_readings(
     chosen = placement.place_sensors(machine, 1, family=alike).chosen.names[0]
     held = machine.at_preload
     physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), plant_family.STEP)
+    soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), plant_family.USUAL.step)
     ranks = np.argsort(-soon[0])[:3]
     assert chosen in [machine.sensor_names[k] for k in ranks]
 
