@@ -1,8 +1,7 @@
-"""Barber's bistable rod: cold it stands 20 µm off a hot wall, with air between.
+"""Barber's bistable rod: 20 µm away from a hot wall when cold, with air between.
 
 With its wall at 24 K the rod has three steady states. `thermojoint.verification.bistable` has the
-rod and its balance in closed form; this writes the mesh of `case.toml` and prints what its end may
-come to.
+rod and its balance in closed form; this writes the mesh of `case.toml` and prints the three states.
 
 Run: ``python examples/bistable_rod/bistable_rod.py examples/bistable_rod/rod.vtu``
 """

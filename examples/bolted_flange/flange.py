@@ -80,7 +80,7 @@ def main(out: str) -> None:
     }
     named = {tag for tags in surfaces.values() for tag in tags}
     every = [tag for volume in volumes.values() for tag in faces_of(volume)]
-    # The face around the head convects; the joint takes out what the head covers.
+    # The face around the head convects, except the part that the joint covers.
     surfaces["outside"] = [tag for tag in every if tag not in named] + surfaces["head.b"]
     for dimension, groups in ((3, {n: [v] for n, v in volumes.items()}), (2, surfaces)):
         for name, tags in groups.items():

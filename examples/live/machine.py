@@ -1,8 +1,8 @@
-"""Plays a machine that has been running for hours and runs on: writes what its sensors read.
+"""Replay of a machine that has been running for hours: writes the readings of its sensors.
 
-It replays a measured day again and again, beginning with the hours that the model has not seen. The
-hours before now are written at once; then a line comes every ten seconds. When it is started again,
-it goes on as if it had never stopped.
+It replays a measured day repeatedly, beginning with the hours that the model has not seen. The hours
+before now are written at once, then one line every ten seconds. After a restart it continues as if
+it had never stopped.
 """
 
 import argparse
@@ -24,14 +24,14 @@ def readings() -> tuple[list[str], np.ndarray]:
     day = day[[name for name in day.columns if name.startswith(("temp", "spindle"))]]
     at = np.arange(0.0, len(day), INTERVAL_S / MEASURED_S)
     rows = np.column_stack([np.interp(at, np.arange(len(day)), day[name]) for name in day.columns])
-    # A speed holds until the next one.
+    # A speed is constant until the next one.
     speed = day.columns.get_loc("spindle_rpm")
     rows[:, speed] = day["spindle_rpm"].to_numpy()[at.astype(int)]
     return list(day.columns), rows
 
 
 def begun(path: Path, hours: float) -> tuple[float, int]:
-    """Return the time of the first line, s since 1970, and how many whole lines there are."""
+    """Return the time of the first line, s since 1970, and the number of complete lines."""
     whole = path.read_bytes().rpartition(b"\n")[0].splitlines() if path.exists() else []
     if len(whole) < 2:
         return time.time() - 3600.0 * hours, 0

@@ -1,7 +1,8 @@
-"""Two dissimilar rods end to end between two walls that hold their temperatures.
+"""Two dissimilar rods end to end between two walls of given temperatures.
 
-The rods grow, press on each other, conduct better for it, and so change how they grow. In the
-steady state all is in closed form: `steady_state` solves it without finite elements.
+The rods expand and press on each other, the pressure increases the heat flow, and the heat flow
+changes the expansion. The steady state has a closed form: `steady_state` solves it without finite
+elements.
 
 Run: ``python examples/two_rods/two_rods.py examples/two_rods/two_rods.vtu`` to write the mesh.
 """
@@ -38,7 +39,7 @@ def steady_state(hot: float, cold: float) -> tuple[float, float, float]:
         return (hot - cold) / (first / k1 + 1.0 / conductance + second / k2)
 
     def lacking(opening: float) -> float:
-        """Growth that the rods and the joint have no room for, m."""
+        """Expansion of the rods and the joint beyond the distance of the walls, m."""
         scaled = (separation + opening) / (np.sqrt(2.0) * roughness)
         pressure = 0.5 * hardness * erfc(scaled)
         q = flux(pressure)
