@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         compensating.compensate,
         compensating.control,
         serving.serve,
+        serving.rollback,
         accounts.users,
         accounts.tokens,
         scene.scene,

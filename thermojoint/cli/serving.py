@@ -1,4 +1,4 @@
-"""The command of the service beside the control."""
+"""The commands of the service beside the control: run, check, go back to a former model."""
 
 from __future__ import annotations
 
@@ -7,67 +7,99 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.artefacts.errors import InputErrors
 from thermojoint.artefacts.extras import require
+
+#: What the extra `serve` brings.
+_LIBRARIES = (
+    "prometheus_client",
+    "asyncua",
+    "aiomqtt",
+    "starlette",
+    "uvicorn",
+    "h11",
+    "anyio",
+    "plotly",
+)
+ServiceFile = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
 
 
 def serve(
-    service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
+    service: ServiceFile,
+    check: Annotated[
+        bool, typer.Option("--check", help="Say what a start would refuse, and end.")
+    ] = False,
 ) -> None:
     """Run beside the control: readings in, displacement and offsets out, until it is stopped.
 
     Readings come from OPC UA, MQTT or lines of CSV; estimates go out by OPC UA, MQTT and HTTP. What
     was read is kept, so that after a stop of any kind it goes on as if it had never been stopped.
-    SIGHUP makes it read its file again.
+    SIGHUP makes it read its file, models and certificates again.
 
-    Example: [bold]thermojoint serve service.toml[/bold]
+    Example: [bold]thermojoint serve service.toml --check[/bold]
     """
-    from thermojoint.live.settings import Service, read_service
+    from thermojoint.live.settings import read_service
 
+    # First the file: a mistake in it is reported before the libraries are loaded.
     given = read_service(service)
-    # After the file: a mistake in it is told before the libraries are loaded.
+    require("serve", "serve", *_LIBRARIES)
+    if check:
+        from thermojoint import console
+        from thermojoint.live.checking import checked, taken_addresses
+
+        findings = checked(given)
+        refused = findings.refused + taken_addresses(given)
+        console.warn(findings.warnings)
+        if refused:
+            raise InputErrors("\n".join(refused))
+        print(f"{service}: {len(given.machines)} machines; a start would succeed")
+        return
     import asyncio
     import signal
 
-    from thermojoint.live.log_lines import LOGGER, line_of, log_to
-    from thermojoint.live.service import run
+    from thermojoint.live.log_lines import log_to
+    from thermojoint.live.reloading import serve_file
 
     async def until_stopped() -> None:
-        settings, loop = given, asyncio.get_running_loop()
-        ended = False
-        while not ended:
-            stop = asyncio.Event()
-            following: list[Service] = []
+        loop, stop, reload = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, stop.set)
+        loop.add_signal_handler(signal.SIGHUP, reload.set)
+        await serve_file(service, stop, reload)
 
-            def reload(stop: asyncio.Event = stop, following: list[Service] = following) -> None:
-                try:
-                    following[:] = [read_service(service)]
-                except ThermojointError as error:
-                    # It goes on with the file that it has.
-                    LOGGER.info("%s", line_of("reload-refused", str(error)))
-                else:
-                    stop.set()
-
-            for number in (signal.SIGTERM, signal.SIGINT):
-                loop.add_signal_handler(number, stop.set)
-            loop.add_signal_handler(signal.SIGHUP, reload)
-            await run(settings, stop)
-            ended = not following
-            settings = following[0] if following else settings
-
-    require(
-        "serve",
-        "serve",
-        *(
-            "prometheus_client",
-            "asyncua",
-            "aiomqtt",
-            "starlette",
-            "uvicorn",
-            "h11",
-            "anyio",
-            "plotly",
-        ),
-    )
     log_to()
     asyncio.run(until_stopped())
+
+
+def rollback(
+    service: ServiceFile,
+    machine: Annotated[str, typer.Argument(help="Name of the machine.")],
+    to: Annotated[
+        str | None,
+        typer.Option(help="Beginning of the model's fingerprint; default: the last one."),
+    ] = None,
+    show: Annotated[bool, typer.Option("--list", help="List the models that are kept.")] = False,
+) -> None:
+    """Go back to a model that a machine ran with before; a running service follows at once.
+
+    It holds until the model file of the settings changes again.
+
+    Example: [bold]thermojoint rollback service.toml mill[/bold]
+    """
+    from thermojoint.cli.accounts import user_name
+    from thermojoint.live.accounts import audit_of
+    from thermojoint.live.former_models import SHOWN, read_record, roll_back
+    from thermojoint.live.publication import iso_time
+    from thermojoint.live.settings import read_service
+    from thermojoint.live.store import hang_up
+
+    given = read_service(service)
+    if show:
+        for one in read_record(given.folder).deployments.get(machine, []):
+            print(f"{one.fingerprint[:SHOWN]}  {one.file}  since {iso_time(one.since)}")
+        return
+    target = roll_back(given, machine, to)
+    what = f"rollback to model {target.file} {target.fingerprint[:SHOWN]}"
+    audit_of(given).accepted(user_name(), "command", what, machine)
+    follows = "reloads now" if hang_up(given.folder) else "follows at its next start"
+    print(f"{machine}: {what}; the service {follows}")

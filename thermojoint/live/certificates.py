@@ -152,7 +152,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
 
 
 def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
-    """Yield one line for each certificate of a service that has ended or ends soon.
+    """Yield one line for each certificate of a service that cannot be read or ends soon.
 
     Parameters
     ----------
@@ -169,7 +169,11 @@ def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
         if section is None or section.security == "none":
             continue
         path = section.certificate_file or folder / own
-        end = certificate_in(path).not_valid_after_utc
+        try:
+            end = certificate_in(path).not_valid_after_utc
+        except InputError as error:
+            yield str(error)
+            continue
         if end - ANNOUNCED < now:
             yield (
                 f"{name}: {path} ends on {end:%Y-%m-%d %H:%M} UTC, in {(end - now).days} days; "

@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING, Any
 from thermojoint.artefacts.arrays import Array
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Place
+from thermojoint.live.former_models import former_of, read_record, roll_back
 from thermojoint.live.residuals import residuals_of
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HttpServer, OpcuaServer
+
+#: Time for an answer before the service begins anew, s.
+_ANSWER_S = 0.5
 
 if TYPE_CHECKING:
     from thermojoint.live.scene import Scene
@@ -42,6 +46,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
 
+    folder = running.service.folder
     machines = {
         name: About(
             layout=place.served.layout,
@@ -63,10 +68,18 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             for name, place in running.floor.places.items()
             if place.served.residuals is not None
         },
+        lambda name: former_of(read_record(folder), folder, name),
+        partial(_roll_back, running),
     )
-    opened = open_http(section, sources, running.accounts, running.service.folder)
+    opened = open_http(section, sources, running.accounts, folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
+
+
+def _roll_back(running: Running, machine: str) -> None:
+    """Pin a machine to its former model, and reload a moment later: first comes the answer."""
+    roll_back(running.service, machine)
+    asyncio.get_running_loop().call_later(_ANSWER_S, running.reload)
 
 
 def _scenes(running: Running) -> dict[str, Scene]:

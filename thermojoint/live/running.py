@@ -81,6 +81,8 @@ class Running:
         began, and the part of a machine whose turn it is.
     behind : int
         Last entry of the journal that every machine has a checkpoint behind.
+    reload : callable
+        Makes the service read its file again.
     """
 
     service: Service
@@ -98,6 +100,7 @@ class Running:
     round_from: int = 0
     share: float = 0.0
     behind: int = 0
+    reload: Callable[[], None] = lambda: None
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run something on the store, after all that was given before."""

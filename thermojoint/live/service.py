@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
 
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.certificates import ending
+from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.doors import open_doors
 from thermojoint.live.floor import Place
+from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import held
 from thermojoint.live.notify import tell_systemd
@@ -32,6 +37,8 @@ _GATHER_S = 0.01
 _WATCH_S = 1.0
 #: Between two moves of the store's write-ahead log into its file, s.
 _SHORTEN_S = 10.0
+#: Between two looks at the ends of the certificates, s.
+_ANNOUNCE_S = 86400.0
 #: How long one waits before the store is tried again, s.
 _AGAIN_S = 1.0
 #: Messages that a broker sends before one is acknowledged, where nobody says otherwise.
@@ -41,7 +48,10 @@ _LONGEST_LOG = 64_000_000
 
 
 async def run(
-    service: Service, stop: asyncio.Event, ready: Callable[[Running], None] = lambda running: None
+    service: Service,
+    stop: asyncio.Event,
+    ready: Callable[[Running], None] = lambda running: None,
+    reload: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve until `stop` is set, or until every source has come to its end.
 
@@ -52,6 +62,8 @@ async def run(
         Set from outside, e.g. by a signal.
     ready : callable
         Called when all doors are open.
+    reload : callable
+        Called when a user has changed what only a new start brings into effect.
 
     Raises
     ------
@@ -59,12 +71,14 @@ async def run(
         Something in the file does not work: a model, a certificate, an address that is taken.
     """
     log = EventLog()
-    service, models = working(service, log)
+    service, models = working(pinned(service), log)
     readers = readers_of(service, single(models, service))
     # What was loaded stays: a collection need not look at it again and again.
     gc.collect()
     gc.freeze()
     async with opened(service, models, stop, log) as running:
+        running.reload = reload
+        note_changes(running)
         failed: list[BaseException] = []
         doors = [asyncio.create_task(door) for door in await open_doors(running)]
         floor = running.floor
@@ -92,6 +106,27 @@ async def run(
             await _checkpoint(running, list(floor.places.values()))
         if failed:
             raise failed[0]
+
+
+def note_changes(running: Running) -> None:
+    """Write changed settings and models into the audit log."""
+    audit, now = running.accounts.audit, time.time()
+    try:
+        for change in note_settings(running.service):
+            audit.accepted("service", "start", change)
+        for machine, change in note_deployments(running.service, now):
+            audit.accepted("service", "start", change, machine)
+    except OSError as error:
+        # It serves nevertheless: a full disk ends no machine.
+        running.floor.log.say(now, "audit", f"changes cannot be written down: {error}")
+
+
+def announce_certificates(running: Running) -> None:
+    """Log the certificates that end soon."""
+    now = time.time()
+    service = running.service
+    for line in ending(service.given, service.folder, datetime.fromtimestamp(now, UTC)):
+        running.floor.log.say(now, "certificate", line)
 
 
 def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]]:
@@ -185,7 +220,7 @@ async def _process(running: Running) -> None:
 async def _watch(running: Running) -> None:
     """Look at silences, keep states now and then, and cut what the store has no use for."""
     settings = running.service.given.store
-    shortened = time.monotonic()
+    shortened, announced = time.monotonic(), -math.inf
     while True:
         await asyncio.sleep(_WATCH_S)
         tell_systemd("WATCHDOG=1")
@@ -196,6 +231,9 @@ async def _watch(running: Running) -> None:
         await _release(running, floors.stalled(running.floor, clock))
         with suppress(sqlite3.OperationalError):
             await _checkpoint_some(running, settings.checkpoint_s)
+        if clock - announced >= _ANNOUNCE_S:
+            announced = clock
+            announce_certificates(running)
         if clock - shortened >= _SHORTEN_S:
             shortened = clock
             path = running.archive.path

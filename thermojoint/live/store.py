@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
+import signal
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -27,6 +29,8 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Layout
 
 SCHEMA_VERSION = 2
+#: Locked by the service that holds a folder; it says which process this is.
+_LOCK = "lock"
 #: How often the log is moved in a row: what came meanwhile is less every time.
 _PASSES = 2
 #: How long one waits for another who writes, s.
@@ -194,14 +198,36 @@ def locked(folder: Path) -> Iterator[None]:
     InputError
         Another service holds it.
     """
-    with (folder / "lock").open("a") as file:
+    with (folder / _LOCK).open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise InputError(
                 f"{folder}: another service runs on it; stop that one, or give another folder"
             ) from error
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
         yield
+
+
+def is_held(folder: Path) -> bool:
+    """Say whether a service runs on a folder."""
+    if not (folder / _LOCK).exists():
+        return False
+    try:
+        with locked(folder):
+            return False
+    except InputError:
+        return True
+
+
+def hang_up(folder: Path) -> bool:
+    """Send SIGHUP to the service that runs on a folder; return whether one does."""
+    if not is_held(folder):
+        return False
+    os.kill(int((folder / _LOCK).read_text()), signal.SIGHUP)
+    return True
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
@@ -220,7 +246,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
     InputError
         It is no store, or of another version.
     """
-    try:
+    with _as_store(path):
         store = sqlite3.connect(
             path, isolation_level=None, check_same_thread=False, timeout=_PATIENCE_S
         )
@@ -232,19 +258,43 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         store.execute(
             "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)
         )
-        (version,) = store.execute(
-            "SELECT value FROM meta WHERE name = 'schema_version'"
-        ).fetchone()
+        _check_version(store, path)
+    path.chmod(0o640)
+    return store
+
+
+def check_store(path: Path) -> None:
+    """Refuse a store that `open_store` would refuse; one that is not there yet is right.
+
+    Raises
+    ------
+    InputError
+        It is no store, or of another version.
+    """
+    if path.exists():
+        with (
+            _as_store(path),
+            closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as store,
+        ):
+            _check_version(store, path)
+
+
+@contextmanager
+def _as_store(path: Path) -> Iterator[None]:
+    try:
+        yield
     except sqlite3.DatabaseError as error:
         raise InputError(
             f"{path}: no store of this service ({error}); give another folder"
         ) from error
+
+
+def _check_version(store: sqlite3.Connection, path: Path) -> None:
+    (version,) = store.execute("SELECT value FROM meta WHERE name = 'schema_version'").fetchone()
     if version != str(SCHEMA_VERSION):
         raise InputError(
             f"{path}: store of version {version}, expected {SCHEMA_VERSION}; give another folder"
         )
-    path.chmod(0o640)
-    return store
 
 
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:

@@ -24,6 +24,7 @@ from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.dashboard.assets import asset
 from thermojoint.live.dashboard.pages import page
+from thermojoint.live.former_models import SHOWN
 from thermojoint.live.http.bodies import (
     Words,
     about_body,
@@ -91,6 +92,7 @@ class Site:
         return [
             Route("/", self.overview),
             Route("/machines/{machine}", self.machine),
+            Route("/machines/{machine}/rollback", self.rollback, methods=["POST"]),
             Route("/login", self.login, methods=["GET", "POST"]),
             Route("/logout", self.logout, methods=["POST"]),
             Route("/assets/{digest}/{name}", self.asset),
@@ -114,7 +116,26 @@ class Site:
     async def machine(self, request: Request) -> Response:
         """The page of one machine."""
         name, _ = self._machine(request)
-        return HTMLResponse(page("machine", machine=name))
+        engineer = not request.user.refusal("engineer", name)
+        former = self.sources.former(name) if engineer else None
+        return HTMLResponse(page("machine", machine=name, former=former))
+
+    async def rollback(self, request: Request) -> Response:
+        """Go back to the former model of a machine."""
+        name, _ = self._machine(request)
+        audit, who = self.door.accounts.audit, request.user
+        former, why = self.sources.former(name), who.refusal("engineer", name)
+        if why or former is None:
+            why = why or "no former model is kept"
+            audit.refused(who.name, origin(request.scope), "rollback", why, name)
+            raise HTTPException(403 if former else 404, why)
+        what = f"rollback to model {former.file} {former.fingerprint[:SHOWN]}"
+        try:
+            audit.accepted(who.name, origin(request.scope), what, name)
+        except OSError as error:
+            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+        self.sources.roll_back(name)
+        return RedirectResponse(f"/machines/{name}", 303)
 
     async def login(self, request: Request) -> Response:
         """The page that asks for a password or a token, and what takes it."""

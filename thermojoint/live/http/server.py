@@ -161,4 +161,8 @@ async def serve_http(opened: Opened, stop: asyncio.Event) -> None:
         await opened.server.serve([opened.socket])
     finally:
         waiting.cancel()
+        if opened.server.started:
+            # Cancelled, it leaves its socket to the event loop: at a reload the next server gets
+            # the same descriptor, and nobody would be answered.
+            await opened.server.shutdown([opened.socket])
         opened.socket.close()

@@ -9,6 +9,7 @@ from prometheus_client import CollectorRegistry
 
 from estimator.ranges import Range
 from thermojoint.live.archive import Archive
+from thermojoint.live.former_models import Deployment
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout
 from thermojoint.live.scene import Scene
@@ -58,6 +59,10 @@ class Sources:
     residuals : mapping
         Machines whose estimator says what a reading should be; reading minus model, K, by reading,
         None before the first sample.
+    former : callable
+        Machine to the last model before its present one; None without any.
+    roll_back : callable
+        Makes a machine go back to that model.
     """
 
     hub: Hub
@@ -66,3 +71,5 @@ class Sources:
     registry: CollectorRegistry
     scenes: Mapping[str, Scene]
     residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]
+    former: Callable[[str], Deployment | None] = lambda machine: None
+    roll_back: Callable[[str], object] = lambda machine: None

@@ -1,0 +1,235 @@
+"""What an administrator does to a service: check, reload, renew, roll back, back up."""
+
+import asyncio
+import contextlib
+import json
+import signal
+import ssl
+import time
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import httpx
+import pytest
+from dashboard_server import BEARER, TOKEN
+from live_parts import PATIENCE_S, free_port, until
+from typer.testing import CliRunner
+
+from thermojoint.cli.app import app
+from thermojoint.live.archive import Archive
+from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
+from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
+from thermojoint.live.reloading import serve_file
+from thermojoint.live.settings import HttpServer, read_service
+from thermojoint.live.store import hang_up
+from thermojoint.live.users import add_user
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
+
+SERVICE = """
+folder = "state"
+users = "users"
+[models.m]
+file = "model.json"
+interval_s = 1.0
+[machines.mill]
+model = "m"
+source = "line"
+[sources.line]
+kind = "csv"
+path = "log.csv"
+[http]
+port = {port}
+token = {{ file = "token" }}
+certificate_file = "plant.pem"
+key_file = "plant.key"
+requests_per_s = {rate}
+"""
+
+
+@pytest.fixture(scope="module")
+def models(hand_made_model, tmp_path_factory):
+    """Two models, as files."""
+    folder = tmp_path_factory.mktemp("models")
+    linear = hand_made_model.linear
+    other = replace(hand_made_model, linear=replace(linear, thermal=replace(linear.thermal, K=3.0)))
+    for name, model in (("old", hand_made_model), ("new", other)):
+        write_assembly(assemble(model, 1.0, 7200.0), folder / name)
+    return {name: (folder / name).read_bytes() for name in ("old", "new")}
+
+
+def plant(folder, models, port, rate=20.0):
+    """The files of a service, with a certificate of the plant's."""
+    own = own_certificate(folder / "made", HttpServer())
+    (folder / "plant.pem").write_bytes(own.certificate.read_bytes())
+    (folder / "plant.key").write_bytes(own.key.read_bytes())
+    (folder / "plant.key").chmod(0o600)
+    (folder / "model.json").write_bytes(models["old"])
+    (folder / "token").touch(mode=0o600)
+    (folder / "token").write_text(TOKEN)
+    add_user(folder / "users", "eva", "engineer", "evas-secret")
+    start = time.time() - 30.0
+    rows = [f"{start + k:.1f},{20 + k / 10},20,20,20,20" for k in range(20)]
+    header = "time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC"
+    (folder / "log.csv").write_text("\n".join([header, *rows]) + "\n")
+    (folder / "service.toml").write_text(SERVICE.format(port=port, rate=rate))
+    return folder / "service.toml"
+
+
+def audit(folder):
+    lines = (folder / "state" / "audit.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def events(folder, kind):
+    archive = Archive(folder / "state" / "history.sqlite")
+    return [one.text for one in archive.events(None, 0.0, 1e11, 1000) if one.kind == kind]
+
+
+def called(*words, **given):
+    return CliRunner().invoke(app, [str(word) for word in words], **given)
+
+
+@contextlib.asynccontextmanager
+async def running(file):
+    """The service of a file; its starts so far, and what asks it to reload."""
+    starts, stop, reload = [], asyncio.Event(), asyncio.Event()
+    task = asyncio.create_task(serve_file(file, stop, reload, starts.append))
+    try:
+        await until(lambda: starts or task.done())
+        yield starts, reload
+    finally:
+        stop.set()
+        await task
+
+
+@pytest.fixture(scope="module")
+def life(models, tmp_path_factory):
+    """A service through changes of its files, models and certificates; what came of it."""
+    folder, port, found = tmp_path_factory.mktemp("plant"), free_port(), {}
+    file = plant(folder, models, port)
+    url = f"https://localhost:{port}"
+
+    async def live():
+        async with running(file) as (starts, reload):
+
+            async def again():
+                count = len(starts)
+                reload.set()
+                await until(lambda: len(starts) > count)
+
+            def client():
+                trusted = ssl.create_default_context(cafile=folder / "plant.pem")
+                return httpx.AsyncClient(
+                    base_url=url, verify=trusted, trust_env=False, timeout=PATIENCE_S
+                )
+
+            await until(lambda: starts[0].hub.newest["mill"].number == 20)
+            digests = [starts[-1].floor.places["mill"].served.digest]
+            # A broken file and a broken model change nothing.
+            (folder / "model.json").write_text("nonsense")
+            reload.set()
+            await asyncio.sleep(0.5)
+            found["starts while broken"] = len(starts)
+            async with client() as browser:
+                found["serves"] = (await browser.get("/api/machines", headers=BEARER)).status_code
+            # A new model, a renewed certificate and a changed setting.
+            (folder / "model.json").write_bytes(models["new"])
+            plant_renewed = own_certificate(folder / "renewed", HttpServer())
+            (folder / "plant.pem").write_bytes(plant_renewed.certificate.read_bytes())
+            (folder / "plant.key").write_bytes(plant_renewed.key.read_bytes())
+            file.write_text(SERVICE.format(port=port, rate=30.0))
+            await again()
+            digests.append(starts[-1].floor.places["mill"].served.digest)
+            async with client() as browser:
+                answer = await browser.post("/machines/mill/rollback", headers=BEARER)
+                found["viewer"] = answer.status_code
+                await browser.post("/login", data={"name": "eva", "token": "evas-secret"})
+                found["page"] = (await browser.get("/machines/mill")).text
+                count = len(starts)
+                answer = await browser.post("/machines/mill/rollback")
+                found["engineer"] = answer.status_code
+                await until(lambda: len(starts) > count)
+            digests.append(starts[-1].floor.places["mill"].served.digest)
+            # As the command does it.
+            count = len(starts)
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, reload.set)
+            assert hang_up(folder / "state")
+            await until(lambda: len(starts) > count)
+            digests.append(starts[-1].floor.places["mill"].served.digest)
+            # What is put into the file later counts again.
+            (folder / "model.json").write_bytes(models["old"] + b"\n")
+            await again()
+            found["pins"] = read_record(folder / "state").pins
+            found["digests"] = digests
+
+    asyncio.run(live())
+    found["audit"] = audit(folder)
+    found["folder"], found["file"] = folder, file
+    return found
+
+
+def test_a_reload_that_would_fail_is_refused_and_the_service_goes_on(life):
+    assert life["starts while broken"] == 1
+    assert life["serves"] == 200
+
+
+def test_changed_settings_and_models_are_audited(life):
+    said = {(one["who"], one["what"]) for one in life["audit"]}
+    assert ("service", "setting http.requests_per_s: 20.0 -> 30.0") in said
+    changes = [one["what"] for one in life["audit"] if one["what"].startswith("model")]
+    assert len(changes) == 4
+    assert all(one["machine"] == "mill" for one in life["audit"] if one["what"] in changes)
+
+
+def test_an_engineer_rolls_a_model_back_and_a_viewer_does_not(life):
+    assert life["viewer"] == 403
+    assert life["engineer"] == 303
+    assert "Go back to model.json" in life["page"]
+    old, new, back, after_reload = life["digests"]
+    assert old == back == after_reload != new
+    assert not life["pins"]
+    rollbacks = [one for one in life["audit"] if "rollback" in one["what"]]
+    assert [(one["who"], one["outcome"]) for one in rollbacks] == [
+        ("http.token", "refused"),
+        ("eva", "accepted"),
+    ]
+
+
+def test_a_rollback_by_command_holds_from_the_next_start(life, models):
+    file = life["file"]
+    listed = called("rollback", file, "mill", "--list").output.splitlines()
+    assert len(listed) == 4
+    new = next(line for line in listed if line.split()[0] != listed[0].split()[0])
+    done = called("rollback", file, "mill", "--to", new.split()[0])
+    assert "follows at its next start" in done.output
+    assert called("rollback", file, "mill", "--to", "0" * SHOWN).exit_code != 0
+
+    async def live():
+        async with running(file) as (starts, _):
+            return starts[0].service.given.models[starts[0].service.machines["mill"].model].file
+
+    kept = asyncio.run(live())
+    assert fingerprint_of(kept).startswith(new.split()[0])
+    assert kept.read_bytes() == models["new"]
+
+
+def test_check_says_all_that_a_start_would_refuse_and_leaves_the_folder_alone(models, tmp_path):
+    file = plant(tmp_path, models, free_port())
+    done = called("serve", file, "--check")
+    assert done.exit_code == 0, done.output
+    assert not (tmp_path / "state").exists()
+    (tmp_path / "token").chmod(0o644)
+    (tmp_path / "model.json").write_text("{}")
+    (tmp_path / "plant.key").write_bytes((tmp_path / "made" / "http_certificate.pem").read_bytes())
+    done = called("serve", file, "--check")
+    for said in ("http.token", "model.json", "plant.key"):
+        assert said in str(done.exception), said
+
+
+def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):
+    given = read_service(plant(tmp_path, models, 0)).given
+    end = datetime.now(UTC) + HTTP_LASTS
+    assert not list(ending(given, tmp_path, end - ANNOUNCED - timedelta(days=1)))
+    (line,) = ending(given, tmp_path, end - timedelta(days=10))
+    assert "plant.pem ends on" in line

@@ -1,0 +1,135 @@
+"""Everything that a start of the service would refuse, without starting it."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from thermojoint.artefacts.errors import InputError, ThermojointError
+from thermojoint.live.accounts import accounts_of
+from thermojoint.live.certificates import ending, http_identity, opcua_identity
+from thermojoint.live.consistency import contradictions
+from thermojoint.live.former_models import pinned
+from thermojoint.live.readers.reading import readers_of
+from thermojoint.live.scene import scene_of
+from thermojoint.live.served import Served, served_models, single
+from thermojoint.live.settings import Service
+from thermojoint.live.store import check_store, is_held
+from thermojoint.live.tokens import tokens_in
+from thermojoint.live.trust_list import contents_of
+
+#: What a check looks at in the folder of the service, which it leaves as it is.
+_LOOKED_AT = ("models", "certificate.pem", "key.pem", "access.sqlite", "access.sqlite-wal")
+
+
+class Findings(NamedTuple):
+    """What a check has found, one line each.
+
+    Attributes
+    ----------
+    refused : list of str
+        What a start would refuse.
+    warnings : list of str
+        What it would warn of, and certificates that end soon.
+    """
+
+    refused: list[str]
+    warnings: list[str]
+
+
+def checked(service: Service) -> Findings:
+    """Check the files, models, secrets and certificates of a service; nothing is written."""
+    with TemporaryDirectory() as place:
+        folder = Path(place) / "state"
+        _copy(service.folder, folder)
+        given = service.given.model_copy(update={"folder": folder})
+        return _findings(replace(service, given=given), service.folder)
+
+
+def _findings(service: Service, folder: Path) -> Findings:
+    refused = []
+    try:
+        service = pinned(service)
+    except InputError as error:
+        refused.append(str(error))
+    models, unusable = served_models(service)
+    refused += [f"models.{name}: {reason}" for name, reason in unusable.items()]
+    working = {name: one for name, one in service.machines.items() if one.model in models}
+    service = replace(service, machines=working)
+    checks: list[Callable[[], object]] = [
+        partial(check_store, folder / "history.sqlite"),
+        partial(readers_of, service, single(models, service)),
+        *(partial(_check_scene, service, models, name) for name in models),
+        partial(_check_users, service),
+        partial(_check_interfaces, service),
+    ]
+    for check in checks:
+        try:
+            check()
+        except ThermojointError as error:
+            refused += str(error).splitlines()
+    soon = ending(service.given, service.folder, datetime.now(UTC))
+    return Findings(refused, [*contradictions(service.given, models), *soon])
+
+
+def taken_addresses(service: Service) -> list[str]:
+    """Return the addresses that others have taken; none while the service itself runs."""
+    sections = (("opcua", service.given.opcua), ("http", service.given.http))
+    given = [(name, one.address, one.port) for name, one in sections if one is not None]
+    if is_held(service.folder):
+        return []
+    found = []
+    for name, address, port in given:
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        try:
+            socket.create_server((address, port), family=family).close()
+        except OSError as error:
+            found.append(f"{name}: {address}:{port}: {error.strerror}; take another port")
+    return found
+
+
+def _copy(source: Path, target: Path) -> None:
+    target.mkdir()
+    for name in _LOOKED_AT:
+        path = source / name
+        if path.is_dir():
+            shutil.copytree(path, target / name)
+        elif path.exists():
+            shutil.copy2(path, target / name)
+
+
+def _check_scene(service: Service, models: dict[str, Served], name: str) -> None:
+    file, estimator = service.given.models[name].scene, models[name].estimator
+    if file is not None:
+        scene_of(file, estimator, estimator.initial_state)
+
+
+def _check_users(service: Service) -> None:
+    accounts = accounts_of(service)
+    with closing(accounts.store) as store:
+        if service.given.http and not (accounts.given or accounts.users_file or tokens_in(store)):
+            raise InputError("http: no one could log in; name a token or a file of users")
+
+
+def _check_interfaces(service: Service) -> None:
+    http, opcua, mqtt = service.given.http, service.given.opcua, service.given.mqtt
+    if http is not None and http.security == "tls":
+        http_identity(http, service.folder)
+    if mqtt is not None:
+        from thermojoint.live.mqtt_session import address_of
+
+        address_of(mqtt, "mqtt")
+    if opcua is not None and opcua.security == "sign-and-encrypt":
+        if service.users_file is None:
+            raise InputError("opcua: no one could log in; name a file of users")
+        opcua_identity(opcua, service.folder)
+    if opcua is not None and opcua.trusted is not None:
+        contents_of(opcua.trusted)

@@ -1,0 +1,247 @@
+"""Models that machines ran with before, and the way back to them.
+
+The service copies each model file that it starts with, by its fingerprint (SHA-256). A rollback
+pins a machine to a copy until the file of the settings changes again.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.files import whole_file, write_text
+from thermojoint.live.settings import Service
+
+#: Models of a machine that are remembered, with the one that it runs with.
+_MOST = 5
+#: Characters of a fingerprint that are shown, and that name the folder of a copy.
+SHOWN = 12
+#: End of the name of a section that `pinned` adds.
+_PINNED = re.compile(rf"@[0-9a-f]{{{SHOWN}}}$")
+
+
+class Deployment(NamedTuple):
+    """A model that a machine has run with.
+
+    Attributes
+    ----------
+    fingerprint : str
+        SHA-256 of its file.
+    file : str
+        Name of the file.
+    since : float
+        s since 1970.
+    """
+
+    fingerprint: str
+    file: str
+    since: float
+
+
+class Pin(NamedTuple):
+    """A rollback.
+
+    Attributes
+    ----------
+    fingerprint : str
+        Of the model that the machine goes back to.
+    instead_of : str
+        Of the file of the settings; the pin ends when that file changes.
+    """
+
+    fingerprint: str
+    instead_of: str
+
+
+class Record(NamedTuple):
+    """Deployments of every machine, oldest first, and the pins."""
+
+    deployments: dict[str, list[Deployment]]
+    pins: dict[str, Pin]
+
+
+def fingerprint_of(path: Path) -> str:
+    """Return the SHA-256 of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        return sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a model file") from error
+
+
+def read_record(folder: Path) -> Record:
+    """Return the deployments in the folder of a service; without any before its first start.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    path = _path(folder)
+    if not path.exists():
+        return Record({}, {})
+    try:
+        content: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        deployments = {
+            name: [Deployment(*one) for one in each]
+            for name, each in content["deployments"].items()
+        }
+        pins = {name: Pin(*one) for name, one in content["pins"].items()}
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise InputError(f"{path}: damaged; remove it to forget former models") from error
+    return Record(deployments, pins)
+
+
+def pinned(service: Service) -> Service:
+    """Return a service whose machines that were rolled back have a section for their former model.
+
+    Raises
+    ------
+    InputError
+        The record is damaged.
+    """
+    record, given = read_record(service.folder), service.given
+    if not record.pins:
+        return service
+    models, machines = dict(given.models), dict(service.machines)
+    current = fingerprints(service)
+    for name, pin in record.pins.items():
+        section = machines.get(name)
+        copy = section and _copy(record, service.folder, name, pin.fingerprint)
+        if section is None or copy is None or pin.instead_of != current.get(section.model):
+            continue
+        key = f"{section.model}@{pin.fingerprint[:SHOWN]}"
+        # A scene belongs to one model.
+        models[key] = given.models[section.model].model_copy(update={"file": copy, "scene": None})
+        machines[name] = section.model_copy(update={"model": key})
+    return replace(service, given=given.model_copy(update={"models": models}), machines=machines)
+
+
+def fingerprints(service: Service) -> dict[str, str]:
+    """Return the fingerprint of every model file that can be read, by the name of its section."""
+    models = service.given.models.items()
+    return {name: fingerprint_of(one.file) for name, one in models if one.file.is_file()}
+
+
+def note_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
+    """Record the models that the machines run with; yield each machine whose model has changed.
+
+    Parameters
+    ----------
+    service : Service
+        After `pinned`.
+    now : float
+        s since 1970.
+
+    Yields
+    ------
+    machine : str
+    change : str
+        From which model to which.
+    """
+    record, current = read_record(service.folder), fingerprints(service)
+    before = json.dumps(record)
+    for name, section in service.machines.items():
+        file, fingerprint = service.given.models[section.model].file, current[section.model]
+        known = record.deployments.setdefault(name, [])
+        if not known or known[-1].fingerprint != fingerprint:
+            was = f"{known[-1].file} {known[-1].fingerprint[:SHOWN]}" if known else "none"
+            yield name, f"model {file.name} {fingerprint[:SHOWN]}, was {was}"
+            known.append(Deployment(fingerprint, file.name, now))
+            del known[:-_MOST]
+        if not _PINNED.search(section.model):
+            # The settings' file has changed, or the machine was never rolled back.
+            record.pins.pop(name, None)
+        copy = _place(service.folder, fingerprint, file.name)
+        if not copy.exists():
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(copy) as part:
+                shutil.copyfile(file, part)
+    if json.dumps(record) != before:
+        _write(service.folder, record)
+        _forget_copies(service.folder, record)
+
+
+def former_of(record: Record, folder: Path, machine: str) -> Deployment | None:
+    """Return the last model of a machine before its present one; None without any."""
+    known = record.deployments.get(machine, [])
+    others = [
+        one
+        for one in known
+        if one.fingerprint != known[-1].fingerprint and _place(folder, *one[:2]).exists()
+    ]
+    return others[-1] if others else None
+
+
+def roll_back(service: Service, machine: str, to: str | None = None) -> Deployment:
+    """Pin a machine to a former model; it holds from the next start or reload of the service.
+
+    Parameters
+    ----------
+    service : Service
+        As its file says.
+    machine : str
+    to : str, optional
+        Beginning of the fingerprint; default: the last model before the present one.
+
+    Raises
+    ------
+    InputError
+        There is no such machine or model.
+    """
+    if machine not in service.machines:
+        raise unknown_name("machine", machine, service.machines, "rollback")
+    record = read_record(service.folder)
+    target = former_of(record, service.folder, machine)
+    if to is not None:
+        known = record.deployments.get(machine, [])
+        target = next((one for one in reversed(known) if one.fingerprint.startswith(to)), None)
+    if target is None:
+        raise InputError(
+            f"{machine}: no former model{f' {to}' if to else ''} is kept; none to go to"
+        )
+    instead_of = fingerprint_of(service.given.models[service.machines[machine].model].file)
+    record.pins[machine] = Pin(target.fingerprint, instead_of)
+    _write(service.folder, record)
+    return target
+
+
+def _path(folder: Path) -> Path:
+    return folder / "models" / "deployments.json"
+
+
+def _place(folder: Path, fingerprint: str, file: str) -> Path:
+    return folder / "models" / "former" / fingerprint[: 2 * SHOWN] / file
+
+
+def _copy(record: Record, folder: Path, machine: str, fingerprint: str) -> Path | None:
+    """Return the copy of a model that a machine has run with; None if it is gone."""
+    for one in record.deployments.get(machine, []):
+        place = _place(folder, *one[:2])
+        if one.fingerprint == fingerprint and place.exists():
+            return place
+    return None
+
+
+def _write(folder: Path, record: Record) -> None:
+    write_text(_path(folder), json.dumps(record._asdict()))
+
+
+def _forget_copies(folder: Path, record: Record) -> None:
+    """Delete the copies that no deployment names."""
+    known = {one.fingerprint[: 2 * SHOWN] for each in record.deployments.values() for one in each}
+    for place in (folder / "models" / "former").iterdir():
+        if place.name not in known:
+            shutil.rmtree(place, ignore_errors=True)

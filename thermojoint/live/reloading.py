@@ -1,0 +1,72 @@
+"""The service of a file, which it reads again on request: checked first, then begun anew."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.live.checking import checked
+from thermojoint.live.log_lines import LOGGER, line_of
+from thermojoint.live.running import Running
+from thermojoint.live.service import run
+from thermojoint.live.settings import Service, read_service
+
+
+async def serve_file(
+    path: Path,
+    stop: asyncio.Event,
+    reload: asyncio.Event,
+    ready: Callable[[Running], None] = lambda running: None,
+) -> None:
+    """Serve as a file says, until `stop` is set or every source has ended.
+
+    Parameters
+    ----------
+    path : Path
+        Of the service (TOML).
+    stop : asyncio.Event
+    reload : asyncio.Event
+        Set whenever file, models or certificates have changed. If they are wrong, the service
+        goes on with what it has.
+    ready : callable
+        Called at every start, when all interfaces are open.
+
+    Raises
+    ------
+    InputError
+        Something does not work at the first start.
+    """
+    service: Service | None = read_service(path)
+    while service is not None:
+        ended = asyncio.Event()
+        running = asyncio.create_task(run(service, ended, ready, reload.set))
+        fresh = asyncio.create_task(_reloaded(path, reload))
+        stopped = asyncio.create_task(stop.wait())
+        await asyncio.wait({running, fresh, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        ended.set()
+        service = fresh.result() if fresh.done() and not stopped.done() else None
+        for task in (fresh, stopped):
+            task.cancel()
+        with suppress(asyncio.CancelledError):
+            await fresh
+        await running
+
+
+async def _reloaded(path: Path, reload: asyncio.Event) -> Service:
+    """Return the service of the file once a reload is asked for and nothing would be refused."""
+    while True:
+        await reload.wait()
+        reload.clear()
+        try:
+            service = read_service(path)
+            refused = (await asyncio.to_thread(checked, service)).refused
+        except ThermojointError as error:
+            refused = str(error).splitlines()
+        if not refused:
+            return service
+        for line in refused:
+            LOGGER.log(logging.INFO, "%s", line_of("reload-refused", line))
