@@ -1,8 +1,8 @@
 """Replay of a machine that has been running for hours: writes the readings of its sensors.
 
-It replays a measured day repeatedly, beginning with the hours that the model has not seen. The hours
-before now are written at once, then one line every ten seconds. After a restart it continues as if
-it had never stopped.
+It replays a measured day repeatedly, beginning with the hours that the model has not seen. The
+hours before now are written at once, then one line every ten seconds. After a restart it continues
+as if it had never stopped.
 """
 
 import argparse
