@@ -1,4 +1,4 @@
-"""Logs, estimates and errors as pandas data frames, by the rules that hold for files."""
+"""Logs, estimates and errors as pandas data frames, by the same rules as files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import LearnedModel
 
-#: What errors of a frame are called in messages.
+#: Name of a data frame in error messages.
 _FRAME = "data frame"
 
 
@@ -42,7 +42,7 @@ def log_from_frame(frame: pd.DataFrame, renamed: Mapping[str, str] | None = None
         Columns whose names end in their units, and a clock: a column such as ``time_s``, or an
         index of times.
     renamed : mapping, optional
-        Name of a column to the one it is given.
+        Name of a column to its new name.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def learn(
     kind: learning.Kind = "learned",
     ignored: Sequence[str] = (),
 ) -> LearnedModel:
-    """Learn a model from what a machine has logged.
+    """Learn a model from the log of a machine.
 
     Parameters
     ----------
@@ -68,16 +68,16 @@ def learn(
     displacements : sequence of str
         Names of the columns to learn, with or without their units.
     max_sensors : int
-        How many temperatures the model may use; a baseline uses all.
+        Largest number of temperatures used by the model; a baseline uses all.
     kind : str
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
-        Columns to leave aside.
+        Columns to ignore.
 
     Raises
     ------
     InputError
-        A column is missing, or the log cannot be learned from; the message says why.
+        A column is missing, or the log is not suitable; the message says why.
     """
     names = [displacements] if isinstance(displacements, str) else displacements
     if isinstance(data, pd.DataFrame):
@@ -99,9 +99,9 @@ def estimate(
     estimator : OpenedEstimator
         `open_estimator`.
     frame : pandas.DataFrame
-        What `thermojoint estimate` reads from a file.
+        The columns that `thermojoint estimate` reads from a file.
     state : ndarray, optional
-        Where the estimator begins; default at rest.
+        Initial state; default at rest.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def estimate(
     Raises
     ------
     InputError
-        A column is missing, or a row cannot be used.
+        A column is missing, or a row is unusable.
     """
     kind = kind_of(estimator)
     pieces = pieces_in(_lines(frame), _FRAME, kind.renamed(estimator.model))
@@ -130,7 +130,7 @@ def estimate(
 def validate(
     estimator: OpenedEstimator, data: pd.DataFrame | xr.Dataset | Mapping[str, xr.Dataset]
 ) -> pd.DataFrame:
-    """Judge an estimator by displacements that it does not see, free-running from rest.
+    """Validate an estimator by displacements that it does not read, free-running from rest.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def validate(
     Raises
     ------
     InputError
-        A displacement is missing, or what the estimator reads.
+        A displacement, or a reading of the estimator, is missing.
     """
     if isinstance(data, pd.DataFrame):
         return _judged_by_frame(estimator, data)
@@ -173,16 +173,16 @@ def samples(
     estimator : OpenedEstimator
         `open_estimator`.
     rows : iterable of mapping
-        ``time_s``, and what `reads` lists; in another unit of the same quantity as well, e.g.
-        ``spindle_rad_s`` for ``spindle_rpm``. What a row lacks is missing in it.
+        ``time_s`` and the names of `reads`, or the same quantities in another unit, e.g.
+        ``spindle_rad_s`` for ``spindle_rpm``. Absent names are missing readings.
     cold : float
-        Temperature at which the machine was cold, in the unit of its readings; default: the
-        first ones tell it.
+        Temperature at which the machine was cold, in the unit of its readings; default: from the
+        first readings.
 
     Raises
     ------
     InputError
-        A row has no time, or a reading that the estimator does not know.
+        A row has no time, or an unknown reading.
     """
     intake = kind_of(estimator).intake(estimator.model, False)
     for row in rows:
@@ -202,7 +202,7 @@ def samples(
 
 
 def reads(estimator: OpenedEstimator) -> tuple[str, ...]:
-    """Return what an estimator reads in every sample, by names that end in their units.
+    """Return the names of an estimator's readings in every sample, each ending in its unit.
 
     Parameters
     ----------

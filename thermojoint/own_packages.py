@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 from importlib.machinery import PathFinder
 
-#: The packages beside this one that stand at the top level, with names a script may have too.
+#: Other top-level packages of this distribution, with names that a user's script may have too.
 BESIDE = ("calibrate", "estimator", "fesim", "meshes")
 
 
 def check_not_hidden() -> None:
-    """Check that the packages beside this one are those that an import finds.
+    """Check that an import of the other packages finds ours.
 
     Raises
     ------
     ImportError
-        In one line: another file or folder of that name comes first on the path.
+        Another file or folder of that name comes first on the path.
     """
     for name in BESIDE:
         if hiding := _hiding(name):
@@ -23,17 +23,17 @@ def check_not_hidden() -> None:
 
 
 def _hiding(name: str) -> str:
-    """Path of what an import of `name` finds in place of ours; empty if it finds ours."""
+    """Path of the module that an import of `name` finds; empty if it is ours."""
     if (loaded := sys.modules.get(name)) is not None:
         place = getattr(loaded, "__file__", None)
     elif (spec := PathFinder.find_spec(name)) is not None:
-        # A folder without `__init__.py` has places and no origin.
+        # A folder without `__init__.py` has search locations but no origin.
         place = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
     else:  # an editable installation is found after the path
         return ""
     if place is None or place == f"{__file__.rpartition('thermojoint')[0]}{name}/__init__.py":
         return ""
-    # Here, not above: it takes most of the time of this check, and is rarely needed.
+    # Here, not above: importing it takes most of the time of this check.
     from pathlib import Path
 
     ours = Path(__file__).parents[1] / name / "__init__.py"

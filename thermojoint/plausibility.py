@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Slip:
-    """A unit that a number may have been given in.
+    """A unit that may have been used by mistake.
 
     Attributes
     ----------
     name : str
-        Of the unit, as it is printed behind the number.
+        Name of the unit, as printed after the number.
     factor, offset : float
-        The number in the unit that is asked for is factor * number + offset.
+        factor * number + offset is the number in the expected unit.
     into : str
-        What stands behind that number, where it is not the unit that is asked for.
+        Text after the converted number, if it is not the expected unit.
     """
 
     name: str
@@ -53,13 +53,13 @@ class Quantity:
     Attributes
     ----------
     unit : str
-        The unit that is asked for; empty for ratios.
+        The expected unit; empty for ratios.
     low, high : float
         Plausible values.
     typical : float
-        Of the slips that make a value plausible, the one that brings it nearest to this is named.
+        Of the slips that make a value plausible, the one closest to this value is suggested.
     slips : tuple of Slip
-        Units that are mistaken for it.
+        Units that are commonly used by mistake.
     """
 
     unit: str
@@ -69,19 +69,21 @@ class Quantity:
     slips: tuple[Slip, ...] = ()
 
 
-_PERCENT = Slip("%", 0.01)
+_PERCENT, _KELVIN = Slip("%", 0.01), Slip("K", 1.0, -273.15)
+_MICROMETRES = (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
 _ABSOLUTE = Slip("K, as an absolute temperature,", 1.0, -293.15, "K above an ambient of 20 °C")
 
 HEAT_INPUT = Quantity("times the reference step", -10.0, 10.0, 1.0, (_PERCENT,))
 POWER = Quantity(
     "W", 0.5, 1e5, 200.0, (Slip("kW", 1e3), Slip("mW", 1e-3), Slip("µW", 1e-6), Slip("MW", 1e6))
 )
-LENGTH = Quantity("mm", 1.0, 5e4, 300.0, (Slip("m", 1e3), Slip("µm", 1e-3)))
-#: What a thermometer in a workshop reads.
-AMBIENT = Quantity(
-    "°C", -40.0, 50.0, 20.0, (Slip("K", 1.0, -273.15), Slip("°F", 5.0 / 9.0, -160.0 / 9.0))
+PRESSURE = Quantity(
+    "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
 )
-READING = Quantity("°C", -60.0, 250.0, 30.0, (Slip("K", 1.0, -273.15),))
+LENGTH = Quantity("mm", 1.0, 5e4, 300.0, (Slip("m", 1e3), Slip("µm", 1e-3)))
+#: Temperature of the air in a workshop.
+AMBIENT = Quantity("°C", -40.0, 50.0, 20.0, (_KELVIN, Slip("°F", 5.0 / 9.0, -160.0 / 9.0)))
+READING = Quantity("°C", -60.0, 250.0, 30.0, (_KELVIN,))
 FILM = Quantity(
     "W/(m2 K)",
     0.1,
@@ -89,11 +91,11 @@ FILM = Quantity(
     10.0,
     (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("µW/(m2 K)", 1e-6)),
 )
-#: Of a property, where its constant stands beside it.
+#: Factor on a property, relative to its constant.
 FACTOR = Quantity("times the constant", 0.05, 20.0, 1.0, (_PERCENT,))
-#: Temperatures above that of the surroundings.
+#: Temperature rise above the ambient.
 RISE = Quantity("K above ambient", -150.0, 250.0, 20.0, (_ABSOLUTE,))
-#: The same where a measurement begins.
+#: The same at the start of a measurement.
 RISE_AT_START = Quantity(
     "K above ambient at the start",
     -10.0,
@@ -134,7 +136,7 @@ CASE = {
     "materials.*.heat_capacity_J_kgK": Quantity(
         "J/(kg K)", 100.0, 5000.0, 500.0, (Slip("kJ/(kg K)", 1e3), Slip("cal/(g K)", 4186.8))
     ),
-    # The reference machine has a screw of 2940 GPa: a stiffness that stands for another shape.
+    # The reference machine has a screw of 2940 GPa, which represents another shape.
     "materials.*.youngs_modulus_GPa": Quantity(
         "GPa",
         0.2,
@@ -145,15 +147,9 @@ CASE = {
     "materials.*.expansion_1_K": Quantity(
         "1/K", -1e-4, 5e-4, 12e-6, (Slip("1e-6/K", 1e-6), Slip("mm/(m K)", 1e-3))
     ),
-    "joints.*.preload_MPa": Quantity(
-        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
-    ),
-    "joints.*.reference_pressure_MPa": Quantity(
-        "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
-    ),
-    "joints.*.initial_opening_um": Quantity(
-        "µm", 0.05, 2000.0, 20.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
-    ),
+    "joints.*.preload_MPa": PRESSURE,
+    "joints.*.reference_pressure_MPa": PRESSURE,
+    "joints.*.initial_opening_um": Quantity("µm", 0.05, 2000.0, 20.0, _MICROMETRES),
     "joints.*.conductance.value_W_m2K": Quantity(
         "W/(m2 K)",
         0.5,
@@ -164,15 +160,9 @@ CASE = {
     "joints.*.gap.gas_conductivity_W_mK": Quantity(
         "W/(m K)", 0.003, 1.0, 0.026, (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2))
     ),
-    "joints.*.gap.temperature_jump_um": Quantity(
-        "µm", 0.01, 100.0, 0.4, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
-    ),
-    "joints.*.gap.mean_temperature_degC": Quantity(
-        "°C", -100.0, 1000.0, 30.0, (Slip("K", 1.0, -273.15),)
-    ),
-    "joints.*.roughness_um": Quantity(
-        "µm", 0.005, 200.0, 1.0, (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
-    ),
+    "joints.*.gap.temperature_jump_um": Quantity("µm", 0.01, 100.0, 0.4, _MICROMETRES),
+    "joints.*.gap.mean_temperature_degC": Quantity("°C", -100.0, 1000.0, 30.0, (_KELVIN,)),
+    "joints.*.roughness_um": Quantity("µm", 0.005, 200.0, 1.0, _MICROMETRES),
     "joints.*.asperity_slope": Quantity(
         "rad", 0.005, 2.0, 0.15, (Slip("degrees", math.pi / 180.0), _PERCENT, Slip("mrad", 1e-3))
     ),
@@ -204,9 +194,7 @@ CASE = {
     "loads.*.force_N.*": Quantity(
         "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
     ),
-    "loads.*.pressure_MPa": Quantity(
-        "MPa", -1000.0, 1000.0, 1.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3))
-    ),
+    "loads.*.pressure_MPa": Quantity("MPa", -1000.0, 1000.0, 1.0, PRESSURE.slips[:2]),
     "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
     "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, (Slip("N", 1e-3), Slip("MN", 1e3))),
     "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, (Slip("m", 1e3), Slip("cm", 10.0))),
@@ -224,50 +212,50 @@ CASE = {
 
 
 def implausible(place: str, value: float, quantity: Quantity) -> list[str]:
-    """Return the line about a value that is hardly meant; none if it is plausible.
+    """Return the warning about an implausible value; nothing if it is plausible.
 
     Parameters
     ----------
     place : str
         File and key.
     value : float
-        As it was given.
+        The value as given.
     quantity : Quantity
-        What it is.
+        Its quantity.
     """
     if _plausible(value, quantity):
         return []
     unit = f" {quantity.unit}" if quantity.unit else ""
-    said = f"{place} = {value:g} is implausible, usual is {quantity.low:g} to {quantity.high:g}"
-    meant = [(slip, slip.factor * value + slip.offset) for slip in quantity.slips]
+    text = f"{place} = {value:g} is implausible, usual is {quantity.low:g} to {quantity.high:g}"
+    converted = [(slip, slip.factor * value + slip.offset) for slip in quantity.slips]
     slips = [
-        (_away(true, quantity.typical), slip, true)
-        for slip, true in meant
+        (_distance(true, quantity.typical), slip, true)
+        for slip, true in converted
         if _plausible(true, quantity)
     ]
     if not slips:
-        return [f"{said}{unit}"]
+        return [f"{text}{unit}"]
     _, slip, true = min(slips, key=lambda slip: slip[0])
     into = f" {slip.into}" if slip.into else unit
-    return [f"{said}{unit}; {value:g} {slip.name} would be {true:.5g}{into}"]
+    return [f"{text}{unit}; {value:g} {slip.name} would be {true:.5g}{into}"]
 
 
 def _plausible(value: float, quantity: Quantity) -> bool:
     return value == 0.0 or quantity.low <= value <= quantity.high
 
 
-def _away(value: float, typical: float) -> float:
+def _distance(value: float, typical: float) -> float:
     """Distance of a value from the typical one: in magnitude where both are non-zero."""
     return abs(math.log(abs(value / typical))) if value and typical else abs(value - typical)
 
 
 def of_case(case: Case, where: str) -> list[str]:
-    """Return a line for every implausible value of a case and of the histories it names.
+    """Return a warning for every implausible value of a case and its histories.
 
     Parameters
     ----------
     case : Case
-        A valid one.
+        A valid case.
     where : str
         Name of its file.
     """
@@ -275,23 +263,23 @@ def of_case(case: Case, where: str) -> list[str]:
 
 
 def of_cases(cases: Iterable[Case], where: str) -> list[str]:
-    """Return the same for several cases: one line for each place and each history."""
-    told: dict[str, list[str]] = {}
+    """Return the warnings for several cases, one for each key and each history."""
+    warnings: dict[str, list[str]] = {}
     histories: dict[tuple[Path, str, Quantity], None] = {}
     for case in cases:
         data = case.model_dump()
         for pattern, quantity in CASE.items():
             for place, value in _values(data, pattern.split(".")):
                 if lines := implausible(f"{where}: {place}", value, quantity):
-                    told.setdefault(place, lines)
+                    warnings.setdefault(place, lines)
         histories |= dict.fromkeys(_histories(case))
-    return [line for lines in told.values() for line in lines] + [
+    return [line for lines in warnings.values() for line in lines] + [
         line for history in histories for line in of_history(*history)
     ]
 
 
 def _values(data: Any, pattern: Sequence[str]) -> Iterator[tuple[str, float]]:  # noqa: ANN401
-    """Yield place and value of every number that a pattern fits."""
+    """Yield the key and value of every number that matches a pattern."""
     if not pattern:
         if isinstance(data, int | float):
             yield "", data
@@ -316,16 +304,16 @@ def _histories(case: Case) -> Iterator[tuple[Path, str, Quantity]]:
 
 
 def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
-    """Return the line about a history whose values, or whose columns, are hardly as meant.
+    """Return the warning about a history with implausible values or swapped columns.
 
     Parameters
     ----------
     path : Path
-        A CSV with ``time_s`` and `column`; one that cannot be read is not told here.
+        A CSV with ``time_s`` and `column`; an unreadable file is reported elsewhere.
     column : str
         Name of the column of values.
     quantity : Quantity
-        What they are.
+        Their quantity.
     """
     try:
         times, values = read_samples(path, column)
@@ -345,19 +333,19 @@ def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
 
 
 def of_structure(structure: Structure, where: str) -> list[str]:
-    """Return the line about a structure of implausible size."""
+    """Return the warning about a structure of implausible size."""
     return implausible(
         f"{where}: longest side", float(np.ptp(structure.mesh.p, axis=1).max()), EXTENT
     )
 
 
 def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
-    """Return a line for every temperature of a measured row that is hardly in its column's unit.
+    """Return a warning for every temperature of a row that is probably in another unit.
 
     Parameters
     ----------
     sample : mapping
-        Name of a column, with its unit at its end, to its value.
+        Name of a column, which ends in its unit, to its value.
     where : str
         Name of the file.
     """
@@ -373,12 +361,12 @@ def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
 
 
 def of_response(response: xr.Dataset, where: str) -> list[str]:
-    """Return a line for every variable of a measured response that is hardly in its unit.
+    """Return a warning for every variable of a measured response probably in another unit.
 
     Parameters
     ----------
     response : xarray.Dataset
-        A checked one; one that carries its case is simulated, and right.
+        A checked response; those that contain their case are simulated and not examined.
     where : str
         Name of its file.
     """

@@ -1,4 +1,4 @@
-"""Short representations of objects, in one line and in a notebook."""
+"""Short representations of objects: one line, and a table in a notebook."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _WIDTH, _HEIGHT = 320, 96
 
 
 class Described:
-    """Base of objects represented by a few facts: in one line, and as a table in a notebook."""
+    """Base class of objects that are represented by a few facts."""
 
     def _facts(self) -> dict[str, str]:
         """Return the facts, in their order."""

@@ -1,4 +1,4 @@
-"""Errors that a user can act on: one line saying what is wrong, where, and what to do."""
+"""Errors that a user can act on: one line says what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from difflib import get_close_matches
 
 
 class ThermojointError(Exception):
-    """Base of every error this project raises on purpose."""
+    """Base class of the errors of this project."""
 
 
 class InputError(ThermojointError, ValueError):
-    """Something the user gave is wrong; found before any long work starts.
+    """Invalid input, detected before any long computation.
 
     The message is one line: what is wrong, where, and what to do.
     """
 
 
 class InputErrors(InputError):
-    """Several mistakes in one input: the message has a line for each, as an `InputError` has."""
+    """Several mistakes in one input: a line for each, in the form of `InputError`."""
 
 
 class UnreadableError(InputError):
-    """A file cannot be read, or is not what it was; another time, or elsewhere, it may be."""
+    """A file cannot be read, or has changed; a later attempt may succeed."""
 
 
 class ConvergenceError(ThermojointError, ArithmeticError):
-    """A solver did not reach its tolerance, even after its step was cut."""
+    """A solver did not reach its tolerance, even with a smaller step."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> InputError:
-    """Return the error for a name that does not exist, with the nearest one that does.
+    """Return the error for an unknown name, which suggests the closest known one.
 
     Parameters
     ----------
     kind : str
-        What the name stands for, e.g. ``"surface"``.
+        Kind of the name, e.g. ``"surface"``.
     name : str
-        The name that was asked for.
+        The unknown name.
     known : iterable of str
-        The names that exist.
+        The known names.
     where : str
         Where the name was read or looked up.
     """
@@ -50,5 +50,5 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> Inpu
 
 
 def shown_point(point: Iterable[float]) -> str:
-    """Return coordinates as an error message shows them."""
+    """Return coordinates as text for an error message."""
     return f"({', '.join(f'{float(x):.6g}' for x in point)})"

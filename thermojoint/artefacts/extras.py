@@ -1,4 +1,4 @@
-"""Optional dependencies: a feature whose extra is not installed says so."""
+"""Optional dependencies: a feature without its extra is refused with a hint."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ def require(feature: str, extra: str, *packages: str) -> None:
     Parameters
     ----------
     feature : str
-        What needs it, e.g. ``"serve"``.
+        The feature, e.g. ``"serve"``.
     extra : str
-        What installs it, e.g. ``"serve"``.
+        The extra that installs it, e.g. ``"serve"``.
     *packages : str
         Names under which they are imported.
 
     Raises
     ------
     InputError
-        One of the packages is not there.
+        A package is not installed.
     """
     for name in packages:
         if find_spec(name) is None:

@@ -14,7 +14,7 @@ from tempfile import gettempdir
 
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
-#: What reading a damaged or foreign NPZ file raises: zip files fail in many ways.
+#: Exceptions raised when a damaged or foreign NPZ file is read: zip files fail in many ways.
 DAMAGED_ARCHIVE = (
     OSError,
     EOFError,
@@ -29,16 +29,16 @@ DAMAGED_ARCHIVE = (
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; move it there only if the block succeeds.
+    """Give a temporary path beside `path`, which is renamed to `path` if the block succeeds.
 
     The rename is atomic on one file system, so a reader sees the old file, the new file, or none,
-    and a failed or killed writer leaves nothing under the final name. The content is on the disk
-    before the name is, so not even a power cut leaves an empty file.
+    and a failed or killed writer leaves nothing under the final name. The content is synchronised
+    before the rename, so even a power cut leaves no empty file.
 
     Parameters
     ----------
     path : Path
-        The final name; its folder is made if it is missing.
+        The final name; a missing folder is created.
 
     Yields
     ------
@@ -57,7 +57,7 @@ def whole_file(path: Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             part.replace(path)
         except OSError as error:
-            # A full disk is told without a name.
+            # A full disk is reported without a file name.
             error.filename = error.filename or str(path)
             raise
         finally:
@@ -66,7 +66,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Give a folder for the time of the block, where the system has its temporary files."""
+    """Give a temporary folder that is removed after the block."""
     place = Path(gettempdir()) / f"thermojoint-{os.urandom(8).hex()}"
     remove = partial(rmtree, place, ignore_errors=True)
     with cleared_at_stop(remove):
@@ -80,7 +80,7 @@ def temporary_folder() -> Iterator[Path]:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write `content` to `path`, whole or not at all.
 
-    HDF5 is made in memory and written by this: its library ends the process where a disk is full.
+    HDF5 is created in memory and written here: its library aborts the process on a full disk.
     """
     with whole_file(path) as part:
         part.write_bytes(content)

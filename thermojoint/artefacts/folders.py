@@ -3,13 +3,13 @@
 ::
 
     results/                      what a reader sees: all old or all new
-      contents.json               which of the files are this program's
-    .results.x7k2m_3q/            beside it, while a run lasts
-      unfinished                  locked by the run; the name of the folder it is for
-      new/                        the folder that is built; after the swap, the old one
-      old/                        the old one, where the two can only be swapped in two steps
+      contents.json               list of the files that this program wrote
+    .results.x7k2m_3q/            beside it, during a run
+      unfinished                  locked by the run; contains the name of the final folder
+      new/                        the folder being built; after the exchange, the old one
+      old/                        the old folder, where the exchange takes two steps
 
-A killed run leaves the folder beside; the next one takes it away, and puts ``old`` back if the kill
+A killed run leaves the folder beside; the next run removes it, and restores ``old`` if the kill
 came between the two steps.
 """
 
@@ -32,12 +32,12 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
-#: Lists the files of a folder that this program wrote. All others are somebody's own.
+#: Lists the files of a folder that this program wrote. All others belong to the user.
 CONTENTS = "contents.json"
 SCHEMA = "thermojoint-contents"
 
 _MARK = "unfinished"
-#: renameat2(2): paths as they are, and the flag that swaps two of them at one stroke.
+#: renameat2(2): relative to the current folder, and the flag for an atomic exchange.
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
@@ -47,8 +47,7 @@ def check_replaceable(path: Path) -> None:
     Raises
     ------
     InputError
-        It is a file, a place where another file system is mounted, or holds files and none of them
-        is this program's.
+        It is a file, a mount point, or contains files but none of this program.
     """
     place = Path(path).resolve()
     if not place.exists():
@@ -66,15 +65,15 @@ def check_replaceable(path: Path) -> None:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """Give an empty folder beside `path`; put it in its place only if the block succeeds.
+    """Give an empty folder beside `path`, which replaces `path` if the block succeeds.
 
-    Until then the old folder is there, and after it the new one, also if the process is killed in
-    between. Files in the old folder that this program did not write are carried over.
+    Until then the old folder remains, even if the process is killed. Files in the old folder that
+    this program did not write are carried over.
 
     Parameters
     ----------
     path : Path
-        The final name; the folders above it are made if they are missing.
+        The final name; missing parent folders are created.
 
     Yields
     ------
@@ -84,7 +83,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Raises
     ------
     InputError
-        The folder that is there must not be replaced (`check_replaceable`), or cannot be.
+        The existing folder must not be replaced (`check_replaceable`), or cannot be.
     """
     place = Path(path).resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +113,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:
-    """Write texts by their names into a folder that is all old or all new; return where they are.
+    """Replace a folder by files with these texts, whole or not at all; return their paths.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def write_folder(path: Path, texts: Mapping[str, str]) -> list[Path]:
 
 
 def _contents(folder: Path) -> set[str] | None:
-    """Return which files of a folder this program wrote; None if it wrote none."""
+    """Return the files of a folder that this program wrote; None without a list of them."""
     try:
         contents = json.loads((folder / CONTENTS).read_text(encoding="utf-8"))
         return {CONTENTS, *contents["files"]} if contents["schema"] == SCHEMA else None
@@ -154,7 +153,7 @@ def _put_in_place(path: Path, place: Path, work: Path) -> None:
 
 
 def _carry_over(old: Path, new: Path) -> None:
-    """Give `new` what in `old` is somebody's own; under ``NAME.old`` if the name is taken."""
+    """Copy the user's own files from `old` to `new`, as ``NAME.old`` if the name is taken."""
     ours = _contents(old) or set()
     for above, folders, files in os.walk(old):
         links = [name for name in folders if (Path(above) / name).is_symlink()]
@@ -178,13 +177,13 @@ def _carry_over(old: Path, new: Path) -> None:
 def _swap(place: Path, work: Path) -> None:
     try:
         _exchange(place, work / "new")
-    except OSError:  # another system or file system: there is a moment without the folder
+    except OSError:  # other systems and file systems: for a moment there is no folder
         place.rename(work / "old")
         (work / "new").rename(place)
 
 
 def _exchange(old: Path, new: Path) -> None:
-    """Swap two folders at one stroke; OSError where the system cannot."""
+    """Exchange two folders atomically; OSError where the system cannot."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, TypeError) as error:
@@ -196,7 +195,7 @@ def _exchange(old: Path, new: Path) -> None:
 
 
 def _settle(work: Path, place: Path) -> None:
-    """Take the folder beside away; whatever happened, `place` is a whole folder, or was none."""
+    """Remove the working folder; `place` is then a complete folder, or missing as before."""
     if (work / "old").exists() and not place.exists():
         (work / "old").rename(place)
     shutil.rmtree(work, ignore_errors=True)
@@ -205,7 +204,7 @@ def _settle(work: Path, place: Path) -> None:
 def _clear_up_after_killed(place: Path) -> None:
     for work in place.parent.glob(f".{glob.escape(place.name)}.????????"):
         with suppress(OSError), (work / _MARK).open("r+", encoding="utf-8") as mark:
-            # A run that still lasts holds the lock.
+            # A running process holds the lock.
             fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if mark.read() == place.name:
                 _settle(work, place)

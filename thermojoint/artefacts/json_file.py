@@ -1,4 +1,4 @@
-"""JSON files with a kind and a version: reading and recognition."""
+"""JSON files with a schema and a version: reading and validation."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class JsonKind:
     Attributes
     ----------
     schema, version
-        What stands under ``schema`` and ``schema_version``.
+        Values of ``schema`` and ``schema_version``.
     name : str
-        What a person calls it, e.g. "model".
+        Name for messages, e.g. "model".
     made_by : str
-        Where one comes from, e.g. "written by 'thermojoint calibrate'".
+        Origin, e.g. "written by 'thermojoint calibrate'".
     remedy : str
-        What to do if it is damaged or old, e.g. "calibrate again".
+        Advice for a damaged or old file, e.g. "calibrate again".
     """
 
     schema: str
@@ -97,29 +97,29 @@ def validated(
     remedy: str,
     members: Collection[str] = (),
 ) -> T:
-    """Return content without its header as what it describes.
+    """Return content without its header as the object that it describes.
 
     Parameters
     ----------
     kind : TypeAdapter
-        Of what it describes.
+        Type of the object.
     content : object
-        As JSON has it.
+        Parsed JSON.
     where, remedy : str
         For the error message.
     members : collection of str
-        Classes of unions: which of them was tried is no place in the file.
+        Names of the classes of unions, which are left out of the place in the message.
 
     Raises
     ------
     InputError
-        Something is missing, unknown or no value of its kind: says what and where.
+        A value is missing, unknown or invalid; the message names its place.
     """
     try:
-        # As JSON, not as Python objects: there lists are tuples and keys numbers.
+        # As JSON, in which lists may become tuples and keys numbers in strict mode.
         return kind.validate_json(json.dumps(content))
     except ValidationError as error:
-        # What is missing may only be misspelt: the unknown key says more.
+        # A missing key may be misspelt: the unknown key is the better message.
         first = min(error.errors(), key=lambda mistake: mistake["type"] == "missing")
         place = ".".join(part for part in map(str, first["loc"]) if part not in members)
         raise InputError(f"{where}: {place}: {first['msg']}; {remedy}") from error

@@ -24,16 +24,16 @@ class Log(Described):
     Attributes
     ----------
     times : ndarray, shape (k,)
-        s, increasing within every run; of a clock with a date, since 1970.
+        s, increasing within every run; since 1970 if the clock has a date.
     columns : tuple of Column
-        What was measured.
+        The measured quantities.
     values : ndarray, shape (k, columns)
         In SI, absolute temperatures in K; NaN where a reading is missing.
     starts : tuple of int
-        First sample of each run. Files follow each other in one run while the clock goes on;
-        where it begins anew, so does a run, and nothing is known of the time between.
+        First sample of each run. Consecutive files belong to one run while the clock continues;
+        where it restarts, a new run starts an unknown time later.
     records : tuple of Record
-        What was read of each file and what was ignored; empty of a log that was not read.
+        Report on each file that was read; empty for a log in memory.
     """
 
     times: Array
@@ -76,7 +76,7 @@ class Log(Described):
         return np.asarray(self.values[:, self.index(name)])
 
     def index(self, name: str) -> int:
-        """Return where a column stands.
+        """Return the index of a column.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class Log(Described):
         Raises
         ------
         InputError
-            There is none, or two have the name without its unit.
+            The column is unknown, or two columns share the name without its unit.
         """
         for known in (self.names, tuple(column.base for column in self.columns)):
             if known.count(name) == 1:
@@ -97,7 +97,7 @@ class Log(Described):
         raise unknown_name("column", name, self.names, "log")
 
     def runs(self) -> Iterator[Log]:
-        """Yield every run as a log of its own."""
+        """Yield every run as a separate log."""
         for first, end in zip(self.starts, (*self.starts[1:], len(self.times)), strict=True):
             yield self.part(slice(first, end))
 
@@ -107,7 +107,7 @@ class Log(Described):
         Parameters
         ----------
         samples : slice
-            Which, without a step.
+            The samples; a slice without a step.
         """
         first, end, _ = samples.indices(len(self.times))
         inside = tuple(start - first for start in self.starts if first < start < end)
@@ -122,7 +122,7 @@ def joined(pieces: Iterable[Log]) -> Log:
     Raises
     ------
     InputError
-        There is none, or one has other columns than the first.
+        There are no samples, or the columns of a piece differ from those of the first.
     """
     kept: list[Log] = []
     starts: list[int] = []

@@ -1,8 +1,8 @@
 """Logs as loggers write them, from files in any dialect of `thermojoint.artefacts.tables`.
 
-A column's name ends in its unit (`thermojoint.artefacts.quantities`); a mapping gives other columns
-such names. Files are read in pieces, so that a year of samples takes no more memory than what is
-kept of it.
+A column's name ends in its unit (`thermojoint.artefacts.quantities`); other columns are renamed by
+a mapping. Files are read in pieces, so that a year of samples needs no more memory than the results
+that are stored.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from thermojoint.artefacts.tables.source import lines_of
 
 
 def read_mapping(path: Path) -> dict[str, str]:
-    """Return what a TOML file calls the columns of a log: ``[columns]``, theirs = ours.
+    """Read new names of log columns from a TOML file: table ``[columns]`` with THEIRS = "OURS".
 
     Raises
     ------
     InputError
-        It is no such file.
+        The file is missing or has another content.
     """
     content = parse(read_text(path, "mapping"), str(path))
     columns = content.get("columns")
@@ -48,17 +48,17 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
     ----------
     paths : sequence of Path
         CSV, .xlsx or Parquet with the same columns (docs/tables.md): a clock and readings whose
-        names end in their units. Files that tell the date are put in the order of time.
+        names end in their units. Files whose clocks have dates are sorted by time.
     renamed : mapping, optional
-        Name of a column to the one it is given, which ends in its unit (`read_mapping`).
+        Name of a column to its new name, which ends in its unit (`read_mapping`).
 
     Raises
     ------
     InputError
-        A file is missing or no table, has no clock, other columns than the first, a row with
-        another number of cells than the header, a cell that is neither a number nor a missing
-        reading, a clock that goes back, rows that contradict each other, or what looks like
-        kelvin in a column of °C.
+        A file is missing or not a table, has no clock, has columns other than the first file, a
+        row whose length differs from the header's, a cell that is neither a number nor a missing
+        reading, a clock that goes back, rows that contradict each other, or values in °C that
+        look like kelvin.
     """
     return joined(log_pieces(paths, renamed))
 
@@ -71,17 +71,17 @@ def log_pieces(
     Parameters
     ----------
     paths : sequence of Path
-        A file that is given twice, or whose content is, is read once.
+        Files with the same content are read once.
     renamed : mapping, optional
-        Name of a column to the one it is given.
+        Name of a column to its new name.
     rows : int
-        Most samples in a piece.
+        Largest number of samples in a piece.
     """
     for path, note in _in_order(paths, renamed):
         for k, piece in enumerate(_pieces_in_file(path, renamed, rows)):
-            said = (note,) if note and not k else ()
+            notes = (note,) if note and not k else ()
             records = tuple(
-                replace(record, notes=(*record.notes, *said)) for record in piece.records
+                replace(record, notes=(*record.notes, *notes)) for record in piece.records
             )
             yield replace(piece, records=records)
 
@@ -92,7 +92,7 @@ def _pieces_in_file(path: Path, renamed: Mapping[str, str] | None, rows: int) ->
 
 
 def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[tuple[Path, str]]:
-    """Return files in the order of time, with what is to be said of them."""
+    """Return the files sorted by time, each with a note for the user or an empty text."""
     if len(paths) < 2:
         return [(path, "") for path in paths]
     seen: dict[str, Path] = {}
@@ -111,14 +111,15 @@ def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[
         order.sort(key=lambda k: begins[k] or 0.0)
     notes = []
     for place, k in enumerate(order):
-        said = [f"the same as {path}, which is left out" for path in repeated.get(kept[k], [])]
+        doubles = repeated.get(kept[k], [])
+        note = [f"same content as {path}, which is left out" for path in doubles]
         if place != k:
-            said.append(f"given as file {k + 1}, read as file {place + 1}, in the order of time")
-        notes.append((kept[k], "; ".join(said)))
+            note.append(f"given as file {k + 1}, read as file {place + 1}, sorted by time")
+        notes.append((kept[k], "; ".join(note)))
     return notes
 
 
 def _begin(path: Path, renamed: Mapping[str, str] | None) -> float | None:
-    """Return the first time of a file that tells the date, s since 1970; None of another one."""
+    """Return the first time of a file, s since 1970; None if its clock has no date."""
     piece = next(_pieces_in_file(path, renamed, 2), None)
     return float(piece.times[0]) if piece is not None and piece.records[0].dated else None

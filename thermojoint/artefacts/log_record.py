@@ -1,4 +1,4 @@
-"""Record of what was read from a log, and what was ignored and why, stored with the log."""
+"""Report on a log that was read: columns, clock, pauses, missing and ignored data."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.quantities import Column
 
-#: A pause is longer than so many intervals, and than this, s.
+#: A pause is longer than this number of intervals, and than this time, s.
 PAUSE, SHORTEST_PAUSE = 5.0, 60.0
-#: So many pauses are said one by one.
+#: Largest number of pauses that are listed.
 _SHOWN = 3
 _NAMES_SHOWN = 12
 
 
 @dataclass(frozen=True)
 class Record:
-    """Record of one file.
+    """Report on one file.
 
     Attributes
     ----------
@@ -30,25 +30,25 @@ class Record:
     form : str
         Encoding, separator and clock in words.
     columns : tuple of Column
-        What was read.
+        The readings.
     ignored : tuple of str
         Columns whose names end in no unit, and further clocks.
     dated : bool
-        Times are s since 1970.
+        Whether times are s since 1970.
     rows : int
-        Rows that were kept.
+        Number of rows used.
     first, last : float
         Time of the first and of the last row, s.
     interval : float
-        Median of the steps in the first rows, s; NaN of one row.
+        Median of the steps in the first rows, s; NaN for a single row.
     pauses : tuple of (float, float)
-        Begin and end of each time without rows that is much longer than the interval, s.
+        Start and end of each pause: a time without rows much longer than the interval, s.
     missing : mapping
-        Column and what stood there in place of a reading, to how often.
+        (column, text in place of a reading) to the number of occurrences.
     twice : int
-        Rows that stood there twice; one was dropped.
+        Number of repeated rows, which were dropped.
     notes : tuple of str
-        What else was ignored or assumed.
+        Further assumptions and ignored data.
     """
 
     where: str
@@ -72,11 +72,11 @@ def with_times(record: Record, times: Array, last: float) -> Record:
     Parameters
     ----------
     record : Record
-        Of some consecutive rows of a run.
+        For consecutive rows of a run.
     times : ndarray, shape (k,)
         Of the rows, s, one or more.
     last : float
-        Of the row before them, s; -inf if there is none.
+        Time of the previous row, s; -inf for none.
     """
     before = np.concatenate(([last], times[:-1]))
     steps = (times - before)[np.isfinite(before)]
@@ -100,7 +100,7 @@ def with_times(record: Record, times: Array, last: float) -> Record:
 
 
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:
-    """Return one record for each file, of those of its parts in the order of reading."""
+    """Return one record for each file from the records of its parts, in the order of reading."""
     records_by_file: dict[str, Record] = {}
     for record in records:
         known = records_by_file.get(record.where)
@@ -123,7 +123,7 @@ def _both(record: Record, more: Record) -> Record:
 
 
 def described(records: Sequence[Record]) -> list[str]:
-    """Return what was read and what was ignored, line by line, as every command says it."""
+    """Return the report of every command on its logs, line by line."""
     return [
         line
         for record in records
@@ -137,24 +137,24 @@ def described(records: Sequence[Record]) -> list[str]:
 
 
 def begun(record: Record) -> list[str]:
-    """Return how a stream is read, line by line, as it is said when its first row has come."""
+    """Return the report at the first row of a stream, line by line: its columns and clock."""
     return [f"{record.where}: {record.form}", *_columns(record), *_notes(record)]
 
 
 def ended(record: Record) -> list[str]:
-    """Return what was found in a stream, line by line, as it is said at its end."""
+    """Return the report at the end of a stream, line by line: length, pauses, missing readings."""
     return [f"{record.where}: {record.rows} rows, {_span(record)}", *_found(record)]
 
 
 def noticed(record: Record, before: Record) -> list[str]:
-    """Return what is new in the last rows of a stream, line by line.
+    """Return the new findings in the latest rows of a stream, line by line.
 
     Parameters
     ----------
     record : Record
-        Of the last rows.
+        Of the latest rows.
     before : Record
-        Of all rows before them.
+        Of all previous rows.
     """
     fresh = {key: count for key, count in record.missing.items() if key not in before.missing}
     return [*_found(replace(record, missing=fresh, twice=0)), *_notes(record)]
@@ -200,7 +200,7 @@ def _span(record: Record) -> str:
 
 
 def moment_text(record: Record, time: float) -> str:
-    """Return a time of a log as a person reads it: a date, or a length from the clock's zero."""
+    """Return a time of a log as text: a date, or the time since the clock's zero."""
     if not record.dated:
         return _length(time)
     at = datetime.fromtimestamp(time, UTC)
@@ -209,7 +209,7 @@ def moment_text(record: Record, time: float) -> str:
 
 def _pauses(record: Record) -> str:
     longest = sorted(record.pauses, key=lambda pause: pause[0] - pause[1])[:_SHOWN]
-    told = ", ".join(
+    listed = ", ".join(
         f"{_length(end - begin)} from {moment_text(record, begin)}" for begin, end in longest
     )
     days = ""
@@ -219,7 +219,7 @@ def _pauses(record: Record) -> str:
     count = len(record.pauses)
     kind = "pause" if count == 1 else "pauses"
     longest_of = "" if count <= _SHOWN else "; the longest"
-    return f"{count + 1} runs, {count} {kind}{days}{longest_of}: {told}"
+    return f"{count + 1} runs, {count} {kind}{days}{longest_of}: {listed}"
 
 
 def _length(seconds: float) -> str:

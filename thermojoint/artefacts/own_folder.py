@@ -1,7 +1,7 @@
 """Private cache folders, below the user's cache or the system's temporary folder.
 
-A service account may have no home, or one that it cannot write; a folder in a common place may
-belong to somebody else. What is read back from a folder of `own_folder` was written by this user.
+A service account may have no home folder, or one without write permission; a folder in a shared
+place may belong to another user. Files in a folder of `own_folder` were written by this user.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
-#: A folder in which this much cannot be written (a full disk, a quota) is no place, bytes.
+#: A folder must have room for this many bytes (full disk, quota).
 _LEAST_ROOM = 1 << 16
 
 
 def user_cache() -> Path | None:
-    """Return where this user's caches of the program belong; None for a user without a home."""
+    """Return the folder for this user's caches of the program; None for a user without a home."""
     place = user_cache_path("thermojoint", appauthor=False)
-    # Where nobody knows the home, "~" stands in the path as it is.
+    # Without a known home, "~" remains in the path.
     return place if place.is_absolute() else None
 
 
 def own_folder(name: str) -> Path | None:
-    """Return a folder that exists, belongs to this user alone and can be written.
+    """Return an existing, writable folder that belongs to this user alone.
 
     Parameters
     ----------
     name : str
-        Its last part.
+        Last part of its path.
 
     Returns
     -------
     Path or None
-        Below `user_cache` where that is possible, else below the temporary folder; None if nothing
-        can be written anywhere.
+        Below `user_cache` if possible, else below the temporary folder; None if neither is
+        writable.
     """
     try:
         temporary = Path(tempfile.gettempdir()) / f"thermojoint-{os.geteuid()}"
@@ -49,11 +49,11 @@ def own_folder(name: str) -> Path | None:
 
 
 def _usable(folder: Path) -> bool:
-    """Make a folder if it is missing; say whether it is this user's alone and has room."""
+    """Create a folder if it is missing; return whether it belongs to this user and has room."""
     user = os.geteuid()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Not what a link leads to: in the temporary folder anybody can put one.
+        # Links are not followed: anybody can create one in the temporary folder.
         status, above = folder.lstat(), folder.parent.stat()
         if not stat.S_ISDIR(status.st_mode) or not status.st_uid == above.st_uid == user:
             return False

@@ -1,4 +1,4 @@
-"""Child processes: fresh interpreters that end with their parent, and at Ctrl-C by its hand only.
+"""Child processes: fresh interpreters that end with their parent and ignore Ctrl-C themselves.
 
 Fresh, because forking a process with threads and a loaded MKL is not safe.
 """
@@ -18,10 +18,10 @@ from thermojoint.artefacts.unfinished import cleared_at_stop
 
 
 class _Child(SpawnProcess):
-    """A process that Ctrl-C does not reach.
+    """A process that does not receive Ctrl-C.
 
-    A terminal sends it to every process, and the main one decides what it means. A child inherits
-    what is blocked, so not even its start is disturbed.
+    A terminal sends it to every process, and the main process handles it. A child inherits the
+    blocked signals, so even its start is not disturbed.
     """
 
     def start(self) -> None:
@@ -34,9 +34,9 @@ class _Child(SpawnProcess):
 
 
 def _start_tracker() -> None:
-    """Start Python's tracker of shared resources, which clears up after a stop, without a word.
+    """Start Python's tracker of shared resources, without its warnings after a stop.
 
-    Were it started with the first child, it would unblock the signals again.
+    If it were started with the first child, it would unblock the signals again.
     """
     before = os.environ.get("PYTHONWARNINGS", "")
     os.environ["PYTHONWARNINGS"] = f"{before},ignore:resource_tracker".lstrip(",")
@@ -55,7 +55,7 @@ CONTEXT = _Context()
 
 @contextmanager
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of `count` processes, which are killed if the main one is stopped."""
+    """Give a pool of `count` processes, which are killed if the main process is stopped."""
     _start_tracker()
     with (
         cleared_at_stop(_kill_children),
@@ -65,7 +65,7 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def end_with_parent() -> None:
-    """Have this process end at once when its parent is gone: nobody waits for its results."""
+    """End this process as soon as its parent has ended."""
 
     def watch() -> None:
         if (parent := parent_process()) is not None:

@@ -26,7 +26,7 @@ class Unit(NamedTuple):
 
 
 _MINUTE = 60.0
-#: By the name of the unit as a column's name carries it.
+#: Suffix of a column's name to its unit.
 UNITS = {
     "s": Unit("time", 1.0),
     "ms": Unit("time", 1e-3),
@@ -47,7 +47,7 @@ UNITS = {
     "Nm": Unit("torque", 1.0),
     "percent": Unit("load", 1e-2),
 }
-#: As loggers write them, after `_plain`.
+#: Spellings of loggers, after `_plain`.
 _ALIASES = {
     "°C": "degC",
     "Â°C": "degC",
@@ -79,7 +79,7 @@ _ENDING = re.compile(
     r"^(?P<base>.*?)(?:_|\s+in\s+|,?\s+|\s*/\s*|\s*[\[(]\s*)"
     rf"(?P<unit>{'|'.join(map(re.escape, _LONGEST_FIRST))})\s*[\])]?$"
 )
-#: What these words name is in this unit where they carry none, as on the machine's own screen.
+#: Words to the unit that is assumed where none is given, as on a machine's own display.
 _USUAL = re.compile(
     r"^(?:(?P<rpm>drehzahl|spindeldrehzahl)|(?P<degC>temperatur|temperature))\W*\d*$"
 )
@@ -92,7 +92,7 @@ class Column:
     Attributes
     ----------
     name : str
-        As the log, or the user in its place, calls it, with the unit.
+        Name with its unit, as in the log or given by the user.
     base : str
         The name without its unit.
     unit : str
@@ -109,29 +109,29 @@ class Column:
         return UNITS[self.unit].quantity
 
     def to_si(self, values: Array) -> Array:
-        """Return values as the log has them in SI, of the same shape."""
+        """Return values in the column's unit as SI values, of the same shape."""
         _, scale, offset = UNITS[self.unit]
         return np.asarray(scale * (values + offset))
 
     def from_si(self, values: Array) -> Array:
-        """Return values in SI as the log would have them, of the same shape."""
+        """Return SI values in the column's unit, of the same shape."""
         _, scale, offset = UNITS[self.unit]
         return np.asarray(values / scale - offset)
 
 
 def _plain(text: str) -> str:
-    """Return a text with one character for each sign that has several: µ, ℃, ⁻¹, narrow blanks."""
+    """Return a text with unique characters for µ, ℃, ⁻¹, narrow blanks and minus signs."""
     return unicodedata.normalize("NFKC", text).replace("\N{MINUS SIGN}", "-")
 
 
 def unit_named(text: str) -> str | None:
-    """Return the key of `UNITS` for a unit as a logger writes it, brackets or none; or None."""
+    """Return the key of `UNITS` for a logger's unit, with or without brackets; or None."""
     bare = _plain(text).strip().strip("[]()").strip()
     return bare if bare in UNITS else _ALIASES.get(bare)
 
 
 def column_named(name: str) -> Column | None:
-    """Return what the name of a column says, or None if it ends in no unit known here."""
+    """Return the column of a name, or None if the name ends in no known unit."""
     match = _ENDING.match(_plain(name))
     if match is None:
         return None
@@ -140,7 +140,7 @@ def column_named(name: str) -> Column | None:
 
 
 def column_assumed(name: str) -> Column | None:
-    """Return what a column without a unit usually holds: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
+    """Return the usual meaning of a name without unit: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
     match = _USUAL.match(_plain(name).strip().lower())
     if match is None or match.lastgroup is None:
         return None
@@ -155,14 +155,14 @@ class Place(NamedTuple):
     wanted: Column | None
 
     def values(self, cells: Array) -> Array:
-        """Return the values in the unit that was asked for; the same bits where that is theirs."""
+        """Return the values in the requested unit; unchanged if it is their own."""
         if self.found is None or self.wanted is None or self.found.unit == self.wanted.unit:
             return cells
         return self.wanted.from_si(self.found.to_si(cells))
 
 
 def place_of(wanted: str, names: Sequence[str]) -> Place | None:
-    """Return where a table has a column: by its name, or by its name with another unit.
+    """Find a column of a table by its name, with the same or another unit; None if it is missing.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def place_of(wanted: str, names: Sequence[str]) -> Place | None:
         if (
             column
             and (column.base, column.quantity) == (asked.base, asked.quantity)
-            # A rise in K is no temperature in °C.
+            # A rise in K is not a temperature in °C.
             and (column.unit == "K") == (asked.unit == "K")
         ):
             return Place(k, column, asked)

@@ -1,10 +1,11 @@
-"""The response: what a structure did under a heat input, simulated or measured.
+"""Responses: temperatures and displacements under a heat input, simulated or measured.
 
-One labelled dataset with units in its metadata, stored as NetCDF. It is the only thing that
-`calibrate` knows of a structure. A measured response needs `heat_input`, `temperature` and
-`displacement` only; a simulated one also holds the joint and the solver's figures.
+One labelled dataset with units in its metadata, stored as NetCDF; the only input of `calibrate`. A
+measured response needs `heat_input`, `temperature` and `displacement` only; a simulated one also
+contains the joint and solver statistics.
 
-xarray is imported where a response is made or read: it takes as long as most of a command's start.
+xarray is imported where a response is created or read: importing it takes most of a command's
+start.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     response : xarray.Dataset
         Variables and dimensions as in `VARIABLES`; coordinate ``time`` in s, strictly increasing.
     where : str
-        Name of the file or the source, for the error message.
+        Name of the file or source, for error messages.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     for name in REQUIRED:
         if name not in response:
             raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
-    # Not through data arrays: to make one for each takes longer than to look at all values.
+    # Without data arrays, whose creation takes longer than checking all values.
     for key, variable in response.variables.items():
         name = str(key)
         if name not in VARIABLES:
@@ -105,7 +106,7 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
 
 
 def _plain(value: object) -> object:
-    """Return an attribute of a file, of whatever type, as Python's own number, text or list."""
+    """Return an attribute of a file as a Python number, text or list."""
     array = np.asarray(value)
     return array.item() if array.ndim == 0 else array.tolist()
 
@@ -115,7 +116,7 @@ def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
     if "time" not in response.coords:
         raise InputError(f"{where}: coordinate 'time' is missing; give the time of each sample, s")
     time = response["time"]
-    # Of dates and durations xarray makes other types, and keeps their unit elsewhere.
+    # xarray converts dates and durations to other types and stores their unit elsewhere.
     unit = time.attrs.get("units", time.encoding.get("units", "no unit"))
     if unit != "s" or time.dtype.kind not in "fi":
         given = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
@@ -165,7 +166,7 @@ def write_response(response: xr.Dataset, path: Path | str) -> None:
     Parameters
     ----------
     response : xarray.Dataset
-        As `check_response` wants it.
+        See `check_response`.
     path : Path or str
         NetCDF to write.
     """
@@ -183,7 +184,7 @@ def response_bytes(response: xr.Dataset) -> bytes:
         if variable.dtype.kind == "f"
     }
     made = BytesIO()
-    # Not by `to_netcdf`: on a cluster's worker it would ask the cluster for a lock on this memory.
+    # Not `to_netcdf`: on a cluster's worker it would request a lock from the cluster.
     with h5netcdf.File(made, "w") as file:
         response.dump_to_store(H5NetCDFStore(file), encoding=packed)
     return made.getvalue()
@@ -200,7 +201,7 @@ def read_response(path: Path | str) -> xr.Dataset:
     Raises
     ------
     InputError
-        The file is missing, truncated, no response, of another version, or fails
+        The file is missing, truncated, not a response, of another version, or fails
         `check_response`.
     """
     path = Path(path)
@@ -241,11 +242,11 @@ def columns_of(
     Parameters
     ----------
     response : xarray.Dataset
-        As `check_response` takes it.
+        See `check_response`.
     variable : str
-        One of two dimensions, time and another that has names.
+        A variable over time and a second, named dimension.
     names : sequence of str
-        Of the columns, in the order wanted.
+        Names of the columns, in the order of the result.
     where : str
         For the error message.
 

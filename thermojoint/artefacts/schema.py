@@ -7,14 +7,14 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 
-#: What every HDF5 file begins with, NetCDF 4 among them.
+#: First bytes of HDF5 files, including NetCDF 4.
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def schema_of(path: Path | str) -> str:
     """Return the schema that a file states: JSON under ``schema``, HDF5 as an attribute.
 
-    An HDF5 file may have it within the JSON of its attribute ``header``.
+    In HDF5 it may also be part of the JSON in the attribute ``header``.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def schema_of(path: Path | str) -> str:
 
 
 def states(path: Path | str, schema: str) -> bool:
-    """Whether a file states a schema; what cannot be read states none."""
+    """Whether a file states this schema; False for an unreadable file."""
     try:
         return schema_of(path) == schema
     except (InputError, OSError):

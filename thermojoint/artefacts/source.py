@@ -1,4 +1,4 @@
-"""Digests of the program's own source: what one source has made is found again by no other."""
+"""Digests of the program's own source, so that caches are valid for one version only."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from pathlib import Path
 
 @cache
 def source_digest(package: str) -> str:
-    """Return a digest of every module of one of our packages, and of where each stands.
+    """Return a digest of the paths and contents of all modules of one of our packages.
 
     Parameters
     ----------
     package : str
-        Its name in an import, as ``thermojoint.artefacts``.
+        Its import name, e.g. ``thermojoint.artefacts``.
 
     Raises
     ------
     ModuleNotFoundError
-        If there is no such package: a digest of nothing would be the same for every source.
+        If there is no such package: an empty digest would be valid for every source.
     """
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]

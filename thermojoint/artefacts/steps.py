@@ -26,8 +26,8 @@ def step_level(response: xr.Dataset, where: str) -> float:
     Raises
     ------
     InputError
-        The response is no valid response, time starts before 0, the ambient moves, or the heat
-        input is no step.
+        The response is invalid, time starts before 0, the ambient changes, or the heat input is
+        not a step.
     """
     check_response(response, where)
     time = response["time"].to_numpy()

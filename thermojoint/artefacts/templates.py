@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 def templates_of(package: str) -> Environment:
     """Return the templates in the folder ``templates`` of a package.
 
-    A name that a template asks for and nobody gives is an error. Values are escaped in templates of
-    HTML and stay as they are in those of programs.
+    An undefined name in a template is an error. Values are escaped in HTML templates only.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Clean-up after an interruption: temporary files and folders, child processes.
 
 The command line ends at a signal without raising an exception (`thermojoint.cli.main`), because a
-finaliser or a library written in C may lose one. No `finally` runs then; what is registered here
-does. Nothing is imported, so that the command line has it before its first import.
+finaliser or a library written in C may lose one. No `finally` runs then; the functions registered
+here do. Nothing is imported, so that the command line can load this module first.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: What is still to be cleared, the oldest first; it belongs to the process, as its signals do.
+#: Registered functions, the oldest first; they belong to the process, as its signals do.
 _open: list[Callable[[], object]] = []
 
 
 class cleared_at_stop:
-    """Register what clears up after the block if a signal ends the process within it.
+    """Register a function that cleans up if a signal ends the process within the block.
 
-    Register it before there is anything to clear: a signal may come between any two instructions.
+    Register it before there is anything to clean up: a signal may arrive at any time.
 
     Parameters
     ----------
     clear : callable
-        It must do no harm where there is nothing to clear.
+        Must be harmless if there is nothing to clean up.
     """
 
     def __init__(self, clear: Callable[[], object]) -> None:
@@ -37,9 +37,9 @@ class cleared_at_stop:
 
 
 def clear_all() -> None:
-    """Clear up, the latest first; what fails keeps nothing else from being cleared."""
+    """Call the registered functions, the latest first, even if one fails."""
     while _open:
         try:
             _open.pop()()
-        except Exception:  # the process ends: there is nobody to hand it to
+        except Exception:  # the process ends: nobody could handle it
             continue

@@ -1,7 +1,6 @@
-"""The table of commands.
+"""The commands and their groups.
 
-Commands import what they work with in their own bodies: so no help page waits for a library, and
-no command for those of another one.
+Commands import libraries in their own bodies, so that help pages and other commands start fast.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from thermojoint.cli import simulating as simulation
 from thermojoint.cli.command import help_text, with_verbosity
 from thermojoint.pictures import fonts
 
-#: Panels of the help page, and their commands in its order.
+#: Panels of the help page and their commands, in order.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate": (structures.mesh, structures.inspect, simulation.simulate, simulation.batch),
     "Calibrate and learn": (models.calibrate, learning.learn, placing.place, models.assemble),
@@ -87,7 +86,7 @@ def _every_command(
     ] = False,
 ) -> None:
     """Options before the command."""
-    # What overflows does not converge or is not finite, and is refused there, in one line.
+    # Overflows lead to errors of convergence or finiteness, which are reported in one line.
     for kind in ("overflow", "invalid value", "divide by zero"):
         warnings.filterwarnings("ignore", f"{kind} encountered", RuntimeWarning)
     fonts.find_place()

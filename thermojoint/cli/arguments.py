@@ -39,14 +39,14 @@ def shown(path: Path) -> str:
 def check_outputs(
     outputs: Mapping[str, tuple[Path | None, Kind]], inputs: Iterable[Path | None] = ()
 ) -> None:
-    """Refuse, before any work, an output that cannot be written or would cost somebody a file.
+    """Refuse, before any work, an output that cannot be written or would destroy another file.
 
     Parameters
     ----------
     outputs : mapping
-        Option to the file, None or ``-`` if there is none, and what will be written.
+        Option to the file, None or ``-`` for no file, and its kind.
     inputs : iterable of Path or None
-        What the command reads, also what its case names.
+        Files that the command reads, including those named in its case.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def check_outputs(
 
 
 def check_whole_folder(path: Path) -> None:
-    """Refuse, before any work, a folder that cannot be replaced whole, or must not be."""
+    """Refuse, before any work, a folder that cannot or must not be replaced as a whole."""
     check_replaceable(path)
     _check_place(path, path.resolve().parent)
 
@@ -87,7 +87,7 @@ def _named(path: Path | None) -> bool:
 
 
 def _same(path: Path, other: Path) -> bool:
-    """Say whether two names are, or would be, one file: by links of either kind, too."""
+    """Whether two names are, or would be, the same file, also by links."""
     if path.exists() and other.exists():
         return path.samefile(other)
     return path.resolve() == other.resolve()
@@ -152,11 +152,11 @@ def opened(path: Path) -> Iterator[Iterable[str] | None]:
 
 
 @contextmanager
-def at_work(what: str, *streams: Path) -> Iterator[None]:
-    """Show that something is at work, unless it waits for a stream or its rows are to be seen."""
+def at_work(task: str, *streams: Path) -> Iterator[None]:
+    """Show progress during the block, unless it reads or writes a standard stream."""
     from thermojoint import console
 
-    with nullcontext() if any(str(path) == "-" for path in streams) else console.working(what):
+    with nullcontext() if any(str(path) == "-" for path in streams) else console.working(task):
         yield
 
 
@@ -171,19 +171,19 @@ def output(path: Path) -> Iterator[TextIO]:
 
 
 def write_json(path: Path | None, content: object) -> None:
-    """Write what --json asks for: to a file, to standard output for ``-``, nowhere for None."""
+    """Write the results of --json to a file, or to standard output for ``-``; nothing for None."""
     if path is not None:
         with output(path) as file:
             file.write(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def only_for(what: str, given: Mapping[str, object]) -> None:
-    """Refuse options that go with something else.
+    """Refuse options that apply to something else.
 
     Parameters
     ----------
     what : str
-        What they go with.
+        What they apply to.
     given : mapping
         Option to its value, None or False if it was not given.
     """
@@ -193,7 +193,7 @@ def only_for(what: str, given: Mapping[str, object]) -> None:
 
 
 def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
-    """Refuse options that something has no use for.
+    """Refuse options that a kind of model does not take.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
 
 
 def reading_noise(given_um: float | None, readings: Path | None) -> float | None:
-    """Return the standard deviation of a reading of the displacement, m; None if it is not said.
+    """Return the standard deviation of a displacement reading, m; None if it was not given.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""``thermojoint batch`` at the terminal: workers, live progress, and what Ctrl-C means."""
+"""The command `batch` at the terminal: workers, live progress, handling of Ctrl-C."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
     from fesim.batch import run
     from fesim.batch.crew import Crew
 
-#: Workers that are shown one by one; of more only the number.
+#: Largest number of workers that are listed.
 SHOWN_WORKERS = 8
 
 
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
-    """Run a study file's batch and show how it goes."""
+    """Run the batch of a study file and show its progress."""
     study = read_study(path)
     require("batch", "batch", "zarr", "pyarrow")
     warn(of_cases((case.case for case in study.cases), str(path)))
-    # Here, not above: what is wrong with a study is said before Zarr and Arrow are loaded.
+    # Here, not above: mistakes in a study are reported before Zarr and Arrow are loaded.
     from fesim.batch import run
 
     with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
@@ -51,7 +51,7 @@ def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run
 def crew_of(
     workers: int, scheduler: str | None, say: Callable[[str], None]
 ) -> Callable[[], AbstractContextManager[Crew]]:
-    """Return what recruits the workers: processes of this machine, or those of a Dask cluster."""
+    """Return a function that starts the workers: local processes, or those of a Dask cluster."""
     if scheduler is None:
         from fesim.batch.local import local_crew
 
@@ -64,7 +64,7 @@ def crew_of(
 
 @contextmanager
 def stop_request() -> Iterator[Callable[[], bool]]:
-    """Give a function that says if Ctrl-C was pressed; pressed again, it ends at once."""
+    """Give a function that returns whether Ctrl-C was pressed; a second one ends at once."""
     pressed = False
 
     def press(number: int, frame: FrameType | None) -> None:
@@ -87,9 +87,9 @@ Say = Callable[[str], None]
 
 @contextmanager
 def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, Tell, Say]]:
-    """Give the functions that show progress, what happens to a case, and else, on standard error.
+    """Give functions that print progress, events of a case, and other lines on standard error.
 
-    Without a terminal no progress is shown, only a line for each failure.
+    Without a terminal only failures are printed.
     """
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     values = {case.id: brief(case.values) for case in study.cases}
@@ -130,18 +130,18 @@ def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, 
 
 
 def lines(progress: run.Progress, values: dict[str, str], stopping: bool) -> list[str]:
-    """Return what stands under the bar: counts, and what each worker does."""
+    """Return the lines below the progress bar: counts, and the case of each worker."""
     counts = [f"{count} {status}" for status, count in progress.counts.items()]
     if progress.found:
         counts.append(f"{progress.found} of them found finished")
-    told = [", ".join([*counts, f"{progress.workers} workers"])]
+    shown_lines = [", ".join([*counts, f"{progress.workers} workers"])]
     if not progress.workers:
-        told.append("waiting for workers")
+        shown_lines.append("waiting for workers")
     if stopping:
-        told.append("stopping: the cases at work are finished first; Ctrl-C again ends at once")
-    at_work = list(progress.working.items())
-    told += [f"  {worker}: {values[case]}" for worker, case in at_work[:SHOWN_WORKERS]]
-    return told
+        shown_lines.append("stopping after the running cases; Ctrl-C again ends at once")
+    running = list(progress.working.items())
+    shown_lines += [f"  {worker}: {values[case]}" for worker, case in running[:SHOWN_WORKERS]]
+    return shown_lines
 
 
 def worst(finished: run.Finished) -> int:
@@ -152,20 +152,20 @@ def worst(finished: run.Finished) -> int:
 
 
 def closing_lines(finished: run.Finished, out: Path) -> list[str]:
-    """Return what is said at the end."""
+    """Return the lines printed at the end."""
     counts = finished.summary["status"].value_counts()
-    told = [
+    closing = [
         f"{len(finished.summary)} cases: "
         + ", ".join(f"{count} {status}" for status, count in counts.items())
         + f"; {finished.found} found finished, {finished.ran} run now"
     ]
     if finished.stopped:
-        told.append("stopped; the same command continues from here")
-    return [*told, f"wrote {out / 'dataset.zarr'}, {out / 'summary.csv'}, summary.parquet"]
+        closing.append("stopped; the same command continues from here")
+    return [*closing, f"wrote {out / 'dataset.zarr'}, {out / 'summary.csv'}, summary.parquet"]
 
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
-    """Refuse what does not go together."""
+    """Refuse options that contradict each other."""
     if workers is not None and scheduler is not None:
         raise InputError("--workers goes with local processes, not with --scheduler; give one")
     if workers is not None and workers < 1:

@@ -13,7 +13,7 @@ import typer
 
 from thermojoint import console
 
-#: Of a command in a help page: what is left of 80 columns beside margins and backslash.
+#: Width of a command in a help page: 80 columns without margins and backslash.
 _WIDTH = 76
 _EXAMPLE = re.compile(r"Example: \[bold\](.*)\[/bold\]", re.DOTALL)
 
@@ -24,7 +24,7 @@ def help_text(doc: str | None) -> str:
     Parameters
     ----------
     doc : str, optional
-        Its examples stand in paragraphs ``Example: [bold]thermojoint ...[/bold]``.
+        Docstring with examples in paragraphs ``Example: [bold]thermojoint ...[/bold]``.
     """
     return "\n\n".join(map(_paragraph, inspect.cleandoc(doc or "").split("\n\n")))
 
@@ -41,7 +41,7 @@ def command_lines(command: str, width: int) -> list[str]:
     lines = [""]
     for part in re.split(r" (?=-)", command):
         if lines[-1] and len(f"{lines[-1]} {part}") > width:
-            lines[-1] += " \\\\"  # markup takes a single one for an escape
+            lines[-1] += " \\\\"  # in markup a single one is an escape
             lines.append(f"  {part}")
         else:
             lines[-1] = (
@@ -58,7 +58,7 @@ Verbose = Annotated[
 
 
 def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that has -q and -v besides its own options."""
+    """Return a command with the options -q and -v added to its own."""
     own = inspect.signature(command, eval_str=True)
 
     @wraps(command)

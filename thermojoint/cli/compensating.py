@@ -1,4 +1,4 @@
-"""Commands for what is done about an estimated displacement."""
+"""The commands `compensate` and `control`: axis offsets and a closed loop."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def compensate(
         Path, typer.Option(help="CSV to write, '-' for standard output.", allow_dash=True)
     ],
 ) -> None:
-    """Preview what a control will receive: the offset of each axis in every cycle.
+    """Preview the axis offsets that a control will receive, for every cycle.
 
-    Axes and signs, resolution, rate, dead band, filter, largest total, and what happens without a
-    usable estimate, by the settings. It takes the estimate of any estimator.
+    The settings define axes and signs, resolution, rate, dead band, filter, limit, and the
+    behaviour without a usable estimate. Accepts the estimate of any estimator.
 
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]
@@ -55,12 +55,12 @@ def compensate(
             for cycle in preview(wanted, axes, rows):
                 counted[cycle.state] += 1
                 writer.writerow(row_of(wanted, cycle))
-    _say(arguments.shown(estimate), [row.time for row in rows], counted)
+    _report(arguments.shown(estimate), [row.time for row in rows], counted)
     console.wrote(out)
 
 
-def _say(where: str, times: Sequence[float], counted: Mapping[str, int]) -> None:
-    """Say how long the estimates are, where they pause, and what the offsets did meanwhile."""
+def _report(where: str, times: Sequence[float], counted: Mapping[str, int]) -> None:
+    """Print the duration and pauses of the estimates, and the share of time in each mode."""
     import numpy as np
 
     from thermojoint import console
@@ -80,10 +80,10 @@ def control(
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
     figures: arguments.Json = None,
 ) -> None:
-    """Close the loop: a marched machine, its estimator, a heater under PID, offsets of the axes.
+    """Simulate a closed loop: machine, estimator, a heater with PID control, axis offsets.
 
-    The controller is tuned by the model's transfer functions to the margins that the file asks
-    for; the machine it is then tried on is not the model.
+    The controller is tuned with the transfer functions of the model to the margins required in the
+    file; it is then tested on the simulated machine, not on the model.
 
     Example: [bold]thermojoint control step.toml --out step.html --json step.json[/bold]
     """
@@ -91,7 +91,7 @@ def control(
     from thermojoint.compensation.loop.schema import read_loop
 
     given = read_loop(loop)
-    # After the file: a mistake in it is told before the libraries are loaded.
+    # After the file, so that mistakes in it are reported before the libraries are loaded.
     from thermojoint import console, plausibility
     from thermojoint.artefacts.files import write_text
     from thermojoint.artefacts.settings.section import files_of

@@ -1,4 +1,4 @@
-"""The command that takes an estimator to a control."""
+"""The command `export`: an estimator as a program for a control."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Target(StrEnum):
 
 
 class Precision(StrEnum):
-    """Of every number in the program; as `estimator.export.program.Precision`."""
+    """Precision of the program's numbers; see `estimator.export.program.Precision`."""
 
     DOUBLE = "double"
     SINGLE = "single"
@@ -54,10 +54,10 @@ def export(
         ),
     ] = Target.C,
     precision: Annotated[
-        Precision, typer.Option(help="Of every number in the program.")
+        Precision, typer.Option(help="Precision of every number in the program.")
     ] = Precision.DOUBLE,
     name: Annotated[
-        str, typer.Option(help="Begins the names of its files and symbols.")
+        str, typer.Option(help="Prefix of the names of files and symbols.")
     ] = "thermojoint",
     samples: Annotated[
         Path | None,
@@ -82,7 +82,7 @@ def export(
     Example: [bold]thermojoint export model.json --to c --precision single --samples measured.csv
     --out spindle_c[/bold]
 
-    A joint-aware model is exported with what its usual samples need; its header says what is not.
+    A joint-aware model is exported for usual samples; its header lists what is not included.
 
     Example: [bold]thermojoint export model.h5 --to c --out machine_c --name machine[/bold]
 

@@ -1,6 +1,6 @@
-"""Kind of an existing file: an output only replaces what the same command could have written.
+"""Kinds of output files: a command only replaces files of the kind that it writes.
 
-Told by content, not by name: a slip of the keyboard mostly gives the right name to the wrong file.
+The kind is detected by content, since a typing error often gives a valid name to the wrong file.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Kind:
     Attributes
     ----------
     name : str
-        What it is, for a message.
+        Description for messages.
     holds : callable
-        Says whether an existing file is one.
+        Returns whether an existing file is of this kind.
     suffix : str
-        What its name ends in; empty if whoever writes it looks at that.
+        Required suffix of the name; empty if its writer checks that.
     """
 
     name: str
@@ -41,7 +41,7 @@ def _starts(*starts: bytes) -> Callable[[Path], bool]:
 
 
 def _schema(schema: str) -> Callable[[Path], bool]:
-    """A file that says so of itself."""
+    """A file that states this schema."""
 
     def holds(path: Path) -> bool:
         from thermojoint.artefacts.schema import states
@@ -52,7 +52,7 @@ def _schema(schema: str) -> Callable[[Path], bool]:
 
 
 def _json(*keys: str) -> Callable[[Path], bool]:
-    """A JSON object that has some keys."""
+    """A JSON object with these keys."""
 
     def holds(path: Path) -> bool:
         content: Any = None
@@ -64,7 +64,7 @@ def _json(*keys: str) -> Callable[[Path], bool]:
 
 
 def _is_validation(path: Path) -> bool:
-    """Rows of errors, whichever kind of estimator was judged."""
+    """A validation of any kind of estimator: rows of errors."""
     if not _json("rows")(path):
         return False
     rows = json.loads(path.read_bytes())["rows"]
@@ -74,7 +74,7 @@ def _is_validation(path: Path) -> bool:
 
 
 def _is_simulated(path: Path) -> bool:
-    """A response with the case it was simulated from: a measured one cannot be had again."""
+    """A simulated response, which contains its case; a measured one could not be recovered."""
     import h5py
 
     with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
@@ -107,7 +107,7 @@ def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
 
 
 def _is_report(command: str) -> Callable[[Path], bool]:
-    """A page that says which command made it."""
+    """A page that names the command that wrote it."""
 
     def holds(path: Path) -> bool:
         with path.open("rb") as file:
@@ -167,6 +167,6 @@ MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))
 INSPECTION = Kind(
     "an inspection", _json("bodies", "surfaces", "joints", "quality", "worst_cell"), ".json"
 )
-#: A case that exists may be finished: no draft replaces it.
+#: A draft replaces no existing case, which may be complete.
 DRAFT = Kind("to be replaced by a draft", lambda path: False)
 PICTURE = Kind("a picture of this program", _is_picture)

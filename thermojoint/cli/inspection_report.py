@@ -1,4 +1,4 @@
-"""The command `inspect`: tables of what is in a mesh, and a case file to start from."""
+"""The command `inspect`: tables of a mesh's contents, and a case file to start from."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from thermojoint.artefacts.settings.toml import as_key, as_text
 
 _ANY_WIDTH = 100_000
 Row = tuple[str, ...]
-#: Names of the columns, and the rows; what a row is about stands first.
+#: Names of the columns, and the rows; the first column names the object.
 Rows = tuple[Row, list[Row]]
 
 
 def show(console: Console, name: str, inspection: Inspection) -> None:
-    """Print what is in the mesh and what looks wrong."""
+    """Print the contents of a mesh and its warnings."""
     size = " x ".join(f"{1e3 * length:.4g}" for length in inspection.extent)
     console.print(
         f"{name}: {inspection.cells} {inspection.kind}, {inspection.nodes} nodes, {size} mm",
@@ -50,7 +50,7 @@ def show(console: Console, name: str, inspection: Inspection) -> None:
         console.print("nothing looks wrong")
 
 
-#: What a draft says of each joint: there to be changed.
+#: Lines of a draft for each joint, to be edited.
 _JOINT = (
     "preload_MPa = 1.0         # pressure at the start",
     "# along = 9               # contact elements along its longer side: 5 to 15 by its shape",
@@ -70,11 +70,11 @@ _JOINT = (
 
 
 def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> str:
-    """Return the text of a file `case` that names everything in `mesh`, to be completed.
+    """Return the text of a file `case` with all names of `mesh`, to be completed.
 
-    A case file names other files as they are seen from its own folder.
+    Files named in a case are relative to its folder.
     """
-    seen = os.path.relpath(mesh.parent.resolve() / mesh.name, case.parent.resolve())
+    relative = os.path.relpath(mesh.parent.resolve() / mesh.name, case.parent.resolve())
     sides = {side for name in inspection.joints for side in (f"{name}.a", f"{name}.b")}
     free = [name for name in inspection.surfaces if name not in sides]
     place = next(iter(inspection.probes), None)
@@ -83,7 +83,7 @@ def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> 
         "",
         "[structure]",
         'kind = "mesh"',
-        f"file = {as_text(Path(seen).as_posix())}",
+        f"file = {as_text(Path(relative).as_posix())}",
         *([f'unit = "{unit}"'] if unit != "m" else []),
         "",
         "[materials.cast_iron]",
@@ -164,9 +164,9 @@ def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> 
 
 
 def _print(console: Console, header: Row, rows: Sequence[Row]) -> None:
-    """Print a table, or each row as a paragraph where it would not fit: names stay whole.
+    """Print a table, or one paragraph per row if it is too wide.
 
-    What is cut or folded could not be copied into a case.
+    Names are never cut or folded, so that they can be copied into a case.
     """
     table = Table(*(what.replace(" (", "\n(") for what in header))
     for row in rows:

@@ -1,4 +1,4 @@
-"""The model commands for models based on the machine's physics."""
+"""Calibration and learning of joint-aware models for the commands `calibrate` and `learn`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def calibrate(
     case: Path | None, responses: Sequence[Path], out: Path, report_file: Path | None
 ) -> None:
-    """Fit the machine of a case to its responses, and write the observer made of it."""
+    """Fit the machine of a case to its responses, and write its joint-aware model."""
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
 
@@ -41,17 +41,17 @@ def learn(
     """Fit the machine of a case to the runs of a measured log."""
     from thermojoint.artefacts.log import joined
     from thermojoint.artefacts.log_file import log_pieces
-    from thermojoint.cli.log_reading import said
+    from thermojoint.cli.log_reading import reported
 
     machine = _machine(case, logs, out, None)
-    log = joined(said(log_pieces(logs, renamed)))
+    log = joined(reported(log_pieces(logs, renamed)))
     from calibrate.joint_aware.measured_runs import runs_of
 
     _fitted(machine, runs_of(log, machine, displacement), out, None)
 
 
 def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Path | None) -> Case:
-    """Read the case, and check what is to be written."""
+    """Read the case, and check the output files."""
     from fesim.case.schema import read_case
     from thermojoint import console, plausibility
     from thermojoint.artefacts.settings.section import files_of
@@ -73,7 +73,7 @@ def _machine(case: Path | None, data: Sequence[Path], out: Path, report_file: Pa
 def _fitted(
     machine: Case, read: Mapping[str, xr.Dataset], out: Path, report_file: Path | None
 ) -> None:
-    """Calibrate, write and show."""
+    """Calibrate the machine, write the model and its report, and print the parameters."""
     from calibrate.joint_aware.calibration import calibrate_joint_aware, report
     from calibrate.joint_aware.report import whole_report
     from estimator.joint_aware.model_file import write_observer
@@ -82,8 +82,8 @@ def _fitted(
 
     with console.working("calibrating"):
         calibrated = calibrate_joint_aware(machine, read)
-        told = whole_report(calibrated) if report_file else report(calibrated.fit)
+        content = whole_report(calibrated) if report_file else report(calibrated.fit)
     write_observer(calibrated.model, out)
-    arguments.write_json(report_file, told)
-    results.show_physics(console.out(report_file), told)
+    arguments.write_json(report_file, content)
+    results.show_physics(console.out(report_file), content)
     console.wrote(out, report_file)

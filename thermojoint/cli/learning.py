@@ -31,7 +31,7 @@ def learn(
         list[str], typer.Option(help="A column to learn, e.g. x_um; give one or more.")
     ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
-    max_sensors: Annotated[int, typer.Option(help="How many temperatures the model may use.")] = 4,
+    max_sensors: Annotated[int, typer.Option(help="Largest number of temperatures used.")] = 4,
     kind: Annotated[
         LearnedKind,
         typer.Option(
@@ -46,13 +46,13 @@ def learn(
     column: ColumnOption = None,
     mapping: MappingOption = None,
     ignore: Annotated[
-        list[str] | None, typer.Option(help="A column to leave aside; may be repeated.")
+        list[str] | None, typer.Option(help="A column to ignore; may be repeated.")
     ] = None,
 ) -> None:
     """Learn an estimator from a machine's log: temperatures, speed and displacement.
 
     Names of columns end in their units: time_s, spindle_rpm, T1_degC, x_um. Sensors that are
-    stuck or were moved are named and left out.
+    stuck or were moved are reported and not used.
 
     Example: [bold]thermojoint learn log.csv --displacement disp1_um --displacement disp2_um
     --max-sensors 4 --out model.json[/bold]
@@ -60,7 +60,7 @@ def learn(
     Example: [bold]thermojoint learn monday.csv tuesday.csv --displacement z_um --column
     'Zeit=time_s' --out model.json[/bold]
 
-    Where there is a mesh, its physics learns from the same log: temperatures named after the
+    With a mesh, a joint-aware model learns from the same log: temperatures named after the
     probes, the heat as heat_W, every run from rest.
 
     Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
@@ -70,7 +70,7 @@ def learn(
     from calibrate.learning.learn import learn as learned
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
-    from thermojoint.cli.log_reading import said
+    from thermojoint.cli.log_reading import reported
     from thermojoint.models.learned import write_learned
 
     renamed = renamed_by(column, mapping)
@@ -79,7 +79,7 @@ def learn(
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
     arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
-    pieces = said(log_pieces(logs, renamed))
+    pieces = reported(log_pieces(logs, renamed))
     files = [path.name for path in logs]
     wanted = cast("Kind", kind.value)
     with console.working("learning"):

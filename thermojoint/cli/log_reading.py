@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from thermojoint.artefacts.log import Log
     from thermojoint.artefacts.log_record import Record
 
-#: The two options of every command that reads a log; `renamed_by` takes their values.
+#: Two options of every command that reads a log; see `renamed_by`.
 ColumnOption = Annotated[
     list[str] | None,
     typer.Option("--column", help="THEIRS=OURS: name a column of the log, its unit at the end."),
 ]
 MappingOption = Annotated[
     Path | None,
-    typer.Option("--mapping", help="For many, TOML: \\[columns], 'Temp 1' = 'T1_degC'."),
+    typer.Option("--mapping", help="Many names in TOML: \\[columns], 'Temp 1' = 'T1_degC'."),
 ]
 
 
 def renamed_by(column: Sequence[str] | None, mapping: Path | None) -> dict[str, str]:
-    """Return what --column and --mapping call the columns of a log."""
+    """Return the new names of columns from --column and --mapping."""
     from thermojoint.artefacts.log_file import read_mapping
     from thermojoint.artefacts.quantities import column_named
 
@@ -44,26 +44,26 @@ def renamed_by(column: Sequence[str] | None, mapping: Path | None) -> dict[str, 
 
 
 def over(known: Mapping[str, str], renamed: Mapping[str, str]) -> dict[str, str]:
-    """Return what a model calls the columns of a log, and over it what the options call them."""
+    """Return the names that a model gives to columns, overridden by those of the options."""
     kept = {theirs: ours for theirs, ours in known.items() if ours not in renamed.values()}
     return kept | dict(renamed)
 
 
 @contextmanager
 def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log] | None]:
-    """Open a log, or standard input for ``-``, and say what is read of it; None for a response.
+    """Open a log, or standard input for ``-``, and report what is read; None for a response.
 
     Parameters
     ----------
     path : Path
-        Of the log.
+        The log.
     renamed : mapping
-        Name of a column to the one it is given.
+        Name of a column to its new name.
 
     Yields
     ------
     iterator of Log or None
-        Its pieces; of a stream every row as it comes.
+        Its pieces; rows of a stream one by one as they arrive.
     """
     from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 
@@ -71,13 +71,13 @@ def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log]
         if source is None:
             yield None
         elif str(path) == "-":
-            yield said_live(pieces_in(source, arguments.shown(path), renamed, 1))
+            yield reported_live(pieces_in(source, arguments.shown(path), renamed, 1))
         else:
-            yield said(pieces_in(source, str(path), renamed, ROWS))
+            yield reported(pieces_in(source, str(path), renamed, ROWS))
 
 
-def said(pieces: Iterable[Log]) -> Iterator[Log]:
-    """Yield the pieces of a log, and say at its end what was read and what was ignored."""
+def reported(pieces: Iterable[Log]) -> Iterator[Log]:
+    """Yield the pieces of a log, and print the report on it at its end."""
     from thermojoint.artefacts.log_record import merged
 
     records: tuple[Record, ...] = ()
@@ -87,11 +87,11 @@ def said(pieces: Iterable[Log]) -> Iterator[Log]:
     say(records)
 
 
-def said_live(pieces: Iterable[Log]) -> Iterator[Log]:
-    """Yield the rows of a stream, and say at once how they are read, and what is new in them.
+def reported_live(pieces: Iterable[Log]) -> Iterator[Log]:
+    """Yield the rows of a stream, and print its layout and new findings as they occur.
 
-    A pause is said when it is over, a kind of missing reading when it comes for the first time;
-    how long the stream was, and how many readings were missing, at its end.
+    Pauses are reported when they are over, each kind of missing reading at its first occurrence,
+    the duration and the counts at the end.
     """
     from thermojoint import console
     from thermojoint.artefacts.log_record import begun, ended, merged, noticed
@@ -110,7 +110,7 @@ def said_live(pieces: Iterable[Log]) -> Iterator[Log]:
 
 
 def say(records: Sequence[Record]) -> None:
-    """Say what a command has read of its logs."""
+    """Print the report on the logs of a command."""
     from thermojoint import console
     from thermojoint.artefacts.log_record import described
 

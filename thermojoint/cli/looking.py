@@ -1,4 +1,4 @@
-"""The command `look`: what a log holds, a picture of it, and the command that goes on from it."""
+"""The command `look`: contents of a log, a picture of it, and a suggested next command."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def look(
 
 
 def suggested(log: Log, logs: Iterable[Path], column: Iterable[str], mapping: Path | None) -> str:
-    """Return the command that goes on from a log: what can be learned from it, if anything."""
+    """Return the suggested next command: learn if possible, else estimate, else rename columns."""
     files = [str(path) for path in logs]
     names = [part for text in column for part in ("--column", text)]
     names += ["--mapping", str(mapping)] if mapping else []
     lengths = log.of("length")
     if lengths and (log.of("temperature") or log.of("speed") or log.of("power")):
-        told = [part for name in lengths for part in ("--displacement", name)]
-        return shlex.join(["thermojoint", "learn", *files, *told, *names, "--out", "model.json"])
+        learned = [part for name in lengths for part in ("--displacement", name)]
+        return shlex.join(["thermojoint", "learn", *files, *learned, *names, "--out", "model.json"])
     if log.of("temperature") and len(files) == 1:
         return shlex.join(["thermojoint", "estimate", "MODEL", *files, "--out", "estimate.csv"])
     return shlex.join(["thermojoint", "look", *files, "--column", "THEIRS=T1_degC"])

@@ -1,8 +1,8 @@
-"""The way into the command line: what may end a run, and the one line that says so.
+"""Entry point of the command line: errors and signals end in one line on standard error.
 
-A signal clears up and ends the process where it is, without an exception: a finaliser, or a library
-written in C while it is imported, would lose one. So the handlers are installed before anything
-else is imported, and nothing has to arrive anywhere.
+A signal cleans up and ends the process at once, without an exception, which a finaliser or a
+library written in C could lose. The handlers are therefore installed before anything else is
+imported.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import sys
 
 from thermojoint.artefacts.unfinished import clear_all
 
-#: Exit code of everything the user can mend.
+#: Exit code for errors that the user can correct.
 BAD_INPUT = 2
-#: What ends a run: Ctrl-C, `kill`, a terminal that is closed.
+#: Signals that end a run: Ctrl-C, `kill`, a closed terminal.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main() -> None:
-    """Run the command line; it ends in a result or in one line on standard error.
+    """Run the command line.
 
-    Exit code 2 for errors that a user can mend; 128 and the signal's number after Ctrl-C (130),
-    SIGTERM (143) and SIGHUP (129).
+    Exit code 2 for errors that the user can correct; 128 plus the signal's number after Ctrl-C
+    (130), SIGTERM (143) and SIGHUP (129).
     """
     for number in ENDING:
         # Ignored in the background of a shell script, and by nohup.
@@ -34,17 +34,17 @@ def main() -> None:
 
         app(prog_name="thermojoint")
     except Exception as error:
-        if lines := _mendable(error):
+        if lines := _correctable(error):
             print("".join(map(_line, lines)), end="", file=sys.stderr, flush=True)
             raise SystemExit(BAD_INPUT) from None
         raise
     finally:
-        # All is done: what remains is the interpreter's own end.
+        # Only the interpreter's own shutdown remains.
         _ignore()
 
 
-def _mendable(error: Exception) -> list[str]:
-    """Return a line for each thing the user can mend; none if it is the program that is wrong."""
+def _correctable(error: Exception) -> list[str]:
+    """Return a line for each mistake that the user can correct; none for a program error."""
     from thermojoint.artefacts.errors import InputErrors, ThermojointError
 
     if isinstance(error, InputErrors):
@@ -59,12 +59,12 @@ def _mendable(error: Exception) -> list[str]:
 
 
 def _stop(number: int, _: object) -> None:
-    """Clear up and end at once."""
+    """Clean up and end the process."""
     _ignore()
     clear_all()
     how = "interrupted" if number == signal.SIGINT else "stopped by a signal"
     try:
-        # Not by sys.stderr, which may be at work on another line.
+        # Not sys.stderr, which may be writing another line.
         os.write(2, _line(f"{how}; no unfinished file is left").encode())
     finally:
         os._exit(128 + number)

@@ -1,4 +1,4 @@
-"""Commands of structures: from CAD to a mesh, what is in a mesh, pictures."""
+"""The commands `mesh`, `inspect` and `view`: from CAD to a mesh, its contents, pictures."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def mesh(
 ) -> None:
     """Mesh a CAD part with its names; needs Gmsh, the extra 'gmsh'.
 
-    Solids become bodies, faces of two solids that lie on each other the sides of a joint, faces
-    without a name BODY_outer.
+    Solids become bodies, faces shared by two solids the two sides of a joint, and faces without a
+    name BODY_outer.
 
     Example: [bold]thermojoint mesh part.step --size-mm 10 --out part.msh[/bold]
     """
     from meshes.cad import mesh_cad, read_names
     from meshes.exchange import read_structure
-    from meshes.inspection import inspect as look_over
+    from meshes.inspection import inspect as inspect_structure
     from thermojoint import console
     from thermojoint.cli import inspection_report
 
@@ -60,7 +60,7 @@ def mesh(
     points = read_names(names) if names else None
     with console.working("meshing"):
         mesh_cad(part, out, 1e-3 * size, order, points)
-        inspection = look_over(read_structure(out))
+        inspection = inspect_structure(read_structure(out))
     inspection_report.show(console.out(), str(out), inspection)
     console.wrote(out)
 
@@ -68,7 +68,7 @@ def mesh(
 def inspect(
     source: Annotated[Path, typer.Argument(help="Mesh file, or case file (TOML).")],
     unit: Annotated[
-        Unit, typer.Option(help="Unit of a mesh file's coordinates; a case says its own.")
+        Unit, typer.Option(help="Unit of a mesh file's coordinates; a case states its own.")
     ] = Unit.m,
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
     as_json: arguments.Json = None,
@@ -76,7 +76,7 @@ def inspect(
         Path | None, typer.Option("--case", help="Case file to start from, to write (TOML).")
     ] = None,
 ) -> None:
-    """Look a mesh over before simulating it: names, volumes, quality, joints, what looks wrong.
+    """Inspect a mesh before a simulation: names, volumes, quality, joints, possible mistakes.
 
     Example: [bold]thermojoint inspect part.msh[/bold]
 
@@ -86,7 +86,7 @@ def inspect(
     from fesim.setup.parts import check_names
     from fesim.setup.structure import build_structure
     from meshes.exchange import read_structure
-    from meshes.inspection import inspect as look_over
+    from meshes.inspection import inspect as inspect_structure
     from meshes.units import UNITS
     from thermojoint import console, plausibility
     from thermojoint.artefacts.files import write_text
@@ -111,11 +111,11 @@ def inspect(
         with console.working("inspecting"):
             structure = build_structure(case)
             check_names(case, structure)
-            inspection = _with_loose_bodies(look_over(structure), case, structure)
+            inspection = _with_loose_bodies(inspect_structure(structure), case, structure)
     else:
         with console.working("inspecting"):
             structure = read_structure(source, UNITS[unit.value])
-            inspection = look_over(structure)
+            inspection = inspect_structure(structure)
     inspection_report.show(console.out(as_json), str(source), inspection)
     arguments.write_json(as_json, asdict(inspection))
     if skeleton:
@@ -132,7 +132,7 @@ def inspect(
 
 
 def _with_loose_bodies(inspection: Inspection, case: Case, structure: Structure) -> Inspection:
-    """Add to the warnings what the supports and joints of a case do not hold."""
+    """Add a warning about bodies that the supports and joints of a case do not hold."""
     from fesim.setup.constraints import checked_constraints
     from fesim.setup.parts import paired_joints
 
@@ -165,7 +165,7 @@ def view(
         int | None, typer.Option(min=2, help="Frames of a film, 12 a second; default: 120.")
     ] = None,
     up: Annotated[
-        Up | None, typer.Option(help="Axis that points up; default: as it rests on its supports.")
+        Up | None, typer.Option(help="Axis that points up; default: away from the supports.")
     ] = None,
 ) -> None:
     """Draw a structure, its curves, or its fields at the end of the run or as a film.

@@ -1,4 +1,4 @@
-"""Commands of the generalised models: calibrate, print, estimate, validate, the whole chain."""
+"""The commands `calibrate`, `tables`, `estimate`, `assemble`, `validate` and `reproduce`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thermojoint.cli.log_reading import (
     opened_log,
     over,
     renamed_by,
-    said,
+    reported,
 )
 
 if TYPE_CHECKING:
@@ -51,16 +51,16 @@ def calibrate(
         list[str] | None,
         typer.Option(
             "--input",
-            help="Another step: LEVEL=RESPONSE; give two or more. A joint-aware model may do "
-            "without, and takes runs of any heat input.",
+            help="Another step: LEVEL=RESPONSE; give two or more. Optional for a joint-aware "
+            "model, which takes runs of any heat input.",
         ),
     ] = None,
     distances: Annotated[
         str | None,
         typer.Option(
             "--distances-mm",
-            help="r11,r12,r21,r22 from fictitious source i to sensor Tj; measured responses need "
-            "them. Default: the sources lie at the contact elements nearest to T1 and T2.",
+            help="r11,r12,r21,r22 from fictitious source i to sensor Tj; required for measured "
+            "responses. Default: sources at the contact elements nearest to T1 and T2.",
         ),
     ] = None,
     baselines: Annotated[
@@ -179,23 +179,23 @@ def estimate(
         Path | None, typer.Option("--continue", help="Go on from a saved state (JSON).")
     ] = None,
     warm: Annotated[
-        bool, typer.Option("--warm", help="Nothing is known of the machine's past (joint-aware).")
+        bool, typer.Option("--warm", help="The machine's past is unknown (joint-aware).")
     ] = False,
     readings: Annotated[
         Path | None,
-        typer.Option(help="Displacements read now and then (CSV); joint-aware or learned models."),
+        typer.Option(help="Occasional displacement readings (CSV); joint-aware, learned models."),
     ] = None,
     reading_noise: Annotated[
         float | None,
-        typer.Option("--reading-noise-um", help="Standard deviation of these, um; default: 0.5."),
+        typer.Option("--reading-noise-um", help="Their standard deviation, um; default: 0.5."),
     ] = None,
     ageing: Annotated[
         str | None,
-        typer.Option(help="What a joint-aware model learns as it runs: preload,friction,film."),
+        typer.Option(help="Parameters learned online (joint-aware): preload,friction,film."),
     ] = None,
     regression: Annotated[
         str | None,
-        typer.Option(help="Of a file of baselines: mlr, ridge or arx; default: ridge."),
+        typer.Option(help="Regression in a file of baselines: mlr, ridge, arx; default: ridge."),
     ] = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
@@ -209,11 +209,11 @@ def estimate(
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
-    A touch probe's readings (columns time_s, x_um, y_um) correct a joint-aware estimate.
+    Readings of a touch probe (columns time_s, x_um, y_um) correct a joint-aware estimate.
 
     Example: [bold]thermojoint estimate model.h5 log.csv --readings probe.csv --out e.csv[/bold]
 
-    With --out -, the state is saved also where a bad row or a signal ends the run.
+    With --out -, the state is also saved if a bad row or a signal ends the run.
 
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
@@ -224,7 +224,7 @@ def estimate(
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
 
-    # Not with the state of --continue: it may be replaced by its successor.
+    # Without the state of --continue, which may be replaced by its successor.
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.ESTIMATE),
@@ -251,7 +251,7 @@ def estimate(
     options = Options(
         run_length=60.0 * length,
         reading_noise=arguments.reading_noise(reading_noise, readings),
-        # An empty text is one empty name, which is refused.
+        # An empty text is one empty name, which is an error.
         ageing=() if ageing is None else tuple(name.strip() for name in ageing.split(",")),
         regression=regression,
     )
@@ -316,7 +316,7 @@ def _write_estimates(
                 writer.writerow(estimate_table.row(estimator, result))
                 target.flush()
         finally:
-            # What stands on standard output is out, however a logger's pipe comes to its end.
+            # Rows on standard output are already delivered, even if the pipe breaks.
             keep_state()
     if save and not live:
         save(state)
@@ -332,9 +332,9 @@ def assemble(
         float, typer.Option("--run-length-min", help="Length of a run, min.")
     ] = 120.0,
 ) -> None:
-    """Assemble an estimator once: everything fitted, fingerprinted, the same on every machine.
+    """Assemble an estimator once, with a fingerprint, for identical results on every computer.
 
-    'estimate' takes the file in place of the model.
+    'estimate' accepts the file in place of the model.
 
     Example: [bold]thermojoint assemble model.json --interval-s 1 --out estimator.json[/bold]
     """
@@ -362,25 +362,25 @@ def validate(
     ],
     reference: Annotated[
         Path | None,
-        typer.Option(help="Response to the reference step: makes the nonlinear part exact."),
+        typer.Option(help="Response to the reference step, for the exact nonlinear part."),
     ] = None,
     noise_pp: Annotated[
         float | None,
-        typer.Option("--noise-pp", help="Peak-to-peak noise put on every temperature, K."),
+        typer.Option("--noise-pp", help="Peak-to-peak noise added to every temperature, K."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
     baselines: Annotated[
-        Path | None, typer.Option(help="Baselines to judge beside it ('calibrate --baselines').")
+        Path | None, typer.Option(help="Baselines to compare with ('calibrate --baselines').")
     ] = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--out", help="Of logs: picture of truth, estimate and band to write (PNG)."),
+        typer.Option("--out", help="For logs: picture of truth, estimate and band (PNG)."),
     ] = None,
     out: arguments.Json = None,
 ) -> None:
-    """Judge the estimator: it sees the temperatures, the displacement is the judge.
+    """Validate an estimator: temperatures as input, displacement as reference.
 
     Example: [bold]thermojoint validate model.json step-3.nc --reference r1.nc[/bold]
 
@@ -418,7 +418,9 @@ def validate(
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
         renamed = over(kind.renamed(given), renamed_by(column, mapping))
         with console.working("validating"):
-            logs = {name: joined(said(log_pieces([path], renamed))) for name, path in named.items()}
+            logs = {
+                name: joined(reported(log_pieces([path], renamed))) for name, path in named.items()
+            }
             figures = kind.judge_logs(given, logs)
             if picture:
                 _draw_judged(started(kind, given, Options()), logs, picture)
@@ -446,7 +448,7 @@ def validate(
 
 
 def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path) -> None:
-    """Draw what was measured and what is estimated, free-running, in every run of some logs."""
+    """Draw measured and estimated displacements, free-running, for every run of some logs."""
     import numpy as np
 
     from estimator.interface import follow
@@ -457,10 +459,10 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
     for name, log in logs.items():
         for run in log.runs():
             samples = kind_of(estimator).log(estimator.model, [run], name, None)
-            made = [one for _, one in follow(estimator, samples, estimator.initial_state())]
-            values, bands = (
-                np.array([getattr(one, part) for one in made]) for part in ("displacement", "band")
-            )
+            followed = follow(estimator, samples, estimator.initial_state())
+            results = [result for _, result in followed]
+            values = np.array([result.displacement for result in results])
+            bands = np.array([result.band for result in results])
             panels += [
                 Judged(f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c])
                 for c, axis in enumerate(estimator.axes)
@@ -487,7 +489,7 @@ def reproduce(
     arguments.check_whole_folder(out)
     with as_file(files("thermojoint") / "cases" / "reference.toml") as standard:
         given = read_case(case or standard)
-    # After the case: a mistake in it is told before the libraries are loaded.
+    # After the case, so that mistakes in it are reported before the libraries are loaded.
     from thermojoint.paper.reproduce import reproduce as run_all
 
     console.warn(plausibility.of_case(given, str(case or "reference machine")))

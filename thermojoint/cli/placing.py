@@ -1,4 +1,4 @@
-"""The command that places sensors."""
+"""The command `place`: choice of sensor positions."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 def place(
     case: Annotated[Path, typer.Argument(help="Case file with \\[\\[candidates]].")],
-    out: Annotated[Path, typer.Option(help="Probes to write (TOML), to be put into a case.")],
-    count: Annotated[int, typer.Option(help="Number of sensors, those to be kept included.")] = 4,
+    out: Annotated[Path, typer.Option(help="Probes to write (TOML), for use in a case.")],
+    count: Annotated[int, typer.Option(help="Number of sensors, including those of --keep.")] = 4,
     keep: Annotated[
-        list[str] | None, typer.Option(help="A probe of the case that is there already.")
+        list[str] | None, typer.Option(help="A probe of the case that is already installed.")
     ] = None,
 ) -> None:
-    """Place sensors for the joint-aware estimator, by how well the displacement is known with them.
+    """Place sensors for the joint-aware estimator so that its confidence band is narrow.
 
-    Candidates are the lattice points of the case's candidates, or its probes where it has none.
-    Prints the band of 95 % for one sensor, for two, and so on.
+    Candidates are the lattice points of the case's candidates, or its probes if it has none.
+    Prints the 95 % band for one sensor, two sensors, and so on.
 
     Example: [bold]thermojoint place machine.toml --count 4 --out sensors.toml[/bold]
 
@@ -57,7 +57,7 @@ def place(
     unknown = [name for name in names if name not in setup.probes]
     if unknown:
         raise InputError(
-            f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; see there"
+            f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; correct the name"
         )
     with console.working("reducing"):
         reduced = fewer_modes(reduce_machine(machine, setup, names))
@@ -69,7 +69,7 @@ def place(
 
 
 def written(placement: Placement, case: Case, probes: dict[str, Probe]) -> str:
-    """Return the chosen probes that a case does not have yet, as its sections."""
+    """Return the chosen probes that a case lacks, as sections of a case file."""
     lines = ["# Sensors placed by 'thermojoint place'."]
     there = [name for name in placement.chosen.names if name in case.probes]
     if there:

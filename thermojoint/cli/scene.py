@@ -1,4 +1,4 @@
-"""The command that writes what the dashboard needs for a picture of the machine."""
+"""The command `scene`: the machine's surface for the 3-D picture of the dashboard."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ def scene(
 ) -> None:
     """Write the surface of a machine, for the 3-D picture in the service's dashboard.
 
-    A joint-aware model has no mesh; this keeps the mesh's outer faces and what the model says of
-    their temperature. The service file names it beside the model: scene = "machine_scene.h5".
+    A joint-aware model has no mesh; this file contains the outer faces and their temperatures in
+    terms of the model's state. The service file names it beside the model: scene =
+    "machine_scene.h5".
 
     Example: [bold]thermojoint scene machine.toml joint_aware.h5 --out machine_scene.h5[/bold]
     """

@@ -30,10 +30,10 @@ def serve(
         bool, typer.Option("--check", help="Say what a start would refuse, and end.")
     ] = False,
 ) -> None:
-    """Run beside the control: readings in, displacement and offsets out, until it is stopped.
+    """Run as a service beside the control: readings in, displacement and offsets out.
 
-    Readings come from OPC UA, MQTT or lines of CSV; estimates go out by OPC UA, MQTT and HTTP. What
-    was read is kept, so that after a stop of any kind it goes on as if it had never been stopped.
+    Readings come from OPC UA, MQTT or lines of CSV; estimates go out by OPC UA, MQTT and HTTP. All
+    samples are stored, so that after any stop the service continues as if uninterrupted.
     SIGHUP makes it read its file, models and certificates again.
 
     Example: [bold]thermojoint serve service.toml --check[/bold]

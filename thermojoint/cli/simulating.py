@@ -1,4 +1,4 @@
-"""Commands of the simulator: one case, many of them, and known results."""
+"""The commands `simulate`, `batch` and `verify`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def simulate(
     from thermojoint.paper.summary import convergence, covered_areas
 
     given = read_case(case)
-    # Not with the state of --continue: it may be replaced by its successor.
+    # Without the state of --continue, which may be replaced by its successor.
     arguments.check_outputs(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
         [case, *files_of(given)],
@@ -133,7 +133,7 @@ def verify(
         Path | None, typer.Option(help="Page to write (Markdown), as in the docs.")
     ] = None,
 ) -> None:
-    """Verify the simulator: known results against computed ones; exit code 1 if any is off.
+    """Verify the simulator by known results; exit code 1 if a check is out of tolerance.
 
     Example: [bold]thermojoint verify[/bold]
 

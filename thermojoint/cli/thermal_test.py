@@ -1,4 +1,4 @@
-"""The command for the thermal tests of ISO 230-3."""
+"""The command `iso230-3`: thermal tests."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def iso230_3(
         Protocol,
         typer.Option(
             metavar="TEST",
-            help=f"Which was recorded: {', '.join(protocol.value for protocol in Protocol)}.",
+            help=f"The recorded test: {', '.join(protocol.value for protocol in Protocol)}.",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Report to write (HTML).")] = None,
@@ -46,7 +46,7 @@ def iso230_3(
     mapping: MappingOption = None,
     second: Annotated[
         Path | None,
-        typer.Option(help="The same run, read at a second point: its channels get a 2 behind."),
+        typer.Option(help="The same run at a second point; its channels get the suffix 2."),
     ] = None,
     tilt: Annotated[
         list[str] | None,
@@ -119,7 +119,7 @@ def _record(
     temperatures: list[str] | None,
     speed: str | None,
 ) -> tuple[Record, tuple[LogRecord, ...]]:
-    """Return the record of a test, and what was read of its log."""
+    """Return the record of a test, and the report on its log."""
     from thermojoint.standards.iso230_3.record import log_record, response_record
 
     if path.suffix == ".nc":

@@ -1,4 +1,4 @@
-"""The command `verify`: runs the suite and prints its tables."""
+"""The command `verify`: run the suite and print its tables."""
 
 from __future__ import annotations
 

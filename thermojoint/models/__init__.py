@@ -1,1 +1,1 @@
-"""The generalised models: their equations, parameters, files, and the filters made of them."""
+"""The generalised models: equations, parameters, files, and filters."""

@@ -10,7 +10,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 _POINTS = 2000
 _REFINEMENTS = 4
-#: A phase that turns by less from point to point is followed, rad.
+#: Largest change of phase between two points, rad; otherwise the grid is refined.
 _TURN = np.pi / 4.0
 
 
@@ -27,16 +27,16 @@ def count_right_zeros(
     function : callable
         s, complex, shape (k,), to values, shape (k,).
     lowest : float
-        First frequency above zero that is sampled, 1/s.
+        Lowest sampled frequency above zero, 1/s.
     radius : float
         Radius of the contour, 1/s.
     what : str
-        Names the function in the error.
+        Name of the function for the error message.
 
     Raises
     ------
     ConvergenceError
-        The phase turns too fast to be followed: there is a zero on the contour.
+        The phase cannot be tracked, since there is a zero on the contour.
     """
     points = _POINTS
     for _ in range(_REFINEMENTS):

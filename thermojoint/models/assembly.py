@@ -1,8 +1,8 @@
 """Assembly of the seven blocks of Figure 5 as banks of exponential states.
 
-The poles of the inverse blocks are fitted, and a fit depends on the processor in its last digits:
-an assembly is therefore made once, kept (`thermojoint.models.assembly_file`) and read back, not
-made again.
+The poles of the inverse blocks are fitted, and the last digits of a fit depend on the processor. An
+assembly is therefore built once, stored (`thermojoint.models.assembly_file`) and read back, not
+rebuilt.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Assembly(Described):
-    """Everything that is computed once from the model.
+    """Precomputed blocks of a model.
 
     Attributes
     ----------
     model : Model
-        What was assembled.
+        The model.
     dt_s : float
-        Nominal sampling interval, s; any other may follow.
+        Nominal sampling interval, s; samples may have other intervals.
     run_length_s : float
-        Length of a run, s: with `dt_s` the band over which the inverses hold.
+        Length of a run, s; `dt_s` and `run_length_s` define the band of the approximations.
     heat : Bank
         Block 1.
     linear : Bank
@@ -75,7 +75,7 @@ class Assembly(Described):
 
     @property
     def banks(self) -> tuple[Bank, ...]:
-        """The banks in the order in which their states stand in the state array."""
+        """The banks in the order of their states in the state array."""
         return self.heat, self.linear, self.temperature, self.sources, self.nonlinear
 
     @property
@@ -111,8 +111,8 @@ def assemble(
     model : Model
         Tables 1-3; as many sensors at the joint as fictitious sources.
     dt_s : float
-        Nominal sampling interval, s. With `run_length_s` it sets the band over which the
-        rational approximations hold; the samples may come at other intervals.
+        Nominal sampling interval, s. Together with `run_length_s` it defines the band of the
+        rational approximations; samples may have other intervals.
     run_length_s : float
         Length of a run, s.
     tolerance : float

@@ -1,6 +1,6 @@
-"""File of an assembled estimator, with its fingerprint, read back bit for bit.
+"""File of an assembled estimator with its fingerprint, read back bit for bit.
 
-What runs an estimator elsewhere (another processor, a control) reads this file and fits nothing.
+Estimators on other processors or controls read this file, without any fitting.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def write_assembly(assembly: Assembly, path: Path | str) -> None:
     Parameters
     ----------
     assembly : Assembly
-        What `thermojoint.models.assembly.assemble` made.
+        Result of `thermojoint.models.assembly.assemble`.
     path : Path or str
         JSON to write.
     """
@@ -61,7 +61,7 @@ def read_assembly(path: Path | str) -> Assembly:
     Raises
     ------
     InputError
-        The file is missing, truncated, no assembly, of another version, or was changed.
+        The file is missing, truncated, not an assembly, of another version, or was changed.
     """
     return _assembly(read_json(path, FILE), str(path))
 
@@ -79,7 +79,7 @@ def as_content(assembly: Assembly) -> dict[str, Any]:
 
 
 def from_content(content: Any, where: str) -> Assembly:  # noqa: ANN401
-    """Return the assembly that plain data describe.
+    """Return the assembly from plain data.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _assembly(content: dict[str, Any], where: str) -> Assembly:
 
 
 def fingerprint(assembly: Assembly) -> str:
-    """Return the digest of every coefficient: a state means nothing to any other assembly."""
+    """Return the digest of all coefficients; a state is valid for one fingerprint only."""
     return str(as_content(assembly)["fingerprint"])
 
 
@@ -135,6 +135,6 @@ def _array(name: str, content: dict[str, Any]) -> Array:
         return values.reshape(shape)
     parts = values.reshape((*shape, 2))
     whole: Any = np.empty(shape, dtype=complex)
-    # Not real + 1j * imag: that loses the sign of a zero.
+    # Not real + 1j * imag, which loses the sign of a zero.
     whole.real, whole.imag = parts[..., 0], parts[..., 1]
     return np.asarray(whole)

@@ -1,8 +1,8 @@
 """Baselines: regressions from temperatures to displacement, without physics of the machine.
 
-Channels are the rises of the sensors a, b, T1 and T2 above the current ambient, K. All are without
-a constant: a machine at rest has not moved. `calibrate.baselines` fits them, `estimator.baselines`
-runs them, and this module stores them as JSON.
+Channels are the rises of the sensors a, b, T1 and T2 above the current ambient, K. No regression
+has a constant term: a machine at rest has no displacement. `calibrate.baselines` fits them,
+`estimator.baselines` runs them, and this module stores them as JSON.
 """
 
 from __future__ import annotations
@@ -75,15 +75,15 @@ class Baselines:
     Attributes
     ----------
     mlr : Regression
-        Multiple linear regression on the temperatures of the moment.
+        Multiple linear regression on the current temperatures.
     ridge : Regression
         Ridge regression on the temperatures and their low-passes.
     arx : dict
         Axis to its autoregression.
     interval_s : float
-        Between the steps of the autoregressions, s.
+        Step of the autoregressions, s.
     span : Span
-        What the calibration has seen, by channel.
+        Calibrated ranges, by channel.
     """
 
     __pydantic_config__ = STRICT
@@ -139,6 +139,6 @@ def read_baselines(path: Path) -> Baselines:
 def taus_of(time_constants: Sequence[float], channels: int) -> Array:
     """Return the time constant of every feature, s: 0 for the channels, then those of low-passes.
 
-    Features in this order are what `thermojoint.models.filters.relaxations` makes of the channels.
+    The order is that of `thermojoint.models.filters.relaxations`.
     """
     return np.repeat(np.array([0.0, *time_constants]), channels)

@@ -1,7 +1,7 @@
-"""Single blocks of Figure 5 driven by given signals, to find where an error comes from.
+"""Single blocks of Figure 5 driven by given signals, to attribute errors.
 
-Each function is one part of `estimator.fchs.stream`, with the same meaning of its input: heat
-holds over the interval that ends at its sample, temperatures are joined by straight lines.
+Each function is one part of `estimator.fchs.stream` with the same interpolation: heat is constant
+over the interval that ends at its sample, temperatures are interpolated linearly.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def nonlinear_part(assembly: Assembly, times: np.ndarray, deviation: np.ndarray)
 
 
 def _checked(times: np.ndarray, values: np.ndarray, width: int, what: str) -> np.ndarray:
-    """Return `values` as floats of shape (k, width), or name the sample that is unusable."""
+    """Return `values` as floats of shape (k, width); InputError names an unusable sample."""
     table = np.asarray(values, dtype=float)
     if table.shape != (len(times), width):
         raise InputError(f"{what}: shape {table.shape}, expected {(len(times), width)}")

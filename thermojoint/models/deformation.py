@@ -1,11 +1,11 @@
 """The generalised deformation models, Eq. 8 (three rates) and Eq. 18 (four rates).
 
 Step response C (1 - exp(-c t)) + D (1 - exp(-d t)) + E t exp(-e t) [+ F t exp(-f t)]: zero at
-t = 0 whatever the parameters. Given the rates it is linear in C, D, E, F: `basis` holds the columns
-that those multiply. Rates are searched in logarithms, so derivatives are by ln(rate).
+t = 0 for any parameters. Given the rates it is linear in C, D, E, F, which multiply the columns of
+`basis`. Rates are fitted in logarithms, so derivatives are with respect to ln(rate).
 
-Eq. 8 as printed does not force the slope at t = 0 to vanish. `flat_basis` does: it eliminates E
-through C c + D d + E [+ F] = 0, and is a basis of its own with one column fewer.
+Eq. 8 as printed has an arbitrary slope at t = 0. In `flat_basis` the slope is zero: E is eliminated
+by C c + D d + E [+ F] = 0, which leaves one column fewer.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.parameters import DeformationModel
 
-#: Exponential terms (C, D); every further rate belongs to a term t exp(-rate t).
+#: Number of exponential terms (C, D); the others are t exp(-rate t).
 _EXPONENTIALS = 2
 
 

@@ -2,10 +2,10 @@
 
     δ_c = zero_c + Σ_f w_cf φ_f,   φ_f = relaxation with τ_f of u_f,
 
-u_f is a temperature above its reference, or |x / scale|^p of a speed, power or load: its heat. With
-the weights goes their covariance, of what the log and the choice of structures leave open, so that
-the band grows where the log has not been. `calibrate.learning` makes it, `estimator.learned` runs
-it.
+u_f is a temperature above its reference, or the heat |x / scale|^p of a speed, power or load. The
+covariance of the weights includes the uncertainty due to the log and to the choice of features, so
+that the band is wider outside the log's range. `calibrate.learning` fits it, `estimator.learned`
+runs it.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.parameters import STRICT
 
-#: No part of a machine tool is as cold, or as hot, K.
+#: Possible temperatures of a machine tool, K.
 POSSIBLE = (200.0, 600.0)
-#: A number of another quantity that is as large is no reading.
+#: Limit on readings of other quantities, SI.
 _LARGEST = 1e30
 
 FILE = JsonKind(
     "thermojoint-learned-model", 1, "model", "written by 'thermojoint learn'", "learn again"
 )
 
-#: What stands beside the kinds of models in their comparison: the mean displacement.
+#: Name of the mean displacement in the comparison of kinds of models.
 MEAN = "mean"
-#: A kind is preferred to the one that was asked for if its error is below this part of the other's.
+#: A kind is preferred to the requested one if its error is below this fraction of the other's.
 _BETTER = 0.9
-#: Errors below this are noise of the measurement, µm: none is better than another.
+#: Errors below this are measurement noise and count as equal, µm.
 _NOISE = 0.1
 
 
@@ -54,15 +54,15 @@ class Feature:
     Attributes
     ----------
     column : str
-        Of the log, with its unit.
+        Column of the log, with its unit.
     tau_s : float
-        Time constant of the relaxation, s; 0 for the signal as it is.
+        Time constant of the relaxation, s; 0 for the unfiltered signal.
     exponent : float
-        p of a heat; 0 for a temperature, which is taken as a rise.
+        p of a heat; 0 for a temperature.
     reference : float
-        What a temperature is a rise above, K.
+        Reference of a temperature rise, K.
     scale : float
-        What a speed or power is relative to, SI.
+        Reference of a speed or power, SI.
     """
 
     __pydantic_config__ = STRICT
@@ -74,7 +74,7 @@ class Feature:
     scale: PositiveFloat = 1.0
 
     def signal(self, values: Array) -> Array:
-        """Return u of a column's values in SI, of the same shape."""
+        """Return u for values of the column in SI, of the same shape."""
         if self.exponent:
             return np.asarray(np.abs(values / self.scale) ** self.exponent)
         return np.asarray(values - self.reference)
@@ -87,19 +87,19 @@ class LearnedChannel:
     Attributes
     ----------
     name : str
-        As in the log, with its unit.
+        Column of the log, with its unit.
     zero : float
-        Displacement where every feature is zero, m, on the zero of the log that was learned from.
+        Displacement with all features zero, m, relative to the zero of the learning log.
     weights : tuple of float
-        Of each feature, m.
+        Weight of each feature, m.
     covariance : tuple of tuple of float
-        Of the weights, m2.
+        Covariance of the weights, m2.
     drift : float
-        Standard deviation of what no feature tells, m: the error on blocks of time held out.
+        Standard deviation of the unexplained displacement, m: the error on held-out blocks.
     span : tuple of float
-        Least and largest displacement of the log, m.
+        Smallest and largest displacement of the log, m.
     widening : float
-        Factor on the band, by which it held on blocks of time held out.
+        Factor on the band so that it covers the held-out blocks.
     """
 
     __pydantic_config__ = STRICT
@@ -120,16 +120,16 @@ class LearnedFrom:
     Attributes
     ----------
     samples : int
-        Of the log.
+        Number of samples of the log.
     files : tuple of str
-        Names.
+        Names of its files.
     faults : tuple of str
-        What was found wrong with sensors, and what was done.
+        Faults of sensors, and their treatment.
     warnings : tuple of str
-        What the log cannot tell.
+        Limitations of the log.
     errors_um, worst_um : dict
-        Kind of model to the rms error of each displacement on blocks held out, and on the worst
-        of them, µm; `MEAN` stands for no model at all.
+        Kind of model to the rms error of each displacement on all held-out blocks, and on the worst
+        one, µm; `MEAN` is the mean displacement without a model.
     versions : dict
         Package to version.
     """
@@ -147,13 +147,13 @@ class LearnedFrom:
     def best(self, own: str) -> str:
         """Return the kind to use: `own` unless another is better on every displacement.
 
-        It is the error on the worst held-out block that counts. A kind that is better on some
-        displacements alone is better on this log, and not on the next one.
+        Compared by the error on the worst held-out block. A kind that is better on some
+        displacements only may be so by chance.
 
         Parameters
         ----------
         own : str
-            The kind that was asked for.
+            The requested kind.
         """
         if own not in self.worst_um:
             return own
@@ -176,11 +176,11 @@ class LogEnd:
     Attributes
     ----------
     time_s : float
-        On the log's clock.
+        Time on the log's clock, s.
     values : tuple of float
-        Of each column of the model, SI.
+        Value of each column of the model, SI.
     relaxations : tuple of float
-        Of each feature.
+        Relaxation of each feature.
     """
 
     __pydantic_config__ = STRICT
@@ -199,19 +199,19 @@ class LearnedModel(Described):
     kind : str
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     features : tuple of Feature
-        What is filtered.
+        Inputs.
     channels : tuple of LearnedChannel
-        What is estimated.
+        Estimated displacements.
     spans : dict
-        Column to its least and largest value in the log, SI.
+        Column to its smallest and largest value in the log, SI.
     duration_s : float
-        Of the longest run, s.
+        Duration of the longest run, s.
     learned_from : LearnedFrom
-        The log.
+        Provenance.
     renamed : dict
-        What the log called a column, to what it is called here.
+        Name of a column in the log to its name in the model.
     log_end : LogEnd, optional
-        Where the log ended.
+        State at the end of the log.
     """
 
     __pydantic_config__ = STRICT
@@ -234,12 +234,12 @@ class LearnedModel(Described):
         }
 
     def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
-        """Return how a log like that which was learned from is to be read.
+        """Return the new names of columns for reading a log like the learning log.
 
         Parameters
         ----------
         columns : sequence of str
-            The columns that are needed; the clock is, always.
+            Required columns; the clock is always included.
         """
         return {
             theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
@@ -247,7 +247,7 @@ class LearnedModel(Described):
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Columns that a log must have, in the order of the first feature of each."""
+        """Required columns of a log, in the order of their first features."""
         return tuple(dict.fromkeys(feature.column for feature in self.features))
 
     @cached_property
@@ -258,7 +258,7 @@ class LearnedModel(Described):
 
     @cached_property
     def possible(self) -> tuple[tuple[float, float], ...]:
-        """Between which values a reading of each column lies, SI; beyond, it is missing."""
+        """Limits of each column's readings, SI; readings beyond them are missing."""
         known = [column_named(name) for name in self.columns]
         return tuple(
             POSSIBLE
@@ -291,7 +291,7 @@ class LearnedModel(Described):
 
     @cached_property
     def digest(self) -> str:
-        """Fingerprint: of another model it is another one."""
+        """Fingerprint of the model."""
         content = _MODEL.dump_python(self, mode="json")
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -308,9 +308,9 @@ def signals(features: Sequence[Feature], columns: Sequence[str], values: Array) 
 
 
 def at_rest(features: Sequence[Feature], first: Array) -> Array:
-    """Return relaxations at the start of a run of which nothing earlier is known, shape (n,).
+    """Return relaxations at the start of a run with an unknown past, shape (n,).
 
-    Temperatures have long been as they are; no heat has gone in before.
+    Temperatures are assumed constant before, and no heat was supplied.
     """
     heats = [feature.exponent > 0.0 for feature in features]
     return np.where(heats, 0.0, first)
@@ -332,7 +332,7 @@ def write_learned(model: LearnedModel, path: Path | str) -> None:
     Parameters
     ----------
     model : LearnedModel
-        What `learn` returns.
+        Result of `learn`.
     path : Path or str
         JSON to write.
 

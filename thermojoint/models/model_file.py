@@ -1,7 +1,7 @@
-"""The model file: a calibrated `Model` as JSON, with its units and where it came from.
+"""The model file: a calibrated `Model` as JSON with its units and provenance.
 
-What stands in the file, and what is refused, follows from the classes of
-`thermojoint.models.parameters`; numbers survive the way there and back to the last bit.
+The classes of `thermojoint.models.parameters` define the content and its validation; numbers are
+read back bit for bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 FILE = JsonKind(
     "thermojoint-model", 3, "model", "written by 'thermojoint calibrate'", "calibrate again"
 )
-#: What the model is for: the paper's estimator.
+#: Kind of estimator: the paper's.
 KIND = "fchs"
 #: Written into every file; heat input and strengths are dimensionless.
 UNITS = {
@@ -89,13 +89,13 @@ def write_model(model: Model, path: Path | str, provenance: Provenance) -> None:
     path : Path or str
         JSON to write.
     provenance : Provenance
-        Where it came from, e.g. `calibrate.provenance.provenance_of`.
+        Its provenance, e.g. from `calibrate.provenance.provenance_of`.
 
     Raises
     ------
     InputError
-        The model would not be readable: a value that is not finite or out of range, a sensor or an
-        axis missing.
+        The model is invalid: a value is not finite or out of range, or a sensor or an axis is
+        missing.
     """
     content = {
         **FILE.header,
@@ -133,7 +133,7 @@ def read_model(path: Path | str) -> Model:
 
 
 def read_provenance(path: Path | str) -> Provenance:
-    """Read where a model came from; raises as `read_model`.
+    """Read the provenance of a model; raises as `read_model`.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def _read(path: Path | str) -> tuple[Model, Provenance]:
 def _parsed(content: dict[str, Any], where: str) -> tuple[Model, Provenance]:
     kind = content.pop("kind", None)
     if kind != KIND:
-        raise InputError(f"{where}: a model of kind {kind!r}, expected {KIND!r}; give one of those")
+        raise InputError(f"{where}: a model of kind {kind!r}, expected {KIND!r}; give such a model")
     if content.pop("units", None) != UNITS:
         raise InputError(f"{where}: units differ from {UNITS}; convert the values")
     provenance = validated(

@@ -1,7 +1,7 @@
 """The calibrated model: every parameter of Tables 1-3, in SI, as frozen data.
 
-`calibrate` makes it, `estimator` runs it; `thermojoint.models.model_file` stores it as JSON by
-these very classes, whose types say what a file may hold. The heat input is relative to the
+`calibrate` fits it, `estimator` runs it, `thermojoint.models.model_file` stores it as JSON; the
+types of these classes define the valid content of a file. The heat input is relative to the
 reference step (dimensionless), so `K` is in kelvin per unit of heat input.
 """
 
@@ -98,7 +98,7 @@ class DeformationModel:
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Table 1: what the structure does at the reference input, taken as proportional to it.
+    """Table 1: the linear response of the structure, calibrated at the reference input.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class FictitiousSource:
     Attributes
     ----------
     K, a, alpha, r0 : float
-        As in `RingModel`; the distances stand in `Model.distances`.
+        As in `RingModel`; the distances are in `Model.distances`.
     strengths : dict
         Calibration heat input to the source's step strength q there.
     regularisation : Regularisation
@@ -136,8 +136,7 @@ class FictitiousSource:
         Axis name to the Eq. 18 model per unit strength, calibrated to steps (Table 3).
     driven : dict
         The same, calibrated to the strengths that the inverse filters estimate
-        (`calibrate.driven_deformation`). Where it is given, the estimator uses it; empty for the
-        paper's own scheme.
+        (`calibrate.driven_deformation`). Preferred by the estimator; empty in the paper's scheme.
     """
 
     __pydantic_config__ = STRICT
@@ -193,13 +192,14 @@ class Model(Described):
     sensors : dict
         Role ("a", "b", "T1", "T2") to the position in m.
     reference_power_W : float
-        Heat at heat input 1, W, as the reference response states it. A simulated one states the
-        case's figure: of one source by its ``reading``, per source or total; of several the sum.
+        Heat at heat input 1, W, as stated in the reference response. A simulated response states
+        the case's value: for one source per source or total, by its ``reading``; for several their
+        sum.
     span : Span
-        What the calibration has seen.
+        Calibrated ranges.
     leak : float
-        Rate at which a deviation ∂T that stands still fades from the strengths, 1/s: what lasts
-        longer than the calibration is not told from an error of block 3. 0 in the paper's own
+        Rate at which a constant deviation ∂T decays from the strengths, 1/s, since deviations
+        longer than the calibration cannot be distinguished from errors of block 3. 0 in the paper's
         scheme.
     """
 
@@ -223,5 +223,5 @@ class Model(Described):
 
     @property
     def digest(self) -> str:
-        """Digest of every parameter: the same wherever the model is read."""
+        """Digest of all parameters."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()

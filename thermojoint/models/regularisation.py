@@ -5,17 +5,17 @@ distance from the source that response starts flatter than any power of t (a del
 grows faster than any power of s; with f_R the response starts as A t and the inverse grows as s/A.
 
 The rule (`choose_regularisation`)
-1. A is the largest slope of the step response: the regularised one starts as fast as the true one
-   ever rises, and 1/A, the noise gain, is the smallest that needs no faster response than the true.
-2. B = -A gamma / 2, so that the integral of f_R over all time is zero. What f_R adds to the
-   transfer function is then A s2 / (s + gamma)3: neither a constant nor a ramp of heat is biased.
+1. A is the largest slope of the step response, so that the regularised response starts with the
+   largest slope of the true one. 1/A is the noise gain.
+2. B = -A gamma / 2, so that the integral of f_R over all time is zero. f_R then adds
+   A s2 / (s + gamma)3 to the transfer function, which biases neither a constant nor a ramp of heat.
    f_R is positive until 2/gamma and negative after.
-3. gamma starts at 2/t_A, with t_A the time of the largest slope: f_R fills in the delay and is
-   taken back from then on. gamma is lowered step by step, to about 1/(2 t_A), until the two parts
-   of the transfer function nowhere cancel by more than half and it has no zero in the right half
-   plane, which would make the inverse unstable (`thermojoint.models.argument_principle`).
-4. A long delay behind strong convection passes for no such gamma. Then A is raised by half and 3.
-   repeated: a larger A answers later and is quieter.
+3. gamma starts at 2/t_A, with t_A the time of the largest slope, so that f_R bridges the delay.
+   gamma is reduced in steps, to about 1/(2 t_A), until the two parts of the transfer function
+   nowhere cancel by more than half and it has no zero in the right half plane, which would make the
+   inverse unstable (`thermojoint.models.argument_principle`).
+4. With a long delay and strong convection no such gamma may exist. Then A is raised by half and
+   step 3 repeated: a larger A responds later, with less noise.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from thermojoint.models import ring_source
 from thermojoint.models.argument_principle import count_right_zeros
 from thermojoint.models.parameters import Regularisation, RingModel
 
-#: gamma · t_A tried, largest first, and the factors on A.
+#: Trial values of gamma · t_A, largest first, and of the factor on A.
 _GAMMAS = tuple(2.0 * 0.85**k for k in range(9))
 _RAISES = tuple(1.5**k for k in range(10))
 #: The smallest |H + s F_R| allowed, relative to the larger of the two parts.
@@ -42,7 +42,7 @@ _POINTS = 4000
 def transfer_contribution(s: np.ndarray | complex, regularisation: Regularisation) -> np.ndarray:
     """Return s F_R(s) = s (A/(s+gamma)2 + 2B/(s+gamma)3), K per unit heat input, shaped as `s`.
 
-    It is what f_R adds to temperature over heat input; as A/s at large s.
+    Contribution of f_R to temperature over heat input; A/s at large s.
     """
     z = np.asarray(s, dtype=complex)
     m = regularisation
@@ -66,10 +66,10 @@ def steepest_rise(ring: RingModel) -> tuple[float, float]:
         time = np.exp(log_x) / ring.alpha
         return -abs(float(ring_source.impulse_response(time, **asdict(ring)))) / scale
 
-    # A ring seen from afar is steepest at `delay`, a line at 2·delay, both earlier if it convects.
+    # A distant ring is steepest at `delay`, a line at 2·delay, both earlier with convection.
     scale = abs(float(ring_source.impulse_response(delay / ring.alpha, **asdict(ring))))
     if scale == 0.0:
-        raise InputError("ring source: the response is zero; K must not be 0 nor a, r that large")
+        raise InputError("ring source: the response is zero; K must not be 0, nor a or r so large")
     optimum = minimize_scalar(
         falling,
         bounds=(np.log(delay) - 12.0, np.log(delay) + 1.0),
@@ -81,7 +81,7 @@ def steepest_rise(ring: RingModel) -> tuple[float, float]:
 
 
 def _frequencies(ring: RingModel, regularisation: Regularisation) -> np.ndarray:
-    """Return angular frequencies, rad/s: 0, then from below every pole to where A/s rules."""
+    """Return angular frequencies, rad/s: 0, then from below all poles to where A/s dominates."""
     slow = 1e-4 * min(ring.a * ring.alpha, regularisation.gamma)
     fast = 1e4 * regularisation.gamma
     if ring.r != ring.r0:
@@ -90,14 +90,15 @@ def _frequencies(ring: RingModel, regularisation: Regularisation) -> np.ndarray:
 
 
 def right_half_plane_zeros(ring: RingModel, regularisation: Regularisation) -> int | None:
-    """Return how many zeros of H(s) + s F_R(s) lie right of the imaginary axis.
+    """Return the number of zeros of H(s) + s F_R(s) in the right half plane.
 
-    Times s + gamma it has no poles there and tends to A on the large arc (as sqrt(s) if r = r0).
+    Multiplied by s + gamma it has no poles there and tends to A on the large arc (to sqrt(s) if
+    r = r0).
 
     Returns
     -------
     int or None
-        None if a zero lies next to the axis.
+        None if a zero is too close to the axis.
     """
     _, lowest, *_, highest = _frequencies(ring, regularisation)
 
@@ -135,7 +136,7 @@ def choose_regularisation(ring: RingModel, interval: float) -> Regularisation:
     InputError
         A parameter is outside its range.
     ConvergenceError
-        Nothing tried leaves the inverse stable.
+        No trial value gives a stable inverse.
     """
     if not interval > 0.0 or not np.isfinite(interval):
         raise InputError(f"regularisation: interval = {interval} s must be positive")
@@ -151,6 +152,6 @@ def choose_regularisation(ring: RingModel, interval: float) -> Regularisation:
             if cancellation(ring, chosen) >= _MARGIN and right_half_plane_zeros(ring, chosen) == 0:
                 return chosen
     raise ConvergenceError(
-        f"regularisation: nothing tried leaves the inverse of {ring} stable; "
+        f"regularisation: no trial value gives a stable inverse of {ring}; "
         "choose a sensor nearer to the source"
     )

@@ -1,14 +1,13 @@
 """The generalised thermal model (Eqs. 1-3) in closed form: a ring source on a convecting plate.
 
-Eq. 2 integrates a product of Bessel functions over the wave number. Weber's second exponential
-integral does that once and for all: with x = alpha t, the response to an impulse of heat is
-K alpha / (2 x) · f(x), where
+Eq. 2 integrates a product of Bessel functions over the wave number. By Weber's second exponential
+integral, with x = alpha t, the response to an impulse of heat is K alpha / (2 x) · f(x), where
 
     f(x) = exp(-a x - (r - r0)² / 4 x) · I0e(r r0 / 2 x),      I0e(z) = exp(-z) I0(z),
 
 so the step response is (K/2) ∫ f(x) dx/x from 0 to alpha t. The integrand is smooth and positive in
 ln x and does not oscillate; it is integrated on Gauss-Legendre panels in ln x whose interpolants
-are integrated exactly, so that one set of nodes serves every time asked for.
+are integrated exactly, so that one set of nodes serves all times.
 In the Laplace domain the response is the product of two modified Bessel functions (Eq. 3).
 
 Time runs from the start of the step; K is in kelvin per unit heat input, a in 1/m2, alpha in m2/s,
@@ -29,7 +28,7 @@ from thermojoint.artefacts.errors import InputError
 #: Nodes of a panel and its width in ln x.
 _NODES = 20
 _WIDTH = 0.5
-#: exp(-x) of more than this is zero in double precision.
+#: exp(-x) of a larger x is zero in double precision.
 _UNDERFLOW = 745.0
 #: Below min(x, r r0)/exp(this) even a source at the sensor, f = sqrt(x / π r r0), adds < 1e-12.
 _HEAD = 56.0
@@ -163,8 +162,8 @@ def step_response_gradient(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the step response and its derivatives by K, a, alpha and r.
 
-    The derivative by r jumps at r = r0, where the ring's heat enters; there the mean of the two
-    sides is given.
+    The derivative by r jumps at r = r0, where the heat enters; there the mean of both sides is
+    returned.
 
     Parameters
     ----------

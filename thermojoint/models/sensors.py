@@ -22,7 +22,7 @@ HEAT_SENSORS = ("a", "b")
 JOINT_SENSORS = ("T1", "T2")
 ROLES = (*HEAT_SENSORS, *JOINT_SENSORS)
 
-#: A probe this near to a sensor of the model is that sensor, m.
+#: Largest distance between a probe and the model's sensor that it represents, m.
 SAME_PLACE = 1e-6
 
 
@@ -51,24 +51,24 @@ def readings(
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, Array] | None = None,
 ) -> Readings:
-    """Return the temperatures the estimator needs, and nothing else of the response.
+    """Return the temperatures of a response that the estimator reads.
 
     Parameters
     ----------
     response : xarray.Dataset
-        As `thermojoint.artefacts.response` says. Its temperatures are above the initial ambient:
-        ``ambient``, if it is there, is subtracted from those at the joint.
+        See `thermojoint.artefacts.response`. Its temperatures are relative to the initial ambient;
+        ``ambient``, if present, is subtracted from those at the joint.
     joint : sequence of str
         Roles of the sensors at the joint.
     roles : mapping, optional
         Role ("a", "b", "T1", ...) to the name of the probe; by default the same.
     noise : mapping, optional
-        Role to what is added to its temperature, K, shape (k,).
+        Role to noise on its temperature, K, shape (k,).
 
     Raises
     ------
     InputError
-        A probe is missing, or noise is given for a role that does not exist.
+        A probe is missing, or noise is given for an unknown role.
     """
     rise, above = _rises(response, (*HEAT_SENSORS, *joint), roles, noise)
     joined = np.stack([rise[role] for role in joint], axis=1)
@@ -94,7 +94,7 @@ def _rises(
     roles: Mapping[str, str] | None,
     noise: Mapping[str, Array] | None,
 ) -> tuple[dict[str, Array], Array | None]:
-    """Return role to its temperature above the initial ambient, and the ambient if it moves."""
+    """Return the temperature above the initial ambient by role, and the ambient if present."""
     names = dict(roles or {})
     added = dict(noise or {})
     for role in (*names, *added):
@@ -114,8 +114,8 @@ def _rises(
 def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
     """Return sensor role to the name of the probe in a response.
 
-    The probe of the role's own name, unless it lies elsewhere than the model's sensor: then the
-    probe that lies there.
+    The probe with the role's name, or the probe at the position of the model's sensor if that
+    differs.
 
     Raises
     ------

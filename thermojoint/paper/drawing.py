@@ -120,7 +120,7 @@ def deviations(model: Model, reference: xr.Dataset, response: xr.Dataset) -> np.
 
 
 def estimate_figures(validated: Validated) -> dict[str, Figure]:
-    """Return what was estimated beside what was so, by file name without its suffix."""
+    """Return figures of actual and estimated displacement, by file name without its suffix."""
     axes = list(dict.fromkeys(str(row["axis"]) for row in validated.rows))
     return {
         f"estimate-{name}": estimates_figure(

@@ -40,23 +40,23 @@ REFERENCE = "step-1.0"
 PRESSURE = "step-2.0"
 #: The responses of Figures 8 and 9, and of 10 and 11; the latter's noise is the estimate's.
 EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
-#: Longer than anything the paper judges by (`thermojoint.paper.long_runs`).
+#: Longer runs than the paper's (`thermojoint.paper.long_runs`).
 DAY, COOL_DOWN, WARM_START = "day", "cool-down", "warm-start"
 #: All validation cases, in this order.
 CASES = (*VALIDATION, NOISY, DAY, COOL_DOWN, WARM_START)
 
 
 def check_drivable(case: Case) -> None:
-    """Refuse a case whose response to a heat input would not be that of the heat input alone.
+    """Refuse a case in which something other than the heat input affects the response.
 
-    The deviation from proportionality, T(Q) - Q T(1), of whatever else warms the structure is (1 -
-    Q) times its effect and would be attributed to the joint.
+    Another heat source would contribute (1 - Q) times its effect to the deviation from
+    proportionality, T(Q) - Q T(1), which would be attributed to the joint.
 
     Raises
     ------
     InputError
-        There is no source, a source has a heat input of its own, the machine starts warm, or the
-        ambient or a held temperature is not that of the start.
+        There is no source, a source has its own heat input, the machine starts warm, or the ambient
+        or a held temperature changes.
     """
     if not case.sources:
         raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
@@ -81,12 +81,12 @@ def check_drivable(case: Case) -> None:
 
 
 def check_placeable(case: Case) -> None:
-    """Refuse a case whose responses could not be calibrated.
+    """Refuse a case whose responses cannot be used for a calibration.
 
     Raises
     ------
     InputError
-        There is no joint, or neither are the sensors named nor are there candidates to choose from.
+        There is no joint, or neither sensors nor candidates for them.
     """
     if not case.joints:
         raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
@@ -101,12 +101,12 @@ def simulate_inputs(
     setup: Setup | None = None,
     progress: Report | None = None,
 ) -> dict[str, xr.Dataset]:
-    """Return the response of one structure to several heat inputs; it is set up once.
+    """Return the responses of one structure to several heat inputs, by name.
 
     Raises
     ------
     InputError
-        Something other than the heat inputs would act on the structure.
+        Something other than the heat inputs acts on the structure.
     """
     check_drivable(case)
     ready = setup if setup is not None else set_up(case)

@@ -29,13 +29,13 @@ from thermojoint.paper.inputs import COOL_DOWN, DAY, Report
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Levels of a day, relative to the reference, and how long one lasts, s.
+#: Ranges of the heat levels of a day, relative to the reference, and of their duration, s.
 LEVELS, LASTS = (0.0, 2.0), (300.0, 2400.0)
 #: Initial ambient, degC, and its largest change, K.
 COLD, DRIFT = 20.0, 3.0
 #: Interval between two values of the ambient, s.
 AMBIENT_EVERY = 600.0
-#: A level changes within this, s.
+#: Duration of a change of level, s.
 EDGE = 1e-3
 #: Heat of the cool-down before it is switched off.
 COOLED_FROM = 2.0
@@ -52,13 +52,13 @@ class LongRuns:
     warm : float
         From its start to the start on the warm machine.
     settled : float
-        From there until errors count.
+        Time from there until errors count.
     cool_down, heated : float
         Length of the cool-down, and of the heating at its beginning.
     seed : int
-        Of the day's heat and ambient.
+        Seed of the day's heat and ambient.
     effort : Effort
-        Of the calibration of the estimators that follow them.
+        Effort of the calibration of the observers.
     """
 
     day: float = 480.0
@@ -112,20 +112,20 @@ def driven(
     name: str,
     folder: Path,
 ) -> Case:
-    """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that follows them.
+    """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that uses them.
 
     Parameters
     ----------
     case : Case
-        The machine; its march keeps its step.
+        The machine; its time step is not changed.
     histories : mapping
         ``heat_input``, and ``ambient_degC`` where the ambient moves, to times (s) and values.
     minutes : float
         Length of the run.
     name : str
-        Of the run.
+        Name of the run.
     folder : Path
-        For the histories.
+        Folder for the histories.
     """
     files = {column: folder / f"{name}-{column}.csv" for column in histories}
     for column, (times, values) in histories.items():
@@ -162,17 +162,17 @@ def simulate_long(
 def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
     """Return a response with only the sensors as probes, named by their roles.
 
-    Hours of every candidate would take a hundred times the room.
+    Hours of all candidates would need a hundred times the space.
     """
     kept = [probes_of(response).index(name) for name in roles.values()]
     return response.isel(probe=kept).assign_coords(probe=list(roles))
 
 
 def without_nonlinear(validated: Validated) -> Validated:
-    """Return a validation without a figure of the nonlinear part.
+    """Return a validation without the peaks of the nonlinear part.
 
-    No reference response is as long, and where the ambient moves none would do; the δ_L that was
-    calibrated on minutes says nothing of what is linear in hours.
+    They are unknown here: no reference response is as long or has a changing ambient, and δ_L
+    calibrated on minutes does not hold for hours.
     """
     rows: list[Row] = [{**row, "peak_nonlinear_um": None} for row in validated.rows]
     return replace(validated, rows=rows)

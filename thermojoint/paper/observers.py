@@ -46,8 +46,8 @@ def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
     Parameters
     ----------
     case : Case
-        The machine. The milling machine is meshed anew, with elements `COARSER` times as large; a
-        mesh from a file has to serve as it is.
+        The machine. The milling machine is remeshed with elements `COARSER` times as large; a mesh
+        from a file is used unchanged.
     sensors : mapping of str to Probe
         Sensors of the observer.
     """
@@ -59,11 +59,11 @@ def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
             "joint_element_size_mm": None if near is None else COARSER * near,
         }
         structure = structure.model_copy(update=sizes)
-    read = {name: _section(probe) for name, probe in sensors.items()}
+    added = {name: _section(probe) for name, probe in sensors.items()}
     return case.model_copy(
         update={
             "structure": structure,
-            "probes": case.probes | read,
+            "probes": case.probes | added,
             "candidates": [],
             "heat_input": StepInput(kind="step", level=1.0),
             "march": case.march.model_copy(update={"thermal": "reduced"}),
@@ -72,7 +72,7 @@ def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
 
 
 def _section(probe: Probe) -> ProbeSection:
-    """Return a probe as a case has it; without the rounding of its way from mm to m and back."""
+    """Return a probe as a section of a case, without the rounding of mm to m and back."""
     x, y, z = (round(1e3 * value, 6) for value in probe.position)
     return ProbeSection(position_mm=(x, y, z), body=probe.body)
 
@@ -85,31 +85,31 @@ def observers_beside(
     folder: Path,
     effort: Effort = USUAL,
 ) -> Iterator[Callable[[], list[JointAware]]]:
-    """Calibrate the observers of a machine, each in a process of its own, while the caller goes on.
+    """Calibrate the observers of a machine in separate processes while the caller continues.
 
-    Yields a function that waits for them and returns them. There is none for a machine with held
-    temperatures, which are no state of an observer, or with properties that depend on temperature.
+    Yields a function that waits for the observers and returns them. There are none for a machine
+    with held temperatures or temperature-dependent properties.
 
     Parameters
     ----------
     case : Case
         The machine.
     sensors : mapping of str to Probe
-        What they read.
+        Sensors that they read.
     responses : mapping
-        Name to response that calibrates them.
+        Name to response for the calibration.
     folder : Path
-        For ``joint_aware.h5``, ``kalman_linear.h5`` and what the data say of their parameters,
-        ``joint_aware.json`` and ``kalman_linear.json``.
+        For the models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their
+        parameters, ``joint_aware.json`` and ``kalman_linear.json``.
     effort : Effort
-        How much is tried.
+        Effort of the calibration.
 
     Raises
     ------
     InputError
-        From the waiting: the case has what no observer can have.
+        While waiting: the case has a feature that observers do not support.
     ConvergenceError
-        From the waiting: the machine cannot be marched, or its sensors do not determine the heat.
+        While waiting: the simulation fails, or the sensors do not determine the heat.
     """
     if case.held_temperatures or secant_sections(case) or growth_sections(case):
         yield list

@@ -56,5 +56,5 @@ VALIDATION_ERROR_UM = {"step-1.5": 0.1, "step-3.0": 0.5, "triangle": 0.15, "tria
 #: Largest difference of the calibrated from the actual displacement (section 5.3.1), µm.
 CALIBRATION_ERROR_UM = 0.1
 
-#: Share of its steady value that the contact pressure under compression reaches in one minute.
+#: Fraction of the steady change that the contact pressure under compression reaches in one minute.
 PRESSURE_SHARE = 0.75

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a run: tables, validation, solver's figures, pictures."""
+"""Report of a reproduction, one self-contained HTML page: tables, validation, solver, pictures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture file and what it shows."""
+    """A picture file and its caption."""
 
     path: Path
     caption: str
@@ -57,17 +57,17 @@ class ReportData:
     validation, blocks : sequence of mapping
         Rows of `estimator.fchs.judging.validate` and `estimator.fchs.block_errors`.
     schemes : sequence of SchemeErrors
-        The two calibrations of Eq. 18 beside the linear estimator.
+        The two calibrations of Eq. 18 compared with the linear estimator.
     convergence : mapping
-        Response to the solver's figures.
+        Response to its solver statistics.
     share : PressureShare, optional
         At the heat input of Figure 7.
     placement : str
-        How the sensors were chosen, and which.
+        The chosen sensors and the method.
     fits : mapping
         Model to the report of its fit.
     pictures : sequence of Picture
-        In their order on the page.
+        In order of appearance.
     case : str
         The whole case.
     """

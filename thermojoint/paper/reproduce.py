@@ -47,12 +47,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-#: Processes that judge at a time.
+#: Number of processes for the validation.
 JUDGES = 2
 
 
 def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
-    """Run the chain on `case`, fill the folder `out` and print the results.
+    """Run the complete chain for `case`, write its results to `out` and print them.
 
     The folder is replaced as a whole when everything is complete
     (`thermojoint.artefacts.folders`).
@@ -61,8 +61,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     ----------
     case : Case
         The machine; its heat input is replaced by those of the study. Nothing else may act on it
-        (`thermojoint.paper.inputs.check_drivable`), and it names its sensors or has candidates
-        for them.
+        (`thermojoint.paper.inputs.check_drivable`), and it has sensors or candidates for them.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``joint_aware.h5`` and
         ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, ``validation.json``,
@@ -155,7 +154,7 @@ def _judged(
     baselines: Baselines,
     observers: Sequence[JointAware],
 ) -> Validated:
-    """Validate every estimator in every case; those without a warm start begin as if cold."""
+    """Validate every estimator in every case; those without a warm start begin at rest."""
     at_rest = [(observer, observer.initial_state()) for observer in observers]
     warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
@@ -233,7 +232,7 @@ def _calibrate(
 
 
 def _kept(response: xr.Dataset, folder: Path, out: Path) -> xr.Dataset:
-    """Return a response whose case names its histories where they will be, in `out`."""
+    """Return a response whose case refers to its histories in `out`, their final folder."""
     case = str(response.attrs["case"]).replace(str(folder), str(out.resolve()))
     return response.assign_attrs(case=case)
 

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from estimator.rows import Row
 
-#: A contact pressure whose final change is below this part of the largest one has no share of it.
+#: A contact element with less than this fraction of the largest final change gets no share.
 STILL = 0.1
-#: From more contact elements than this on a joint rocks less than 5 % too easily.
+#: With more contact elements than this, a joint's resistance to rocking is less than 5 % too low.
 FINE = 4
 
 
@@ -34,13 +34,13 @@ class Convergence:
     heat_balance : float
         Largest |in - stored - convected|, relative.
     iterations, most_iterations : int
-        Newton iterations in all, and of the hardest step.
+        Newton iterations in total, and largest number in a step.
     cuts : int
-        Viscous steps where a joint snapped, in all.
+        Number of viscous steps after a snap-through of a joint.
     steps : int
-        Steps of the march.
+        Number of time steps.
     modes : int
-        Of the reduced thermal model; 0 if the march had the full one.
+        Number of modes of the reduced thermal model; 0 for the full one.
     reduction_error : float
         Largest error of an output of the reduced model, relative to the tolerance.
     """
@@ -56,7 +56,7 @@ class Convergence:
 
     @property
     def thermal_model(self) -> str:
-        """The thermal model in words, with its error if it is the reduced one."""
+        """Description of the thermal model, with the error of a reduced one."""
         from fesim.march.reduced import DISPLACEMENT_ERROR, TEMPERATURE_ERROR
 
         if not self.modes:
@@ -82,7 +82,7 @@ class ElementShare:
 
 @dataclass(frozen=True)
 class PressureShare:
-    """Share of the final change that each contact pressure has reached at a given time.
+    """Fraction of the final change that each contact pressure has reached at a given time.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
     Parameters
     ----------
     response : xarray.Dataset
-        A simulated one.
+        A simulated response.
     figures : mapping
         Its `fesim.batch.summary.figures_of`.
     """
@@ -171,10 +171,10 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
 
 
 def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a line about the coarsest joint if its contact elements let it rock too easily.
+    """Return a warning about the coarsest joint if its resistance to rocking is too low.
 
-    n elements of even pressure have (1 - 1/n^2) of the resistance of the strip that they divide
-    against turning about its middle: the sum of their areas times distances squared.
+    n elements of uniform pressure have (1 - 1/n^2) of the strip's resistance to rotation about its
+    middle (sum of areas times squared distances).
 
     Parameters
     ----------
@@ -199,18 +199,18 @@ def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _lasting(response: xr.Dataset, step: int) -> str:
-    """Return the time of a sample as a person says it."""
+    """Return the time of a sample as text, in s or min."""
     seconds = float(response["time"][step])
     return f"{seconds:.4g} s" if seconds < 60.0 else f"{seconds / 60.0:.4g} min"
 
 
 def convergence(response: xr.Dataset) -> Convergence:
-    """Return the solver's figures of a simulated response.
+    """Return the solver statistics of a simulated response.
 
     Raises
     ------
     InputError
-        The response is not simulated: it has no such figures.
+        The response is not simulated.
     """
     for name in ("gap_residual", "heat_balance", "iterations", "cuts"):
         _need(response, name)
@@ -234,21 +234,21 @@ def covered_areas(response: xr.Dataset) -> dict[str, float]:
 
 
 def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
-    """Return the share of the final change of pressure that is reached at a time.
+    """Return the fraction of the final change of pressure that is reached at a time.
 
     The paper's elements under compression reach 75 % within one minute (section 5.3.2).
 
     Parameters
     ----------
     response : xarray.Dataset
-        Simulated response to a step; its last sample stands for the steady state.
+        Simulated response to a step; its last sample is taken as the steady state.
     at_s : float
         The time, s.
 
     Raises
     ------
     InputError
-        There is no pressure, or the response does not last beyond `at_s`.
+        There is no pressure, or the response ends before `at_s`.
     """
     _need(response, "pressure")
     time, pressure = response["time"].to_numpy(), response["pressure"].to_numpy()

@@ -12,7 +12,7 @@ from thermojoint.models.model_file import Provenance
 from thermojoint.models.parameters import DeformationModel, Model
 from thermojoint.paper import paper_values
 
-#: Parameters of Eqs. 8 and 18 that carry a length; the model keeps them in m, people read µm.
+#: Parameters of Eqs. 8 and 18 with a length: in m in the model, in µm in the tables.
 _LENGTHS = ("C", "D", "E", "F")
 
 #: Name of a parameter to its unit in the tables.
@@ -53,10 +53,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter: its name, its unit, our value and the paper's (None where it has none).
-
-    `at_bound` means that the fit ended at a bound of the parameter.
-    """
+    """One parameter: name, unit, our value, the paper's, and whether the fit ended at a bound."""
 
     name: str
     unit: str
@@ -75,7 +72,7 @@ class Block:
 
 @dataclass(frozen=True)
 class PrintedTable:
-    """A table of the paper with ours beside it."""
+    """A table of the paper compared with ours."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -90,7 +87,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
         The calibrated model.
     provenance : Provenance
         Its largest calibration errors, under "thermal" and "sources" (K), "deformation.AXIS" and
-        "sources.INPUT.AXIS" (µm); what is missing becomes None.
+        "sources.INPUT.AXIS" (µm); missing ones become None.
 
     Returns
     -------
@@ -146,9 +143,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
 def printed_tables(
     tables: Mapping[str, Any], at_bound: Mapping[str, Collection[str]] = MappingProxyType({})
 ) -> tuple[PrintedTable, ...]:
-    """Return Tables 1-3 of `tables_json` with the paper's values beside ours.
-
-    Axes and sources that the paper does not have get no value of the paper.
+    """Return Tables 1-3 of `tables_json` with the paper's values, where it has them.
 
     Parameters
     ----------
@@ -189,7 +184,7 @@ def _table2(table: Mapping[str, Any], bounds: Collection[str]) -> PrintedTable:
         for j, value in enumerate(row)
     }
     blocks.append(_block("Distances source to sensor", distances, {}))
-    # The paper's carry no unit, so they cannot stand beside metres.
+    # The paper's have no unit, so they cannot be compared with metres.
     printed = tuple(
         Row(f"r {i + 1}{j + 1}", "", None, value)
         for i, row in enumerate(paper_values.TABLE2_DISTANCES)
@@ -236,7 +231,7 @@ def _block(
 
 
 def _of_source(at_bound: Collection[str], index: int) -> list[str]:
-    """Names without the number of their source, which fits of several sources append."""
+    """Names of one source's parameters, without the number that fits of several sources append."""
     number = str(index + 1)
     return [name.removesuffix(number) for name in at_bound if name.endswith(number)]
 

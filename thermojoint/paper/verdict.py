@@ -55,7 +55,7 @@ class ErrorTable:
 
 
 def error_table(rows: Sequence[Row]) -> ErrorTable:
-    """Return the largest errors of all estimators beside each other.
+    """Return the largest errors of all estimators as a table.
 
     Parameters
     ----------
@@ -94,9 +94,7 @@ def largest_error(row: Row) -> float:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Return a description of the accuracy of FCHS and the joint-aware estimator.
-
-    That is the paper's accuracy, and that of the linear model from the same temperatures.
+    """Compare FCHS and the joint-aware estimator with the paper and the linear model, in words.
 
     Parameters
     ----------
@@ -106,7 +104,7 @@ def verdict(rows: Sequence[Row]) -> str:
     Returns
     -------
     str
-        One paragraph; empty if nothing was judged.
+        One paragraph; empty without any rows.
     """
     return " ".join(text for name in CLAIMED if (text := _reached(rows, name)))
 
@@ -146,11 +144,11 @@ def _key(row: Row) -> Key:
 
 def _against(keys: Sequence[Key], error: dict[Key, float], other: dict[Key, float]) -> str:
     """Rows with both figures in words, e.g. "triangle x (0.2 against 0.1 µm)"."""
-    told = [
+    rows = [
         f"{case} {axis} ({error[case, axis]:.3g} against {other[case, axis]:.3g} µm)"
         for case, axis in keys
     ]
-    return ", ".join(told)
+    return ", ".join(rows)
 
 
 def _listed(keys: Sequence[Key]) -> str:
@@ -158,5 +156,5 @@ def _listed(keys: Sequence[Key]) -> str:
     axes: dict[str, list[str]] = {}
     for case, axis in keys:
         axes.setdefault(case, []).append(axis)
-    told = [f"{case} {' and '.join(names)}" for case, names in axes.items()]
-    return f": {', '.join(told)}" if told else ""
+    cases = [f"{case} {' and '.join(names)}" for case, names in axes.items()]
+    return f": {', '.join(cases)}" if cases else ""

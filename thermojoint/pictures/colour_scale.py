@@ -1,7 +1,7 @@
 """Colour scale of a field: bands between round numbers over the whole range.
 
-A machine is hot at its source and nearly cold elsewhere. On an even scale such a field is one
-colour with a spot on it; there the bands follow the sequence 1, 2, 5, 10 instead.
+A machine is hot at its source and nearly cold elsewhere. On an even scale such a field would be a
+single colour with a spot; the bands then follow the sequence 1, 2, 5, 10 instead.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class ColourScale:
     Attributes
     ----------
     label : str
-        What is shown and its unit.
+        Quantity and unit.
     levels : tuple of float
-        Limits of the bands, rising; two or more.
+        Limits of the bands, increasing; two or more.
     even : bool
-        The bands are equally wide.
+        Whether the bands are equally wide.
     """
 
     label: str
@@ -77,9 +77,10 @@ def colour_scale(label: str, values: Sequence[Array]) -> ColourScale:
     Parameters
     ----------
     label : str
-        What is shown and its unit.
+        Quantity and unit.
     values : sequence of ndarray
-        One of each picture that shares the scale, finite: the fullest one decides about the bands.
+        Finite values of each picture that shares the scale; the picture with the largest value
+        determines the kind of bands.
     """
     every = np.concatenate([np.ravel(part) for part in values])
     low, high = float(every.min()), float(every.max())
@@ -100,10 +101,9 @@ def _even(low: float, high: float) -> tuple[float, ...]:
 
 
 def _uneven(low: float, high: float) -> tuple[float, ...]:
-    """1, 2, 5 times powers of ten on each side that is used; the ends to two digits.
+    """1, 2, 5 times powers of ten on each side of zero with values; ends with two digits.
 
-    Around zero is one band: from it, where there is only one side, or across it, however little
-    lies on the other one.
+    One band includes zero: it starts there if there is only one side, else it extends across.
     """
     largest = max(abs(low), abs(high))
     powers = np.arange(np.floor(np.log10(largest) - _DECADES), np.ceil(np.log10(largest)) + 1.0)
@@ -119,7 +119,7 @@ def _uneven(low: float, high: float) -> tuple[float, ...]:
 
 
 def _up_to(end: float, steps: Array, largest: float) -> list[float]:
-    """Limits from the first step to `end`: only that where little lies on this side of zero."""
+    """Limits from the first step to `end`; a single one if the values on this side are small."""
     if end <= steps[0]:
         return []
     between = steps[steps < 0.9 * end] if end > _LITTLE * largest else steps[:1]

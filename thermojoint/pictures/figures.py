@@ -49,7 +49,7 @@ _NOISY_WIDTH = 0.4
 FORMATS = ("png", "svg", "pdf")
 #: Estimators that are always drawn beside the actual displacement.
 OWN = ("fchs", "joint-aware")
-#: Above this many places along a joint they get no number of their own.
+#: Largest number of places along a joint that are numbered.
 LABELLED = 12
 
 
@@ -84,7 +84,7 @@ def pressure_figure(response: xr.Dataset) -> Figure:
             minutes,
             change[:, k],
             linestyle=_STYLES[k % len(_STYLES)],
-            # One shade fewer than styles: no pair of the two comes twice among fifty curves.
+            # One shade fewer than styles, so that no pair repeats among fifty curves.
             color=_SHADES[k % (len(_SHADES) - 1)],
             linewidth=1.3,
             label=f"element {number}" if labelled else None,
@@ -179,7 +179,7 @@ def _panels(
     unit: float,
     label: str,
 ) -> Figure:
-    """A panel for each name, its curves in another unit, its axis labelled with the name."""
+    """One panel for each name, with values times `unit`, labelled with the name."""
     figure, axes = _figure(len(curves))
     figure.suptitle(heat, fontsize=10)
     for axis, (name, series) in zip(axes, curves.items(), strict=True):
@@ -194,8 +194,8 @@ def estimates_figure(
 ) -> Figure:
     """Actual and estimated displacement of each axis, and the errors below on their own scale.
 
-    Drawn are FCHS, the joint-aware estimator, and the best of the others over the case; all of
-    them would hide each other. Readable when it is shown 400 pixels wide.
+    FCHS, the joint-aware estimator, and the best of the others in this case are drawn; all of them
+    would hide each other. Readable at a width of 400 pixels.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def response_figure(response: xr.Dataset) -> Figure:
     Parameters
     ----------
     response : xarray.Dataset
-        Simulated or measured; no more than the first six probes are drawn.
+        Simulated or measured; only the first eight probes are drawn.
     """
     times = response["time"].to_numpy()
     figure, axes = _figure(3)
@@ -264,7 +264,7 @@ def write_figure(figure: Figure, path: Path, dpi: float = 150) -> None:
 
 
 def check_format(path: Path) -> str:
-    """Return the format that the suffix of `path` (.png, .svg, .pdf) stands for.
+    """Return the format of the suffix of `path` (.png, .svg, .pdf).
 
     Raises
     ------
@@ -278,7 +278,7 @@ def check_format(path: Path) -> str:
 
 
 def check_png(path: Path) -> None:
-    """Refuse a name with another suffix than that of PNG.
+    """Refuse a file name that does not end in ``.png``.
 
     Raises
     ------
@@ -319,13 +319,13 @@ def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) 
 
 
 def _is_noisy(values: Array) -> bool:
-    """Tell whether a curve turns at most samples, so that a thick line would be one black band."""
+    """Whether a curve changes direction so often that a thick line would be a black band."""
     turns = np.diff(np.sign(np.diff(values)))
     return bool(np.count_nonzero(turns) > 0.3 * max(turns.size, 1))
 
 
 def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:
-    """Write names behind the ends of curves, apart from each other where the ends are not."""
+    """Write names at the ends of curves, without overlaps."""
     order = np.argsort(values)
     apart = 0.035 * float(np.ptp(axis.get_ylim()))
     lowest = -np.inf

@@ -10,15 +10,15 @@ _FOLDERS = {"XDG_CONFIG_HOME": ".config", "XDG_CACHE_HOME": ".cache"}
 
 
 def find_place() -> None:
-    """Give matplotlib a cache folder if it has none; otherwise it warns and searches in every run.
+    """Give matplotlib a cache folder if it has none; else it would search for fonts in every run.
 
-    To be called before matplotlib is imported; child processes inherit the folder.
+    Call this before matplotlib is imported; child processes inherit the folder.
     """
     home = Path(os.path.expanduser("~"))  # noqa: PTH111 - it raises where nobody knows the home
     usual = [Path(os.environ.get(name) or home / below) for name, below in _FOLDERS.items()]
     if "MPLCONFIGDIR" in os.environ or all(_can_be_made(place / "matplotlib") for place in usual):
         return
-    # Here, not above: it takes longer than the look.
+    # Here, not above: importing it takes longer than the check.
     from thermojoint.artefacts.own_folder import own_folder
 
     if folder := own_folder("matplotlib"):

@@ -1,4 +1,4 @@
-"""Truth against estimate: a panel for each displacement, the band around the estimate."""
+"""Measured and estimated displacement: one panel each, with the confidence band."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Judged(NamedTuple):
     Attributes
     ----------
     title : str
-        Of the run and the displacement.
+        Run and displacement.
     times : ndarray, shape (k,)
         s.
     truth, estimate, band : ndarray, shape (k,)
-        m; NaN where none is known.
+        m; NaN where unknown.
     """
 
     title: str
@@ -37,12 +37,12 @@ class Judged(NamedTuple):
 
 
 def write_judged(panels: Sequence[Judged], path: Path) -> None:
-    """Draw the estimates of some displacements over what was measured.
+    """Draw measured and estimated displacements.
 
     Parameters
     ----------
     panels : sequence of Judged
-        One or more, from the top down.
+        At least one, from top to bottom.
     path : Path
         PNG, whole or not at all.
     """

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array
 
-#: Tried in this order: directions from the point to the label's middle.
+#: Directions from the point to the label's centre, in the order of trial.
 _DIRECTIONS = np.array(
     [(1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1)], dtype=float
 )
-#: Distances tried, in heights of a label.
+#: Distances in the order of trial, in heights of a label.
 _DISTANCES = np.arange(0.9, 12.0, 0.6)
 
 
 def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
-    """Return the middle of every label.
+    """Return the centre of every label.
 
     Labels are placed one after the other, each at the nearest free place inside the window.
 
@@ -39,7 +39,7 @@ def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
     placed: list[tuple[Array, Array]] = []
     for point, size in zip(points, sizes, strict=True):
         reach = _DISTANCES[:, None, None] * size[1] * _DIRECTIONS
-        # A wide label's middle is farther from its point than a narrow one's.
+        # The centre of a wide label is farther from its point.
         middles = (point + reach + 0.5 * (size - size[1]) * [1.0, 0.0] * _DIRECTIONS).reshape(-1, 2)
         free = _inside(middles, size, window) & ~_covers(middles, size, points)
         for middle, other in placed:

@@ -33,11 +33,11 @@ from thermojoint.pictures.scenes import Panel, Scene, Surface
 
 Pixels = NDArray[np.uint8]
 
-#: A renderer that takes longer than this for one picture hangs, s.
+#: Time limit for one picture of the renderer, s.
 TIMEOUT_S = 180.0
-#: Grey that shows on every colour, light or dark.
+#: Greys that are visible on light and dark colours.
 _LINE, _MESH_LINE = "#9aa0a8", "#7d838b"
-#: Two faces that meet at a larger angle make an edge that is drawn, degrees.
+#: Edges between faces at a larger angle are drawn, degrees.
 _CREASE = 30.0
 
 
@@ -97,7 +97,7 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
 def _read_panels(
     process: subprocess.Popen[bytes], output: IO[bytes], scene: Scene, height: int
 ) -> list[Pixels] | None:
-    """Pictures of one scene from the renderer's output; None if it dies or hangs before."""
+    """Pictures of one scene from the renderer's output; None if it ends or hangs before."""
     watch = Timer(TIMEOUT_S, process.kill)
     watch.start()
     try:
@@ -122,7 +122,7 @@ def painted(panel: Panel, height: int) -> Pixels:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=window[:2], ylim=window[2:])
     axes.set_axis_off()
-    # What can be seen through is painted first: sorted with the rest, it would veil it.
+    # Transparent surfaces are painted first: sorted with the others, they would cover them.
     for through in (True, False):
         surfaces = [surface for surface in panel.surfaces if (surface.opacity < 0.5) is through]
         if surfaces:
@@ -137,7 +137,7 @@ def painted(panel: Panel, height: int) -> Pixels:
 
 
 def _polygons(surfaces: Sequence[Surface], panel: Panel) -> PolyCollection:
-    """All faces in one collection, so that they are sorted together."""
+    """All faces in one collection, sorted together by depth."""
     polygons: list[Array] = []
     colours, depths = [], []
     for surface in surfaces:
@@ -156,7 +156,7 @@ def _polygons(surfaces: Sequence[Surface], panel: Panel) -> PolyCollection:
 
 
 def _face_colours(surface: Surface, corners: Array, scale: ColourScale | None) -> Array:
-    """Colour of every face, RGBA, shape (m, 4); shaded by its direction if it shows no values."""
+    """Colour of every face, RGBA, shape (m, 4); shaded by direction if there are no values."""
     if surface.values is None or scale is None:
         colour = np.tile(np.array(to_rgba(surface.colour)), (len(surface.faces), 1))
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -174,7 +174,7 @@ def _face_colours(surface: Surface, corners: Array, scale: ColourScale | None) -
 
 
 def creases(points: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Edges of a surface at which it ends or is bent, shape (n, 2)."""
+    """Boundary edges and sharp edges of a surface, shape (n, 2)."""
     count = faces.shape[1]
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), count)
@@ -188,7 +188,7 @@ def creases(points: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     first = np.concatenate([[0], np.cumsum(shared)[:-1]])
     face = owner[order[first]]
     other = owner[order[np.minimum(first + 1, len(order) - 1)]]
-    # Faces may be turned either way round: only the angle between their planes counts.
+    # Faces may have either orientation: only the angle between their planes counts.
     bent = np.abs(np.einsum("ni,ni->n", normal[face], normal[other])) < np.cos(np.radians(_CREASE))
     return np.asarray(unique[(shared != 2) | bent])
 
@@ -214,7 +214,7 @@ class _View:
             lines = pyvista.PolyData(surface.points, lines=np.hstack([two, edges]).ravel())
             self.plotter.add_mesh(lines, color=_LINE, line_width=1.5, lighting=False)
             self.meshes.append((mesh, lines))
-        # Before that, nothing is drawn anew.
+        # Needed before the first rendering.
         self.plotter.show(auto_close=False, interactive=False)
 
     def _add(self, mesh: Any, surface: Surface, scale: ColourScale | None) -> None:  # noqa: ANN401
@@ -271,7 +271,7 @@ def _point(plotter: Any, camera: Camera, window: Window, panel: Panel) -> None: 
 
 
 def _main(height: int, folders: Sequence[Path]) -> None:
-    # Whatever a driver prints goes elsewhere: standard output is for pixels alone.
+    # Output of drivers is redirected: standard output is for pixels only.
     with os.fdopen(os.dup(1), "wb") as output:
         os.dup2(2, 1)
         for folder in folders:

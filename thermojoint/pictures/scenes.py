@@ -36,7 +36,7 @@ class Surface:
     colour : str
         Used where there are no values.
     opacity : float
-        0 to 1; of what is 0 the edges are drawn.
+        0 to 1; at 0 only the edges are drawn.
     values : ndarray, shape (n,) or (m,), optional
         Values for the colour map, at the points or on the faces.
     """
@@ -67,9 +67,9 @@ class Panel:
     surfaces : tuple of Surface
         Surfaces of the panel.
     camera : Camera
-        From where.
+        Projection.
     markers : tuple of Marker
-        Points to name.
+        Labelled points.
     shows : str
         Quantity and unit of the values on its surfaces; empty if there are none.
     close_to : ndarray, shape (n, 3), optional
@@ -91,7 +91,7 @@ class Panel:
 
     @property
     def frame(self) -> Window:
-        """The window of a panel that is `finished`."""
+        """Window of a `finished` panel."""
         if self.window is None:
             raise ValueError("a scene is to be finished before it is drawn")
         return self.window
@@ -147,7 +147,7 @@ def finished(scenes: Sequence[Scene]) -> list[Scene]:
 
 
 def _drawn(panel: Panel) -> list[Array]:
-    """Values that a panel shows, without those of points that no face uses."""
+    """Values shown in a panel, without those of unused points."""
     return [
         surface.values[np.unique(surface.faces)]
         if len(surface.values) == len(surface.points)
@@ -205,7 +205,7 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
 def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
     """Outward normals of boundary `facets`, as long as their areas, m2, shape (n, 3)."""
     corners = mesh.p.T[boundary_faces(mesh, facets)]
-    # Of a quadrilateral the diagonals; of a triangle two edges: half their product in both cases.
+    # Half the cross product of the diagonals of a quadrilateral, or of two edges of a triangle.
     last = corners[:, 3] - corners[:, 1] if corners.shape[1] == 4 else corners[:, 2] - corners[:, 1]
     area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], last)
     inward = mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T - corners.mean(axis=1)

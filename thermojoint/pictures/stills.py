@@ -33,7 +33,7 @@ _ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.4, "shrinkA": 0, "shrinkB
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure and the parts of it that change from one scene of a film to the next."""
+    """A figure and its parts that change from scene to scene of a film."""
 
     figure: Figure
     images: tuple[AxesImage, ...]
@@ -76,7 +76,7 @@ def write_pictures(
 
 
 def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
-    """Lay a finished scene out: its panels (painted here if there are no `images`) and all around.
+    """Lay out a finished scene: panels (painted here without `images`), labels, axes, bars.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _bars(
 ) -> list[tuple[ColourScale, float, float]]:
     """Colour scales with the left and the right end of their bars, inches.
 
-    Neighbours that show the same from the same side share one.
+    Adjacent panels with the same scale and camera share a bar.
     """
     bars: list[tuple[ColourScale, float, float]] = []
     before = None
@@ -155,7 +155,7 @@ def _draw_triad(axes: Axes, panel: Panel) -> None:
     axes.set(xlim=(-1.4, 1.4), ylim=(-1.4, 1.4))
     axes.set_axis_off()
     arrows = panel.camera.project(np.eye(3))
-    for k in np.argsort(arrows[:, 2]):  # the one that points at the eye last
+    for k in np.argsort(arrows[:, 2]):  # the arrow towards the eye last
         name, colour = "xyz"[k], ("#c0392b", "#2e7d32", "#1f5fa8")[k]
         x, y = arrows[k, :2]
         axes.annotate(
@@ -170,7 +170,7 @@ def _draw_triad(axes: Axes, panel: Panel) -> None:
 
 
 def _name_points(axes: Axes, panel: Panel) -> None:
-    """Write the markers' labels where they do not cover each other, with a line to the point."""
+    """Write the markers' labels without overlaps, with lines to their points."""
     if not panel.markers:
         return
     points = panel.camera.project(np.array([marker.position for marker in panel.markers]))[:, :2]

@@ -1,4 +1,4 @@
-"""The structure as in the paper's Figure 6: a cross-section, and the joint with one side apart."""
+"""The structure as in the paper's Figure 6: a cross-section, and the opened joint."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from thermojoint.pictures.scenes import (
 )
 
 _SIDE_COLOUR, _SOURCE_COLOUR = "#e0a100", "#c8301a"
-#: How far the other bodies are drawn from the joint, of the structure's size.
+#: Displayed distance of the other bodies from the joint, relative to the structure's size.
 _APART = 0.35
 
 
@@ -89,13 +89,13 @@ def structure_scene(
 def onto(
     structure: Structure, up: Vector, mirror: Mirror | None, sources: Sequence[str] = ()
 ) -> Vector:
-    """View onto the cut of a half model, else onto the heat sources; a little from above."""
+    """View onto the cut of a half model, else onto the heat sources; slightly from above."""
     p = structure.mesh.p
     if mirror is not None:
         middle = 0.5 * (p.min(axis=1) + p.max(axis=1))[mirror.axis]
         main = (1.0 if mirror.plane > middle else -1.0) * np.eye(3)[mirror.axis]
         return facing(main, up, side=-0.64, height=0.36)
-    # Along the shortest horizontal edge of its box, where a structure is broadest.
+    # Along the shortest horizontal edge of the bounding box: the broad side is visible.
     flat = [k for k in range(3) if not up[k]]
     main = np.eye(3)[min(flat, key=lambda k: float(np.ptp(p[k])))]
     views = [facing(sign * main, up, side=-0.64, height=0.36) for sign in (1.0, -1.0)]
@@ -103,7 +103,7 @@ def onto(
 
 
 def _faces(structure: Structure, surface: str, view: Vector) -> bool:
-    """Whether most of a surface looks towards the eye; what stands before it is not asked."""
+    """Whether most of a surface faces the eye; occlusion is not considered."""
     areas = outward_areas(structure.mesh, structure.surface(surface))
     towards = areas @ np.asarray(view)
     return bool(towards[towards > 0.0].sum() > 0.5 * np.abs(towards).sum())

@@ -56,15 +56,15 @@ if TYPE_CHECKING:
 
 CURVES = {Show.curves: response_figure, Show.pressures: pressure_figure}
 FIELDS = (Show.temperature, Show.deformation, Show.pressure)
-#: Frames of a film where nobody says how many: ten seconds.
+#: Default number of frames of a film: ten seconds.
 FRAMES = 120
 
 
 def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | None = None) -> None:
-    """Draw what a case file or a response holds into `out`.
+    """Draw a case or a response into `out`.
 
-    Curves are drawn from the response; the fields at the end of the run are simulated again, since
-    a response keeps only its probes.
+    Curves are drawn from the response; fields at the end of the run require another simulation,
+    since a response contains only its probes.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     Raises
     ------
     InputError
-        The source is unusable, a response without its case is asked for more than curves, there
-        are no joints whose pressure could be shown, or `out` has another format.
+        The source is unusable, fields are requested of a response without its case, there are no
+        joints whose pressure could be shown, or `out` has another format.
     """
     from_case = source.suffix != ".nc"
     show = show or (Show.structure if from_case else Show.curves)
@@ -96,7 +96,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
-    # Here, not above: what is wrong with a case is said before anything can draw.
+    # Here, not above: mistakes in a case are reported before the drawing libraries are loaded.
     from thermojoint.pictures.stills import write_pictures
 
     if show is Show.structure:
@@ -126,7 +126,7 @@ def draw_film(
     source : Path
         A case (TOML) or a response (.nc).
     show : Show, optional
-        One of `FIELDS`; default all that the case has, side by side.
+        One of `FIELDS`; default all fields of the case, side by side.
     out : Path
         MP4 or GIF.
     report : callable
@@ -139,7 +139,7 @@ def draw_film(
     Raises
     ------
     InputError
-        As `draw`; or `show` is no field, or the extra 'view' is missing.
+        As `draw`; or `show` is not a field, or the extra 'view' is missing.
     """
     if show is not None and show not in FIELDS:
         raise InputError(f"--show {show}: a film shows {', '.join(FIELDS)}; give one, or none")
@@ -183,18 +183,18 @@ def run_to_end(
 def film_scenes(
     shows: tuple[Show, ...], case: Case, report: Report, count: int, up: Up | None = None
 ) -> list[Scene]:
-    """Simulate a case and return a scene at rest and at `count` - 1 times more, the end included.
+    """Simulate a case and return scenes at `count` times from rest to the end.
 
     Parameters
     ----------
     shows : tuple of Show
-        Some of `FIELDS`: the panels.
+        Fields of the panels.
     case : Case
-        What to simulate.
+        Case to simulate.
     report : callable
         Progress.
     count : int
-        Two or more; a march of fewer steps has a scene for each step.
+        Two or more; fewer if the simulation has fewer steps.
     up : Up, optional
         As in `draw`.
     """
@@ -238,7 +238,7 @@ def whole_structure(
     structure : Structure
         As built from the case.
     sensors : mapping, optional
-        Role to position, m; default the temperature probes that the case names.
+        Role to position, m; default the temperature probes of the case.
     up : Up, optional
         As in `draw`.
     """
@@ -302,7 +302,7 @@ def _upwards(case: Case, structure: Structure, up: Up | None) -> Vector:
 
 
 def _caption(case: Case, fields: Fields) -> str:
-    """Time and heat: all sources together, W, and relative to the reference."""
+    """Time and total heat, relative to the reference and in W."""
     time = f"{fields.time / 60.0:.3g} min"
     reference = sum(source_power(source) for source in case.sources.values())
     if not reference:

@@ -177,7 +177,7 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
     assert log.times.tolist() == [1772431200, 1772431260, 1772517600, 1772517660]
     text = said(log)
     assert "again.csv, which is left out" in text
-    assert "given as file 2, read as file 1, in the order of time" in text
+    assert "given as file 2, read as file 1, sorted by time" in text
 
 
 @pytest.mark.parametrize(
@@ -185,8 +185,8 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
     [
         ("time_s;x_um\n0;1_0\n", "line 2: x_um is '1_0', not a number; write it like 20.5 or 20,5"),
         ("time_s;x_um\n0;20,5\n1;20.5\n", "line 3: x_um is '20.5', not a number"),
-        ("time;x_um\n0;1\n1;2\n", "line 2: time is '0', no time known here; write seconds"),
-        ("time;x_um\nMonday;1\n1;2\n", "time is 'Monday', no time known here"),
+        ("time;x_um\n0;1\n1;2\n", "time is '0', which is no known form of time; write seconds"),
+        ("time;x_um\nMonday;1\n1;2\n", "time is 'Monday', which is no known form of time"),
         ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),
         ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
         ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),

@@ -49,7 +49,7 @@ def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_pat
     (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
     code, out, err = command("look", "log.csv", "--out", "log.png")
     assert (code, out) == (2, "")
-    assert "time is 'noon', no time known here; write seconds" in err
+    assert "time is 'noon', which is no known form of time; write seconds" in err
     assert len(err.splitlines()) == 1
     assert not (tmp_path / "log.png").exists()
 

@@ -1,1 +1,1 @@
-"""Files of settings (TOML): what a section is made of, and what is said where one is wrong."""
+"""Files of settings (TOML): sections, and messages about mistakes in them."""

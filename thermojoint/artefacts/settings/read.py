@@ -19,17 +19,17 @@ def read_settings(schema: type[Schema], path: Path, what: str) -> Schema:
     Parameters
     ----------
     schema : type
-        Of the whole file.
+        Model of the whole file.
     path : Path
-        Files that it names are relative to its folder.
+        The file; other files named in it are relative to its folder.
     what : str
-        What it should be, e.g. ``"case"``.
+        Kind of file for messages, e.g. ``"case"``.
 
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, or a value is out of range:
-        every mistake has a line.
+        The file is missing or not TOML, a key is unknown or missing, or a value is out of range;
+        one line for each mistake.
     """
     return settings_from(schema, parse(read_text(path, what), str(path)), str(path), path.parent)
 
@@ -40,13 +40,13 @@ def settings_from(schema: type[Schema], data: dict[str, Any], where: str, folder
     Parameters
     ----------
     schema : type
-        Of the whole file.
+        Model of the whole file.
     data : dict
-        What the file says.
+        Content of the file.
     where : str
-        What an error calls it.
+        Name of the file for messages.
     folder : Path
-        Names of files are relative to it.
+        Folder to which file names are relative.
 
     Raises
     ------

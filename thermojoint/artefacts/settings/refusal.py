@@ -1,4 +1,4 @@
-"""Errors of pydantic as one line per mistake."""
+"""Validation errors of pydantic as messages with one line per mistake."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Place = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake: where it is, which keys that place may have, what pydantic says of it."""
+    """One mistake: its place, the keys that are valid there, and pydantic's description."""
 
     place: Place
     keys: tuple[str, ...]
@@ -28,29 +28,29 @@ class Mistake:
 
 
 def refusal(schema: type[BaseModel], error: ValidationError, where: str) -> InputError:
-    """Return the error that tells every mistake of an input, one line each.
+    """Return the error that lists every mistake of an input, one line each.
 
     Parameters
     ----------
     schema : type
-        Of the whole input.
+        Model of the whole input.
     error : ValidationError
-        What pydantic raised.
+        Pydantic's error.
     where : str
-        What the input is called.
+        Name of the input for messages.
     """
     mistakes = [_mistake(schema, details) for details in error.errors()]
     meant = set(_meant(mistakes))
     lines: dict[Place, str] = {}
     for mistake in mistakes:
-        # Each member of a union says why it is not meant: the first is enough.
+        # Each member of a union reports its own mistake: the first is enough.
         if mistake.place not in meant and mistake.place not in lines:
             lines[mistake.place] = _line(mistake, where)
     return (InputError if len(lines) == 1 else InputErrors)("\n".join(lines.values()))
 
 
 def _meant(mistakes: list[Mistake]) -> Iterator[Place]:
-    """Yield the missing keys that unknown ones stand for: misspelt, or a name with a dot."""
+    """Yield the missing keys that are present under a misspelt name or a name with a dot."""
     missing = [mistake.place for mistake in mistakes if mistake.details["type"] == "missing"]
     for mistake in mistakes:
         if mistake.details["type"] == "extra_forbidden":
@@ -84,7 +84,7 @@ def _at(where: str, place: Place | list[str]) -> str:
 
 
 def _dotted_name(mistake: Mistake) -> str | None:
-    """Return what to do about a table in place of a value: TOML makes one of a dotted name."""
+    """Return the advice for a table in place of a value, which TOML creates from a dotted name."""
     given, kind = mistake.details["input"], mistake.details["type"]
     wrong_kind = kind.endswith("_type") or kind == "literal_error"
     if not (wrong_kind and mistake.place and given and isinstance(given, dict)):
@@ -101,7 +101,7 @@ def _quoting(name: str) -> str:
 
 
 def _mistake(schema: type[BaseModel], details: ErrorDetails) -> Mistake:
-    """Find the place of an error: pydantic's own has kinds and members of unions in it as well."""
+    """Find the place of an error; pydantic's location also contains members of unions."""
     place: list[str] = []
     types = [schema]
     for part in details["loc"]:
@@ -123,7 +123,7 @@ def _mistake(schema: type[BaseModel], details: ErrorDetails) -> Mistake:
 
 
 def _kinds(section: type[BaseModel]) -> list[Any]:
-    """Return what a section's own fields of one value say: ``kind`` of several sections."""
+    """Return the values of a section's literal fields, e.g. its ``kind``."""
     return [
         value
         for field in section.model_fields.values()
@@ -133,12 +133,12 @@ def _kinds(section: type[BaseModel]) -> list[Any]:
 
 
 def _keys(section: type[BaseModel]) -> dict[str, Any]:
-    """Return the type of each key as it is called in the input."""
+    """Return the type of each key, by its name in the input."""
     return {field.alias or name: field.annotation for name, field in section.model_fields.items()}
 
 
 def _inside(kind: Any, part: str | int) -> Iterator[Any]:  # noqa: ANN401 - a type of any form
-    """Yield the types that may stand at a key of a section or a table, or at an entry of a list."""
+    """Yield the types allowed at a key of a section or table, or at an entry of a list."""
     origin = get_origin(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         yield from _members(_keys(kind)[str(part)]) if part in _keys(kind) else ()

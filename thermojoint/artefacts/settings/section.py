@@ -1,4 +1,4 @@
-"""Base of all sections of a settings file: a strict model, bounded numbers, file names."""
+"""Base class of the sections of settings files; bounded numbers; file names."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-#: A share that is not zero: 0 < x <= 1.
+#: 0 < x <= 1.
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 Count = Annotated[int, Field(ge=1)]
 
-# TOML has arrays where Python has tuples: their entries stay as strict as the section.
+# TOML has arrays instead of tuples; their entries are as strict as the section.
 Point = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
 Texts = Annotated[tuple[str, ...], Field(strict=False)]
 
@@ -26,22 +26,19 @@ def _beside(path: Path, info: ValidationInfo) -> Path:
     return (info.context / path).absolute()
 
 
-#: A file's name, relative to the file it stands in; absolute once that is read, because whoever
-#: opens it may stand in another folder.
+#: Name of a file, relative to the settings file; made absolute when that is read, because the
+#: working folder may be another one later.
 File = Annotated[Path, Field(strict=False), AfterValidator(_beside)]
 
 
 class Section(BaseModel):
-    """Base of the sections.
-
-    Unknown keys are errors, text is no number, and nothing changes once it is read.
-    """
+    """Base class of sections: unknown keys are errors, text is no number, values are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 def files_of(settings: Any) -> list[Path]:  # noqa: ANN401 - sections, lists, values
-    """Return every file that sections name, at any depth."""
+    """Return all files named in sections, at any depth."""
     if isinstance(settings, Path):
         return [settings]
     if isinstance(settings, BaseModel):

@@ -1,4 +1,4 @@
-"""TOML as people write it: a byte order mark may lead, names with dots need quotes."""
+"""Reading of TOML with or without a byte order mark; quoting of keys and strings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def read_text(path: Path, what: str) -> str:
     path : Path
         The file.
     what : str
-        What it should be, e.g. ``"case"``.
+        Kind of file for messages, e.g. ``"case"``.
 
     Raises
     ------
     InputError
-        It is missing, or no text in UTF-8.
+        The file is missing, or not text in UTF-8.
     """
     try:
         return Path(path).read_text(encoding="utf-8")
@@ -32,12 +32,12 @@ def read_text(path: Path, what: str) -> str:
 
 
 def parse(text: str, where: str) -> dict[str, Any]:
-    """Return the content of a TOML text; a byte order mark, as Windows editors write it, may lead.
+    """Return the content of a TOML text, which may start with a byte order mark (Windows).
 
     Raises
     ------
     InputError
-        It is no TOML.
+        The text is not valid TOML.
     """
     try:
         return tomllib.loads(text.removeprefix("\ufeff"))
@@ -46,11 +46,11 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
 
 def as_key(name: str) -> str:
-    """Return a name as a TOML key: in quotes, unless it needs none."""
+    """Return a name as a TOML key, in quotes if necessary."""
     bare = name.replace("_", "").replace("-", "")
     return name if bare.isascii() and bare.isalnum() else as_text(name)
 
 
 def as_text(value: str) -> str:
-    """Return a TOML string: escaped as in JSON, but for the surrogate pairs that TOML refuses."""
+    """Return a TOML string, escaped as in JSON but without surrogate pairs."""
     return json.dumps(value, ensure_ascii=False)

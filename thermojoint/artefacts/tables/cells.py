@@ -1,4 +1,4 @@
-"""Cells as numbers; what is not a number, and what a logger writes in its place."""
+"""Conversion of cells to numbers; missing readings and error values of loggers."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: A number with a decimal point. ``1_0``, which Python would read as 10, is none.
+#: A number with a decimal point; not ``1_0``, which Python reads as 10.
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-#: What no column of plain numbers has.
+#: Characters that do not occur in a column of plain numbers.
 _ODD = re.compile(r"[^0-9eE+\-.\s]")
 _GROUPED = {
     ".": re.compile(r"[+-]?\d{1,3}(?:[,' ]\d{3})+(?:\.\d*)?"),
     ",": re.compile(r"[+-]?\d{1,3}(?:[.' ]\d{3})+(?:,\d*)?"),
 }
-#: A decimal sign or one of thousands.
+#: The sign may separate decimals or thousands.
 _MAY_BE_GROUPED = re.compile(r"[+-]?\d{1,3}[.,]\d{3}")
-#: What stands for a reading that is missing, in lower case; runs of ``-``, ``*`` and ``?`` as well.
+#: Texts for a missing reading, in lower case; also runs of ``-``, ``*`` and ``?`` (`_SIGNS`).
 _MISSING_WORDS = """
     nan na n/a #n/a #na null none nil inf infinity overflow over ovl ovfl ol underflow under open
     opn err error fehler fault invalid bad ungültig bruch #div/0! #value! #wert! #ref! #bezug! #num!
@@ -29,13 +29,13 @@ _MISSING_WORDS = """
 """
 MISSING = frozenset(_MISSING_WORDS.split())
 _SIGNS = re.compile(r"[-–—*?_.]+|[+-]?(?:inf|infinity|ol|ovl|over)", re.IGNORECASE)
-#: Beyond, an instrument has left its range (an open thermocouple reads 9.9e37).
+#: Larger values mean that an instrument is out of range (an open thermocouple reads 9.9e37).
 _OVERFLOW = 1e30
-#: No smaller number is an error.
+#: Error values are at least this large.
 _LEAST_ERROR = 3000.0
-#: No temperature is further from zero, in K, °C or °F.
+#: Limit on the magnitude of temperatures, in K, °C or °F.
 LARGEST_TEMPERATURE = 5000.0
-#: Ends of 16-bit counts, as they are and in tenths.
+#: Limits of 16-bit counts, in units and in tenths.
 _COUNTS = (32767.0, -32768.0, 3276.7, -3276.8, 65535.0, 6553.5)
 #: Runs of nines, the error value of many loggers.
 _NINES = tuple(
@@ -43,7 +43,7 @@ _NINES = tuple(
     for text in ("9999", "9999.9", "9999.99", "99999", "99999.9", "999999", "9999999", "99999999")
     for sign in (1.0, -1.0)
 )
-#: Where a spindle may turn at 9999 rpm, only these are errors.
+#: Error values of quantities that may be 9999, e.g. a speed in rpm.
 _NEVER = tuple(value for value in (*_NINES, -32768.0) if value < 0.0 or value > 99998.0)
 
 
@@ -55,9 +55,9 @@ class Numbers(NamedTuple):
     values : ndarray, shape (k,)
         NaN where a reading is missing.
     missing : Counter
-        What stood in place of a number, to how often; an empty cell is ``empty``.
+        Text in place of a number to its count; an empty cell is ``empty``.
     unreadable : int or None
-        The first cell that is neither.
+        Index of the first cell that is neither a number nor missing.
     """
 
     values: Array
@@ -66,7 +66,7 @@ class Numbers(NamedTuple):
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell stands for a missing reading by its text."""
+    """Whether the text of a cell means a missing reading."""
     text = cell.strip()
     return not text or text.lower() in MISSING or _SIGNS.fullmatch(text) is not None
 
@@ -77,12 +77,12 @@ def number_in(cell: str, decimal: str) -> float | None:
     Parameters
     ----------
     cell : str
-        With thousands, perhaps: ``1.234,5``, ``1,234.5``, ``1 234,5``.
+        May contain separators of thousands: ``1.234,5``, ``1,234.5``, ``1 234,5``.
     decimal : str
-        Its decimal sign, ``.`` or ``,``; empty where the table has not shown it yet.
+        Decimal sign, ``.`` or ``,``; empty if it is not known yet.
     """
     text = cell.strip()
-    # An exponent stands behind a point in any language: a logger's overflow, 9.9E37.
+    # Numbers with an exponent have a point in any language: a logger's overflow, 9.9E37.
     if _NUMBER.fullmatch(text) and (decimal != "," or "e" in text.lower()):
         return float(text)
     text = text.replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", " ")
@@ -100,14 +100,14 @@ def number_in(cell: str, decimal: str) -> float | None:
 
 
 def _decimal_of(text: str) -> str:
-    """Return the decimal sign of one number: the last of its signs."""
+    """Return the decimal sign of one number: its last separator."""
     return "," if text.rfind(",") > text.rfind(".") else "."
 
 
 def decimal_shown(cells: Sequence[str]) -> str:
-    """Return the decimal sign that some cells show, empty if they leave it open.
+    """Return the decimal sign that follows from some cells; empty if it is undetermined.
 
-    ``20,5`` shows a comma, as ``1.234,5`` does; ``1,234`` may be either.
+    ``20,5`` and ``1.234,5`` have a comma; ``1,234`` may be either.
     """
     votes = Counter[str]()
     for cell in cells:
@@ -122,12 +122,12 @@ def decimal_shown(cells: Sequence[str]) -> str:
 
 
 def numbers(cells: Sequence[str], decimal: str) -> Numbers:
-    """Return the numbers in some cells of one column.
+    """Convert cells of one column to numbers.
 
     Parameters
     ----------
     cells : sequence of str
-        As they stand in the table.
+        Texts of the cells.
     decimal : str
         See `number_in`.
     """
@@ -152,14 +152,14 @@ def numbers(cells: Sequence[str], decimal: str) -> Numbers:
 
 
 def is_error_value(value: float, quantity: str) -> bool:
-    """Whether a number is one by which a logger says that it has none; see `without_error_values`.
+    """Whether a number is an error value of a logger; see `without_error_values`.
 
     Parameters
     ----------
     value : float
         In the unit of the reading.
     quantity : str
-        What it is (`Column.quantity`).
+        Its quantity (`Column.quantity`).
     """
     if not abs(value) > _LEAST_ERROR:
         return False
@@ -167,15 +167,15 @@ def is_error_value(value: float, quantity: str) -> bool:
 
 
 def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[str]]:
-    """Return values with NaN for the numbers by which a logger says that it has none.
+    """Return values with NaN in place of error values of loggers, and the count of each.
 
     Parameters
     ----------
     values : ndarray, shape (k,)
         In the unit of the table.
     quantity : str
-        What they are (`Column.quantity`): a speed or a power may be 9999, a temperature and a
-        thermal displacement are not.
+        Their quantity (`Column.quantity`): a speed or a power may be 9999, a temperature or a
+        thermal displacement may not.
     """
     size = np.abs(values)
     if not (size > _LEAST_ERROR).any():  # NaN is not

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.tables.cells import number_in
 
-#: The forms that can be read, as a refusal names them.
+#: Readable forms of time, for error messages.
 FORMS = (
     "seconds, ms, minutes or hours by the column's unit, seconds or ms since 1970, Excel days, "
     "2026-03-02T06:00:00Z, 02.03.2026 06:00:00, 3/2/2026 6:00 AM, or 06:00:00"
@@ -29,10 +29,10 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 #: Day 0 of a spreadsheet, in days before 1970.
 _EXCEL = 25_569
 _DAY, _HOUR = 86_400.0, 3_600.0
-#: What a number without a unit may be: s, ms, µs since 1970, days since 1900.
+#: Ranges of numbers without a unit: s, ms and µs since 1970, days since 1900.
 _SECONDS, _MILLISECONDS, _MICROSECONDS = (3e8, 5e9), (3e11, 5e12), (3e14, 5e15)
 _DAYS = (20_000.0, 80_000.0)
-#: Abbreviations that mean one offset, h.
+#: Time zone abbreviations to their offset, h.
 _OFFSETS = {
     "Z": 0.0,
     "UTC": 0.0,
@@ -65,7 +65,7 @@ _STAMP = re.compile(
 
 
 def clock_word(name: str) -> bool:
-    """Whether a column is a clock by its name, with its unit or its zone or without."""
+    """Whether a column's name, with or without unit or time zone, means a clock."""
     column = column_named(name.strip())
     if column is not None:
         return column.quantity == "time" and column.base.lower() in _WORDS
@@ -73,7 +73,7 @@ def clock_word(name: str) -> bool:
 
 
 def tells_date(seconds: float) -> bool:
-    """Whether a number of seconds is so large that it counts from 1970."""
+    """Whether a number of seconds is so large that it must count from 1970."""
     return _SECONDS[0] < seconds < _SECONDS[1]
 
 
@@ -84,17 +84,17 @@ class Clock:
     Attributes
     ----------
     columns : tuple of int
-        Which tell it; two for a date and a time of day.
+        Indices; two for a date and a time of day.
     form : str
         ``number``, ``excel``, ``stamp`` or ``time of day``.
     dated : bool
-        Times are s since 1970.
+        Whether times are s since 1970.
     factor, divisor : float
-        A number is multiplied by the one and divided by the other to be s.
+        A number times `factor` / `divisor` is in s.
     order : str
-        Of a date with dots or slashes: ``dmy`` or ``mdy``; empty where the year comes first.
+        Order of a date with dots or slashes: ``dmy`` or ``mdy``; empty if the year comes first.
     zone : tzinfo or None
-        Of moments that carry none; None where there is none either: they are kept as they are.
+        Time zone of cells without one; None if it is unknown: they are taken as UTC.
     """
 
     columns: tuple[int, ...]
@@ -107,7 +107,7 @@ class Clock:
 
     @property
     def shown(self) -> str:
-        """In words."""
+        """Description for reports."""
         order = {"dmy": ", day before month", "mdy": ", month before day"}.get(self.order, "")
         return {
             "stamp": f"date and time{order}{f', {self.zone}' if self.zone else ''}",
@@ -117,7 +117,7 @@ class Clock:
 
 
 class Moment(NamedTuple):
-    """A time, s; the later one, too, where the end of summer time makes it happen twice."""
+    """A time, s; `second` is later where the end of summer time repeats a local time."""
 
     first: float
     second: float
@@ -130,11 +130,11 @@ class Hands(NamedTuple):
     Attributes
     ----------
     last : float
-        Time of the row before, s.
+        Time of the previous row, s.
     shift : float
-        What midnights and changes of summer time have added, s.
+        Sum of the shifts by midnights and changes of summer time, s.
     step : float
-        Of the row before, s.
+        Interval before the previous row, s.
     """
 
     last: float = -float("inf")
@@ -145,22 +145,22 @@ class Hands(NamedTuple):
 def clock_of(
     names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str, chosen: Sequence[int] = ()
 ) -> tuple[Clock | None, str]:
-    """Return the clock of a table and what is wrong with the columns that are called so.
+    """Return the clock of a table, and the mistake in a column that is named like one.
 
     Parameters
     ----------
     names : sequence of str
-        Of the columns.
+        Names of the columns.
     rows : sequence of sequences of str
-        The first rows; one is enough.
+        First rows, at least one.
     decimal : str
         Decimal sign.
     chosen : sequence of int
-        Columns that the user calls the clock; others are not looked at.
+        Columns chosen by the user as the clock; others are ignored.
 
     Notes
     -----
-    What tells the date comes before what counts from a start, and that before a time of day.
+    A clock with a date is preferred to one that counts from a start, and that to a time of day.
     """
     named = list(chosen) or [k for k, name in enumerate(names) if clock_word(name)]
     clocks: dict[str, list[tuple[int, Clock]]] = {}
@@ -170,7 +170,7 @@ def clock_of(
         clock = _clock_in(k, names[k], cells, decimal)
         if clock is None:
             cell = cells[0].strip() if cells else ""
-            bad = bad or f"{names[k]} is {cell!r}, no time known here; write {FORMS}"
+            bad = bad or f"{names[k]} is {cell!r}, which is no known form of time; write {FORMS}"
         else:
             clocks.setdefault(clock.form, []).append((k, clock))
     for form in ("stamp", "excel"):
@@ -189,7 +189,7 @@ def clock_of(
 
 
 def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Clock | None:
-    """Return the clock that one column is; ``date`` as form for one without a time of day."""
+    """Return the clock in one column; its form is ``date`` without a time of day."""
     column = column_named(name)
     if column is not None and column.quantity == "time":
         scale = UNITS[column.unit].scale
@@ -204,7 +204,7 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
     values = [value for cell in cells if (value := number_in(cell, decimal)) is not None]
     if number_in(cells[0], decimal) is not None:
         return _plain_number(index, values)
-    # What does not fit the first is refused where it stands.
+    # Cells that do not fit the first one are refused when their row is read.
     parts = [match for cell in cells if (match := _STAMP.match(cell.strip()))]
     if not _STAMP.match(cells[0].strip()) or not (parts[0]["a"] or parts[0]["hour"]):
         return None
@@ -232,7 +232,7 @@ def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
 
 
 def _order(parts: Sequence[re.Match[str]]) -> str:
-    """Return the order of dates: dots and dashes have the day first, slashes as the numbers say."""
+    """Return the order of dates: day first with dots and dashes; with slashes by the numbers."""
     if not parts or len(parts[0]["a"]) == 4:
         return ""
     slashed = [part for part in parts if part["sign"] == "/"]
@@ -242,7 +242,7 @@ def _order(parts: Sequence[re.Match[str]]) -> str:
     second = {int(part["b"]) for part in slashed}
     if max(first) > 12:
         return "dmy"
-    # Of two readings the one in which less time passes: days change before months do.
+    # If both are possible, the one in which less time passes: days change before months.
     return "dmy" if max(second) <= 12 and len(first) > len(second) else "mdy"
 
 
@@ -266,14 +266,14 @@ def zone_named(text: str) -> tzinfo | None:
 
 
 def moment(clock: Clock, cells: Sequence[str], decimal: str) -> Moment | None:
-    """Return the time of one row as its cells tell it, or None if they tell none.
+    """Return the time in the cells of one row, or None if they contain none.
 
     Parameters
     ----------
     clock : Clock
-        How to read them.
+        The table's clock.
     cells : sequence of str
-        Of the clock's columns.
+        Cells of the clock's columns.
     decimal : str
         Decimal sign.
     """
@@ -282,7 +282,7 @@ def moment(clock: Clock, cells: Sequence[str], decimal: str) -> Moment | None:
         if value is None:
             return None
         if clock.form == "excel":
-            # A double holds days to a microsecond, spreadsheets show ms.
+            # In double precision days are accurate to a microsecond; spreadsheets show ms.
             value = round((value - _EXCEL) * _DAY * 1e3) / 1e3
         else:
             value = value * clock.factor / clock.divisor
@@ -352,45 +352,45 @@ def _date(match: re.Match[str], order: str) -> datetime | None:
 
 
 def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
-    """Return where a clock stands at the next row, and what it did there, if anything.
+    """Return the state of a clock at the next row, and a note on a shift, if any.
 
-    A clock that goes back without a reason known here is left there: the caller refuses it, or
-    begins a run.
+    A clock that goes back for an unknown reason stays there: the caller refuses it or starts a new
+    run.
 
     Parameters
     ----------
     clock : Clock
-        Of the table.
+        The table's clock.
     hands : Hands
-        At the row before.
+        State at the previous row.
     at : Moment
-        As the row tells it.
+        Time in the row.
     """
-    time, shift, said = at.first + hands.shift, hands.shift, ""
+    time, shift, note = at.first + hands.shift, hands.shift, ""
     if time < hands.last:
         if at.second + shift > hands.last and at.second > at.first:
             time = at.second + shift
         elif clock.form == "time of day" and hands.last - time > 0.5 * _DAY:
-            time, shift, said = time + _DAY, shift + _DAY, "midnight passed"
+            time, shift, note = time + _DAY, shift + _DAY, "midnight passed"
         elif at.local and 0.0 < time + _HOUR - hands.last <= _near(hands) and _changes(at, "end"):
-            time, shift, said = time + _HOUR, shift + _HOUR, "summer time ended"
+            time, shift, note = time + _HOUR, shift + _HOUR, "summer time ended"
     elif (
         at.local
         and 0.0 < time - _HOUR - hands.last <= min(hands.step * 1.5, 0.5 * _HOUR)
         and _changes(at, "begin")
     ):
-        time, shift, said = time - _HOUR, shift - _HOUR, "summer time began"
+        time, shift, note = time - _HOUR, shift - _HOUR, "summer time began"
     step = time - hands.last if hands.last > -float("inf") else hands.step
-    return Hands(time, shift, step if step > 0.0 else hands.step), said
+    return Hands(time, shift, step if step > 0.0 else hands.step), note
 
 
 def _near(hands: Hands) -> float:
-    """Return how late the next row may be when the clock was set back, s."""
+    """Return the longest interval to the next row after the clock was set back, s."""
     return max(0.5 * _HOUR, 1.5 * min(hands.step, _HOUR))
 
 
 def _changes(at: Moment, which: str) -> bool:
-    """Whether summer time begins or ends in the hour of a local time, in Europe or America."""
+    """Whether summer time starts or ends near a local time, in Europe or America."""
     day = _EPOCH + timedelta(seconds=at.first)
     if day.isoweekday() != 7 or not 0.9 < day.hour + day.minute / 60.0 < 4.6:
         return False

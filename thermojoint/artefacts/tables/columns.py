@@ -26,26 +26,26 @@ def read_columns(
     Parameters
     ----------
     path : Path
-        CSV, .xlsx or Parquet with a header; lines that begin with ``#`` are left out.
+        CSV, .xlsx or Parquet with a header; lines that start with ``#`` are ignored.
     wanted : sequence of str
-        Columns that must be there, under these names or with another unit of the same quantity.
-        ``time_s`` may be any clock; one that tells the date counts from the first row.
+        Required columns, by these names or with another unit of the same quantity. ``time_s`` may
+        be any clock; one with a date counts from the first row.
     kind : str
-        What the file is, for the error message, e.g. "history".
+        Kind of file for messages, e.g. "history".
     optional : sequence of str
-        Columns that are read if they are there.
+        Columns that are read if present.
 
     Returns
     -------
     dict of str to ndarray, shape (rows,)
-        In the units that were asked for; NaN where a value is missing.
+        In the requested units; NaN where a value is missing.
 
     Raises
     ------
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is no table, a column is missing or a value is no number.
+        It is not a table, a column is missing, or a value is not a number.
     """
     path = Path(path)
     with lines_of(path, kind) as source:
@@ -83,23 +83,23 @@ def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Arr
         )
     values = place.values(read.values)
     column = column_named(name)
-    # A rise in K is typed by a person, and no reading of a logger.
+    # A rise in K is typed by a person, not recorded by a logger.
     if column is not None and column.quantity == "temperature" and column.unit != "K":
         values, _ = without_error_values(values, column.quantity)
     return values
 
 
 def _times(clock: Clock, dialect: Dialect, rows: Sequence[Row], where: str) -> Array:
-    """Return the times of rows, s; from the first one on where the clock tells the date."""
+    """Return the times of rows, s; since the first row if the clock has a date."""
     times, hands = [], Hands()
     for row in rows:
         cells = [row.cells[k] for k in clock.columns]
-        told = moment(clock, cells, dialect.decimal)
-        if told is None:
+        read = moment(clock, cells, dialect.decimal)
+        if read is None:
             raise InputError(
                 f"{where}: line {row.line}: {' '.join(cells).strip()!r} is not a time; "
                 f"write {FORMS}"
             )
-        hands, _ = passed(clock, hands, told)
+        hands, _ = passed(clock, hands, read)
         times.append(hands.last)
     return np.array(times) - (times[0] if times and clock.dated else 0.0)

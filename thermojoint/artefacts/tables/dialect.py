@@ -16,16 +16,16 @@ from thermojoint.artefacts.quantities import column_named, unit_named
 from thermojoint.artefacts.tables.cells import decimal_shown, is_missing, number_in
 from thermojoint.artefacts.tables.clock import clock_word
 
-#: What may divide cells: the first that fits best. Two blanks or more, then one or more.
+#: Possible separators, in order of preference; at the end two or more blanks, one or more blanks.
 SEPARATORS = (";", "\t", ",", "|", "  ", " ")
 _BLANKS = {"  ": re.compile(r"\s{2,}|\t"), " ": re.compile(r"\s+")}
 _SHOWN = {";": "semicolon", "\t": "tab", ",": "comma", "|": "bar", "  ": "blanks", " ": "blanks"}
 _SEP_LINE = re.compile(r'^"?sep=(.)"?\s*$', re.IGNORECASE)
-#: A date or a time of day at the beginning of a cell.
+#: A date or a time of day at the start of a cell.
 _MOMENT = re.compile(r"^\d{1,4}[-./:]\d{1,2}[-./:T ]?")
-#: What a row of values mostly begins with; an empty cell is looked at.
+#: Common first characters of a row of values; other rows are examined.
 _DIGITS = frozenset("0123456789")
-#: A comment, and not a spreadsheet's error value.
+#: A comment, as opposed to a spreadsheet's error value.
 _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)", re.IGNORECASE)
 
 
@@ -38,15 +38,15 @@ class Dialect:
     separator : str
         One of `SEPARATORS`.
     decimal : str
-        ``.``, ``,``, or empty as long as no cell has shown it.
+        ``.`` or ``,``; empty if it is undetermined.
     names : tuple of str
-        Of the columns, a unit from the line below in brackets.
+        Names of the columns, with a unit from the row of units in brackets.
     given, units : tuple of str
-        As the header has them, and the row of units below it, which may be empty.
+        Names as in the header, and the row of units below it, which may be empty.
     first : int
-        How many lines stand before the first row.
+        Number of lines before the first row.
     skipped : int
-        How many of them are neither header nor units.
+        Number of these that are neither header nor units.
     """
 
     separator: str
@@ -59,18 +59,18 @@ class Dialect:
 
     @property
     def shown(self) -> str:
-        """In words."""
+        """Description for reports."""
         comma = ", decimal comma" if self.decimal == "," else ""
         return f"{_SHOWN[self.separator]} between cells{comma}"
 
 
 def cells_of(lines: Iterable[str], separator: str, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of every row; a cell in quotes may take several lines.
+    """Yield the line number and the cells of every row; a quoted cell may span several lines.
 
     Raises
     ------
     InputError
-        The lines cannot be divided.
+        The lines cannot be parsed.
     """
     blanks = _BLANKS.get(separator)
     if blanks:
@@ -88,40 +88,40 @@ def cells_of(lines: Iterable[str], separator: str, where: str) -> Iterator[tuple
 
 
 def is_row(cells: Sequence[str]) -> bool:
-    """Whether cells are a row of values: not empty and no comment."""
+    """Whether cells are a row: neither empty nor a comment."""
     return bool(cells) and any(map(str.strip, cells)) and not _COMMENT.match(cells[0])
 
 
 def trimmed(cells: list[str], count: int) -> list[str]:
-    """Return cells without empty ones beyond a count: a separator may end the line."""
+    """Return cells without empty ones beyond a count, since a line may end in a separator."""
     while len(cells) > count and not cells[-1].strip():
         cells = cells[:-1]
     return cells
 
 
 class Row(NamedTuple):
-    """One row of values and the line it ends in."""
+    """One row of values and the number of its last line."""
 
     line: int
     cells: list[str]
 
 
 def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]:
-    """Yield the rows of values; a header, and units, that stand there again are none.
+    """Yield the rows of values; repeated headers and units are skipped.
 
     Parameters
     ----------
     lines : iterable of str
-        From the first row on.
+        Lines from the first row.
     dialect : Dialect
-        How to read them.
+        Dialect of the table.
     where : str
         Name of the file, for error messages.
 
     Raises
     ------
     InputError
-        A row has another number of cells than the header.
+        The length of a row differs from the header's.
     """
     for number, row in cells_of(lines, dialect.separator, where):
         line = number + dialect.first
@@ -134,12 +134,12 @@ def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]
 
 
 def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
-    """Return the cells of a row of values; None for an empty row, a comment, or a header again.
+    """Return the cells of a row of values; None for an empty row, a comment or a repeated header.
 
     Raises
     ------
     InputError
-        They are more or fewer than those of the header.
+        Their number differs from the header's.
     """
     count = len(dialect.given)
     if len(row) == count and row[0][:1] in _DIGITS:
@@ -154,29 +154,29 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
 
 
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
-    """Return how the lines of a table are to be read, by its first lines.
+    """Detect the dialect of a table from its first lines.
 
     Parameters
     ----------
     lines : sequence of str
-        The beginning.
+        First lines.
     where : str
         Name of the file, for error messages.
     whole : bool
-        More lines would not help: the table ends here, or enough have been seen.
+        Whether more lines would not help: the table ends here, or there are enough lines.
 
     Returns
     -------
     Dialect or None
-        None where more lines are needed.
+        None if more lines are needed.
 
     Raises
     ------
     InputError
         There is no header.
     """
-    told = next((_SEP_LINE.match(line) for line in lines[:1]), None)
-    candidates = (told[1],) if told else SEPARATORS
+    stated = next((_SEP_LINE.match(line) for line in lines[:1]), None)
+    candidates = (stated[1],) if stated else SEPARATORS
     tables = [
         tried for sep in candidates if (tried := _tried(lines, sep)) and len(tried.header) > 1
     ]
@@ -217,7 +217,7 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
 
 @dataclass(frozen=True)
 class _Try:
-    """A table's beginning as one separator divides it; `fits` is the share of rows it divides."""
+    """First lines of a table split by one separator; `fits` is the share of rows that fit."""
 
     separator: str
     header: list[str]
@@ -229,7 +229,7 @@ class _Try:
 
 def _tried(lines: Sequence[str], separator: str) -> _Try | None:
     table: list[tuple[int, list[str]]] = []
-    # A line that cannot be divided is refused, by its number, where the rows are read.
+    # A line that cannot be parsed is refused, with its number, when the rows are read.
     with suppress(InputError):
         for cells in cells_of(lines, separator, ""):
             table.append(cells)
@@ -255,9 +255,9 @@ def _tried(lines: Sequence[str], separator: str) -> _Try | None:
 
 
 def _header_at(full: Sequence[Sequence[str]], data: Sequence[bool]) -> int | None:
-    """Return which row is the header: words above values, best those that name a clock or a unit.
+    """Return the index of the header: words above values, preferably with a clock or a unit.
 
-    Lines before it may hold a name and a value, too: a logger's number, the time of its start.
+    Earlier lines may also contain a name and a value, e.g. a logger's serial number or start time.
     """
     words = [k for k, known in enumerate(data) if not known]
     above = [k for k in words if any(data[k + 1 : k + 3]) and len(full[k]) > 1]
@@ -274,7 +274,7 @@ def _header_at(full: Sequence[Sequence[str]], data: Sequence[bool]) -> int | Non
 def _in_comment(
     table: Sequence[tuple[int, list[str]]], before: int, count: int
 ) -> tuple[int, list[str]] | None:
-    """Return the last comment before the rows if it names as many columns."""
+    """Return the last comment before the rows if it has the same number of columns."""
     for (number, row), (following, _) in pairwise(table):
         if row and _COMMENT.match(row[0]) and following == before:
             header = [row[0].strip().lstrip("#").strip(), *row[1:]]
@@ -284,7 +284,7 @@ def _in_comment(
 
 
 def is_data(row: Sequence[str]) -> bool:
-    """Whether a row holds values: a number or a moment, and as many of them as words."""
+    """Whether a row contains values: numbers or times, at least half as many as words."""
     kinds = Counter(
         "empty"
         if not cell.strip()
@@ -299,6 +299,6 @@ def is_data(row: Sequence[str]) -> bool:
 
 
 def _are_units(row: Sequence[str]) -> bool:
-    """Whether a row names units: at least one known, and nothing long."""
+    """Whether a row contains units: at least one known unit, and short cells only."""
     there = [cell.strip() for cell in row if cell.strip()]
     return any(map(unit_named, there)) and all(len(cell) <= 12 for cell in there)

@@ -17,7 +17,7 @@ from thermojoint.artefacts.tables.dialect import (
     trimmed,
 )
 
-#: Lines by which a file is judged; a stream is judged by its first row.
+#: Number of lines from which a file's layout is detected; a stream's by its first row.
 HEAD = 256
 
 
@@ -30,17 +30,17 @@ class Layout:
     where : str
         Name of the file.
     dialect : Dialect
-        Of its lines.
+        Dialect of its lines.
     names : tuple of str
         All columns, renamed and with their units.
     clock : Clock
-        Which columns tell the time, and how.
+        Columns and form of the clock.
     kept : tuple of int
-        Columns that are readings.
+        Indices of the readings.
     columns : tuple of Column
-        What they are.
+        The readings.
     notes : tuple of str
-        What was assumed.
+        Assumptions.
     """
 
     where: str
@@ -53,13 +53,13 @@ class Layout:
 
     @property
     def ignored(self) -> tuple[str, ...]:
-        """Names of the columns that are neither clock nor reading."""
+        """Names of the columns that are neither clock nor readings."""
         used = {*self.kept, *self.clock.columns}
         return tuple(name for k, name in enumerate(self.names) if k not in used and name)
 
     @property
     def form(self) -> str:
-        """In words."""
+        """Description for reports."""
         clock = " + ".join(self.names[k] for k in self.clock.columns)
         return f"{self.dialect.shown}; clock {clock}, {self.clock.shown}"
 
@@ -67,24 +67,24 @@ class Layout:
 def layout_of(
     lines: Sequence[str], where: str, renamed: Mapping[str, str], whole: bool
 ) -> Layout | None:
-    """Return how a log is to be read, by its first lines; None where more are needed.
+    """Detect the layout of a log from its first lines; None if more are needed.
 
     Parameters
     ----------
     lines : sequence of str
-        The beginning.
+        First lines.
     where : str
         Name of the file, for error messages.
     renamed : mapping
-        Name of a column, with or without its unit, to the one it is given.
+        Name of a column, with or without its unit, to its new name.
     whole : bool
-        More lines would not help.
+        Whether more lines would not help.
 
     Raises
     ------
     InputError
-        There is no header, no clock or no reading, a name of `renamed` is not there, or two
-        columns have one name.
+        There is no header, no clock or no reading, a column in `renamed` is missing, or two
+        columns have the same name.
     """
     dialect = dialect_of(lines, where, whole)
     if dialect is None:
@@ -135,7 +135,7 @@ def layout_of(
 
 
 def _renamed(dialect: Dialect, where: str, renamed: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the columns as the user gives them."""
+    """Return the names of the columns after renaming by the user."""
     there = {*dialect.names, *dialect.given}
     for name, ours in renamed.items():
         if name not in there and ours not in there:

@@ -1,4 +1,4 @@
-"""The rows of a log as they come in, in SI, piece by piece, with a record of what was read."""
+"""Rows of a log as they arrive, in SI, in pieces, with a report on what was read."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 
 #: Rows in a piece.
 ROWS = 1 << 15
-#: No machine tool is so hot on the whole, °C; what a room is in kelvin.
+#: A median in this range is a temperature in K, not in °C.
 _KELVIN = (223.0, 400.0)
-#: No thermal displacement is larger, m.
+#: Limit on thermal displacements, m.
 _LARGEST_LENGTH = 0.05
-#: A clock that goes back to where it began has begun anew if so many rows came before.
+#: A clock that returns to its start has restarted if at least this many rows came before.
 _FEWEST = 3
 
 
@@ -40,7 +40,7 @@ class _At(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Consecutive rows of one run, their times (s), the time before them, and what was said."""
+    """Consecutive rows of one run, their times (s), the time before them, and notes."""
 
     rows: list[Row]
     times: list[float]
@@ -52,7 +52,7 @@ class _Part(NamedTuple):
 def pieces_in(
     lines: Iterable[str], where: str, renamed: Mapping[str, str] | None = None, rows: int = ROWS
 ) -> Iterator[Log]:
-    """Yield the samples of a table as its lines come in; each piece is of one run.
+    """Yield the samples of a table as its lines arrive; each piece belongs to one run.
 
     Parameters
     ----------
@@ -61,16 +61,16 @@ def pieces_in(
     where : str
         Name of the file, for error messages.
     renamed : mapping, optional
-        Name of a column to the one it is given, which ends in its unit.
+        Name of a column to its new name, which ends in its unit.
     rows : int
-        Most samples in a piece; 1 for a stream, whose first row must not wait for more.
+        Largest number of samples in a piece; 1 for a stream, whose rows must not wait.
 
     Raises
     ------
     InputError
-        There is no clock or no reading, a row has another number of cells than the header, a
-        cell is neither a number nor a missing reading, a clock goes back, two rows contradict
-        each other, or what looks like kelvin stands in a column of °C.
+        There is no clock or no reading, the length of a row differs from the header's, a cell is
+        neither a number nor a missing reading, a clock goes back, two rows contradict each other,
+        or values in °C look like kelvin.
     """
     source = iter(lines)
     layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
@@ -78,12 +78,12 @@ def pieces_in(
     notes, at, twice = layout.notes, _At(), 0
     body = rows_of(chain(head[layout.dialect.first :], source), layout.dialect, where)
     while part := list(islice(body, rows)):
-        for told, after in _parts(layout, part, at):
-            at, twice = after, twice + told.twice
-            notes = (*notes, *told.notes)
-            if told.times:
+        for section, after in _parts(layout, part, at):
+            at, twice = after, twice + section.twice
+            notes = (*notes, *section.notes)
+            if section.times:
                 here = replace(record, notes=notes, twice=twice)
-                piece = _piece(layout, here, told)
+                piece = _piece(layout, here, section)
                 yield piece
                 record = replace(record, interval=piece.records[0].interval)
                 notes, twice = (), 0
@@ -92,7 +92,7 @@ def pieces_in(
 def _begun(
     source: Iterator[str], where: str, renamed: Mapping[str, str], lines: int
 ) -> tuple[Layout, list[str]]:
-    """Return the layout of a table and the lines that were read for it."""
+    """Return the layout of a table and the lines read to detect it."""
     head = list(islice(source, lines))
     layout = layout_of(head, where, renamed, whole=len(head) < lines or lines > 1)
     while layout is None:
@@ -103,7 +103,7 @@ def _begun(
 
 
 def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part, _At]]:
-    """Yield rows run by run with their times, and where the reading stands after each."""
+    """Yield the rows of each run with their times, and the progress after them."""
     clock, where = layout.clock, layout.where
     times = _counted(layout, rows, at)
     if times is not None:
@@ -115,10 +115,10 @@ def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part
     part = _Part([], [], at.hands.last, [], 0)
     for row in rows:
         cells = [row.cells[k] for k in clock.columns]
-        told = moment(clock, cells, layout.dialect.decimal)
-        if told is None:
+        read = moment(clock, cells, layout.dialect.decimal)
+        if read is None:
             raise _no_time(layout, row, " ".join(cells).strip())
-        hands, note = passed(clock, at.hands, told)
+        hands, note = passed(clock, at.hands, read)
         if note:
             part.notes.append(f"line {row.line}: {note}")
         if hands.last == at.hands.last:
@@ -132,8 +132,8 @@ def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part
                     f"{at.before.line} is later); drop the row, or put the rows in order"
                 )
             yield part, at
-            said = [f"line {row.line}: time restarts: a new run"]
-            part, hands = _Part([], [], -np.inf, said, 0), Hands(told.first)
+            notes = [f"line {row.line}: time restarts: a new run"]
+            part, hands = _Part([], [], -np.inf, notes, 0), Hands(read.first)
             at = _At()
         at = _At(hands, min(at.first, hands.last), at.rows + 1, row)
         part.rows.append(row)
@@ -142,7 +142,7 @@ def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part
 
 
 def _counted(layout: Layout, rows: Sequence[Row], at: _At) -> list[float] | None:
-    """Return the times of rows whose clock is a number that does nothing but increase."""
+    """Return the times of rows by a numeric, increasing clock; None for any other."""
     if layout.clock.form != "number":
         return None
     (k,) = layout.clock.columns
@@ -154,7 +154,7 @@ def _counted(layout: Layout, rows: Sequence[Row], at: _At) -> list[float] | None
 
 
 def _check_twice(layout: Layout, row: Row, other: Row) -> None:
-    """Refuse two rows of one time that do not say the same."""
+    """Refuse two rows with the same time but different readings."""
     for k in layout.kept:
         first, second = row.cells[k].strip(), other.cells[k].strip()
         if first != second:
@@ -200,7 +200,7 @@ def _piece(layout: Layout, record: Record, part: _Part) -> Log:
 
 
 def _check_unit(where: str, column: Column, values: Array) -> None:
-    """Refuse what is hardly meant: kelvin in a column of °C, micrometres in one of metres."""
+    """Refuse values in the wrong unit: kelvin in a column of °C, micrometres in one of metres."""
     there = values[np.isfinite(values)]
     if not there.size:
         return

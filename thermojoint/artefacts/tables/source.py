@@ -14,14 +14,14 @@ from typing import BinaryIO
 from thermojoint.artefacts.errors import InputError, UnreadableError
 from thermojoint.artefacts.extras import require
 
-#: Bytes by which a file is recognised.
+#: Number of bytes from which the format of a file is detected.
 _HEAD = 4096
-#: The first bytes of a workbook (.xlsx is a zip), of Parquet, and of a workbook before 2007.
+#: First bytes of a workbook (.xlsx is a zip), of Parquet, and of a workbook before 2007.
 _ZIP, _PARQUET, _OLD_EXCEL = b"PK\x03\x04", b"PAR1", b"\xd0\xcf\x11\xe0"
 
 
 def _as_cp1252(error: UnicodeError) -> tuple[str, int]:
-    """Decode what is no UTF-8 as Windows does: a logger's degree sign is one byte there."""
+    """Decode bytes that are not UTF-8 as CP1252, in which a degree sign is one byte."""
     if not isinstance(error, UnicodeDecodeError):
         raise error
     wrong = error.object[error.start : error.end]
@@ -35,22 +35,22 @@ def _cp1252(byte: int) -> str:
 
 
 _NOT_IN_CP1252 = {0x81, 0x8D, 0x8F, 0x90, 0x9D}
-#: Name of the error handler: UTF-8, and CP1252 where a byte is none.
+#: Name of the error handler for UTF-8 that decodes invalid bytes as CP1252.
 OR_CP1252 = "thermojoint-or-cp1252"
 codecs.register_error(OR_CP1252, _as_cp1252)
 
 
 def encoding_of(head: bytes) -> str:
-    """Return the encoding of a text by its first bytes; `OR_CP1252` handles what is no UTF-8.
+    """Return the encoding of a text by its first bytes; `OR_CP1252` decodes invalid UTF-8.
 
     Parameters
     ----------
     head : bytes
-        Some of the file's beginning.
+        First bytes of the file.
     """
     if head[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return "utf-16"
-    # Without a mark: Latin letters and digits have one empty byte of two.
+    # Without a byte order mark: in Latin letters and digits one byte of two is zero.
     if len(head) >= 4 and head[1:2] == head[3:4] == b"\0":
         return "utf-16-le"
     if len(head) >= 4 and head[0:1] == head[2:3] == b"\0":
@@ -64,7 +64,7 @@ def as_text(file: BinaryIO, head: bytes) -> io.TextIOWrapper:
     Parameters
     ----------
     file : binary file
-        At its beginning; a pipe may be, too.
+        At its start; may be a pipe.
     head : bytes
         Its first bytes.
     """
@@ -73,21 +73,21 @@ def as_text(file: BinaryIO, head: bytes) -> io.TextIOWrapper:
 
 @contextmanager
 def lines_of(path: Path, kind: str) -> Iterator[Iterable[str]]:
-    """Open a table and give its lines; a sheet or Parquet becomes lines of CSV, cell by cell.
+    """Open a table and give its lines; a sheet or Parquet is converted to lines of CSV.
 
     Parameters
     ----------
     path : Path
         Text, .xlsx or Parquet, recognised by its content.
     kind : str
-        What the file is, for error messages, e.g. ``log``.
+        Kind of file for messages, e.g. ``log``.
 
     Raises
     ------
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is no table, or what reads it is not installed.
+        It is not a table, or the library that reads it is not installed.
     """
     if not path.is_file():
         raise UnreadableError(f"{path}: no such file; give a {kind} as CSV, .xlsx or Parquet")
@@ -145,7 +145,7 @@ def _parquet_lines(file: BinaryIO, where: str) -> Iterator[str]:
         yield _line(table.schema_arrow.names)
         for batch in table.iter_batches():
             columns = [
-                # Nothing of a log is finer than a microsecond.
+                # Logs have no finer resolution than a microsecond.
                 column.cast(pa.timestamp("us", column.type.tz), safe=False)
                 if pa.types.is_timestamp(column.type)
                 else column
@@ -158,7 +158,7 @@ def _parquet_lines(file: BinaryIO, where: str) -> Iterator[str]:
 
 
 def _line(cells: Iterable[object]) -> str:
-    """Return cells as a line of CSV that reads back as the same numbers, to the last bit."""
+    """Return cells as a line of CSV that is read back as exactly the same numbers."""
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(map(_text, cells))
     return line.getvalue()

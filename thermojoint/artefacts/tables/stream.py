@@ -1,7 +1,7 @@
-"""Rows of a log that come in one by one, by the rules of `thermojoint.artefacts.tables.pieces`.
+"""Rows of a log that arrive one by one, by the rules of `thermojoint.artefacts.tables.pieces`.
 
-The layout is that of the first lines (`layout_of`). What is wrong with a row is said of that row
-alone: a stream goes on behind it.
+The layout is that of the first lines (`layout_of`). A mistake in a row concerns that row alone: the
+stream continues.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ class Told(NamedTuple):
     Attributes
     ----------
     time : float
-        s; since 1970 where the clock tells the date.
+        s; since 1970 if the clock has a date.
     readings : list of float
-        Of the columns that were asked for, in the units that were; NaN where one is missing.
+        Requested columns in the requested units; NaN where missing.
     hands : Hands
-        Where the clock stands after it.
+        State of the clock after the row.
     note : str
-        What the clock did: ``midnight passed``; empty mostly.
+        A shift of the clock, e.g. ``midnight passed``; usually empty.
     """
 
     time: float
@@ -42,24 +42,24 @@ class Told(NamedTuple):
 
 
 def told_by(line: str, layout: Layout, places: Sequence[Place | None], hands: Hands) -> Told | None:
-    """Return what a line says; None for an empty line, a comment, or a header that stands again.
+    """Return the content of a line; None for an empty line, a comment or a repeated header.
 
     Parameters
     ----------
     line : str
-        Of the table, behind its header.
+        A line of the table after its header.
     layout : Layout
-        How to read it.
+        Layout of the table.
     places : sequence of Place or None
-        Of each reading among `Layout.columns`; None for one that the table does not have.
+        Position of each reading in `Layout.columns`; None for one that the table lacks.
     hands : Hands
-        Where the clock stood after the row before.
+        State of the clock after the previous row.
 
     Raises
     ------
     InputError
-        It has another number of cells than the header, no time, or a cell of a reading that is
-        neither a number nor a missing one.
+        The number of cells differs from the header's, the time is missing, or a reading is neither
+        a number nor missing.
     """
     (_, row), *_ = [*cells_of([line], layout.dialect.separator, layout.where), (0, [""])]
     cells = values_of(row, layout.dialect)

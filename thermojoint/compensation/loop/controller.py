@@ -28,7 +28,7 @@ class Controller:
     derivative_filter : float
         T_f, s.
     sign : float
-        1 if heat of the heater makes the displacement larger, else -1.
+        1 if heat increases the displacement, else -1.
     feed_forward : float
         k_g, W per W of the disturbing heat.
     feed_forward_filter : float
@@ -81,15 +81,15 @@ AT_REST = ControllerState(0.0, 0.0, 0.0, 0.0)
 def control(
     controller: Controller, state: ControllerState, displacement: float, disturbing: float
 ) -> tuple[ControllerState, float]:
-    """Return the state after a sample, and the heat demanded from the heater, W.
+    """Return the state after a sample, and the power of the heater, W.
 
-    Anti-windup: at a limit of the heater the integral changes only towards the range.
+    Anti-windup: at a limit of the heater the integral only changes towards the inside.
 
     Parameters
     ----------
     controller : Controller
     state : ControllerState
-        After the sample before.
+        State after the previous sample.
     displacement : float
         Estimated, m.
     disturbing : float

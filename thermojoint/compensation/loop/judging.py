@@ -144,12 +144,12 @@ def reached(closed: Closed, run: Course) -> str:
         ),
         (course.heater <= 0.0, "the heater cannot cool"),
     )
-    # Before its first heat there was nothing to control.
+    # Before its first heat the heater was not needed.
     begun = int(np.argmax(course.heater > 0.0))
     reasons = []
-    for stands, why in limits:
-        share = float(stands[begun:].mean())
+    for reached_limit, why in limits:
+        share = float(reached_limit[begun:].mean())
         if share > NOTICED:
-            held = float(left[begun:][stands[begun:]].max()) / MICRO
+            held = float(left[begun:][reached_limit[begun:]].max()) / MICRO
             reasons.append(f"{why}: {share:.0%} of the time, up to {held:.3g} um")
     return "; ".join([sentence, *reasons])

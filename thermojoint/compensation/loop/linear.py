@@ -136,19 +136,19 @@ def responses_of(model: ObserverModel, channels: Channels, frequencies: Array) -
     out[0] = model.band.tangent[channels.axis]
     out[1, dynamic + channels.disturbance] = 1.0
     points = np.exp(1j * frequencies * model.step)
-    told = np.array([_estimator_response(system, gain, out, z) for z in points])
+    estimator = np.array([_estimator_response(system, gain, out, z) for z in points])
 
     def path(source: int) -> SourceResponse:
         states = system.drive[:, source] / (points[:, None] - system.decay)
-        both = np.einsum("fop,fp->of", told, states @ system.rows[:, :dynamic].T)
+        both = np.einsum("fop,fp->of", estimator, states @ system.rows[:, :dynamic].T)
         return SourceResponse(states @ out[0, :dynamic], both[0], both[1])
 
     return Responses(
         frequencies,
         path(channels.heater),
         path(channels.disturbance),
-        told[:, 0],
-        told[:, 1],
+        estimator[:, 0],
+        estimator[:, 1],
         model.step,
     )
 
@@ -161,8 +161,8 @@ def _estimator_response(system: LinearSystem, gain: Array, out: Array, z: comple
     state[:dynamic] = (gain[:dynamic] + system.drive @ state[dynamic:]) / (
         z - system.decay[:, None]
     )
-    told = np.eye(len(system.rows)) + z * (system.rows @ state) - system.rows @ gain
-    return np.asarray(np.linalg.solve(told.T, (z * (out @ state)).T).T, dtype=np.complex128)
+    loop = np.eye(len(system.rows)) + z * (system.rows @ state) - system.rows @ gain
+    return np.asarray(np.linalg.solve(loop.T, (z * (out @ state)).T).T, dtype=np.complex128)
 
 
 def controller_response(
@@ -224,7 +224,7 @@ def margins_of(frequencies: Array, loop: Complex) -> Margins:
     Parameters
     ----------
     frequencies : ndarray, shape (f,)
-        1/s; the last is half of the sampling, where a sampled loop is real and may be -1, too.
+        1/s; the last is the Nyquist frequency, where a sampled loop is real and may be -1.
     loop : ndarray, shape (f,)
         Its response.
     """
@@ -233,7 +233,7 @@ def margins_of(frequencies: Array, loop: Complex) -> Margins:
     gain, _, _, _, crossover, _ = control.stability_margins(data)
     if loop[-1].real < 0.0:
         gain = min(float(gain), float(-1.0 / loop[-1].real), key=lambda margin: abs(np.log(margin)))
-    # The phase as it is, not modulo a turn: with a long delay it is several turns behind.
+    # The unwrapped phase, which lags by several turns with a long delay.
     turned = np.interp(crossover, frequencies, np.unwrap(np.angle(loop)))
     left = np.pi + float(turned)
     return Margins(float(gain), left, left / float(crossover), float(crossover))
@@ -242,8 +242,8 @@ def margins_of(frequencies: Array, loop: Complex) -> Margins:
 def disturbed(responses: Responses, controller: Controller, delay: float) -> Complex:
     """Return δ per W of the disturbance with the loop closed, m/W, shape (f,): Eq. 17."""
     pid, ahead = controller_response(controller, responses.frequencies, delay)
-    asked = pid * responses.disturbance.estimate + ahead * responses.disturbance.heat
-    heater = asked / (1.0 + open_loop(responses, controller, delay))
+    demand = pid * responses.disturbance.estimate + ahead * responses.disturbance.heat
+    heater = demand / (1.0 + open_loop(responses, controller, delay))
     return np.asarray(responses.disturbance.displacement + responses.heater.displacement * heater)
 
 
@@ -263,8 +263,8 @@ def noise_of_heat(
     """
     pid, ahead = controller_response(controller, responses.frequencies, delay)
     open_ = open_loop(responses, controller, delay)
-    asked = (pid[:, None] * responses.noise_estimate + ahead[:, None] * responses.noise_heat) / (
+    demand = (pid[:, None] * responses.noise_estimate + ahead[:, None] * responses.noise_heat) / (
         1.0 + open_
     )[:, None]
-    density = (np.abs(asked) ** 2 * noise**2).sum(axis=1) * responses.step / np.pi
+    density = (np.abs(demand) ** 2 * noise**2).sum(axis=1) * responses.step / np.pi
     return float(np.sqrt(np.trapezoid(density, responses.frequencies)))

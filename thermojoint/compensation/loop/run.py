@@ -65,11 +65,11 @@ class Closed:
     design : Design or None
         None without a heater.
     free : Course
-        Without heat from the heater; the offsets, if any, act.
+        Without heat from the heater, with offsets if there are any.
     heated : Course or None
-        The heater acts, too; None without one.
+        With the heater; None without one.
     late : dict of float to Course
-        With all actuators, at each delay that was tried (s).
+        With all actuators, for each tested delay (s).
     """
 
     loop: Loop
@@ -86,7 +86,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     Parameters
     ----------
     loop : Loop
-        As its file says.
+        Content of its file.
     progress : callable, optional
         Called with a description of the next stage.
 
@@ -97,23 +97,23 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     ConvergenceError
         The machine or the estimator does not converge.
     """
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
     _check_axes(settings, estimator)
     design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     case = plant_case(loop)
-    told("setting up the plant")
+    report("setting up the plant")
     plant = Plant(case, set_up(case))
     noise = _noise(loop, case, estimator)
     idle = _acting(loop, case, estimator, None, settings, loop.estimator.delay_s)
-    told("free")
+    report("free")
     free = run_loop(plant, estimator, idle, noise)
 
     def acted(delay: float) -> Course:
-        given = design.tuned.controller if design is not None else None
-        told(f"controlled, delay {delay:g} s")
-        acting = _acting(loop, case, estimator, given, settings, delay)
+        controller = design.tuned.controller if design is not None else None
+        report(f"controlled, delay {delay:g} s")
+        acting = _acting(loop, case, estimator, controller, settings, delay)
         return run_loop(plant, estimator, acting, noise)
 
     heated = acted(loop.estimator.delay_s) if design is not None else None
@@ -167,18 +167,18 @@ def _design(loop: Loop, heater: HeaterSection, estimator: JointAware) -> Design:
         interval=model.step,
         setpoint=1e-6 * heater.setpoint_um,
     )
-    asked = loop.tuning
+    required = loop.tuning
     tuned = tune(
         responses,
         start,
         Requirements(
-            gain_margin=10.0 ** (asked.gain_margin_dB / 20.0),
-            phase_margin=math.radians(asked.phase_margin_deg),
-            gain_error=asked.gain_error,
+            gain_margin=10.0 ** (required.gain_margin_dB / 20.0),
+            phase_margin=math.radians(required.phase_margin_deg),
+            gain_error=required.gain_error,
             delay=loop.estimator.delay_s,
-            delay_error=asked.delay_error_s,
+            delay_error=required.delay_error_s,
             noise=np.append(np.full(len(model.sensors), RMS * loop.estimator.noise_pp_K), 0.0),
-            most_noise=asked.heat_noise * heater.largest_W,
+            most_noise=required.heat_noise * heater.largest_W,
         ),
     )
     late = {
@@ -211,8 +211,8 @@ def _samples(delay: float, step: float) -> int:
     """Number of samples of a delay (s)."""
     if abs(delay / step - round(delay / step)) > 1e-6:
         raise InputError(
-            f"delay of {delay:g} s: no whole number of the estimator's steps of {step:g} s; make "
-            "it one"
+            f"delay of {delay:g} s: not a multiple of the estimator's step of {step:g} s; change "
+            "it to one"
         )
     return round(delay / step)
 

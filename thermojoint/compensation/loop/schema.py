@@ -93,7 +93,7 @@ class Loop(Section):
 
 
 def read_loop(path: Path | str) -> Loop:
-    """Read the file of a closed loop; names of files in it are relative to its folder.
+    """Read the file of a closed loop; file names in it are relative to its folder.
 
     Parameters
     ----------
@@ -103,6 +103,6 @@ def read_loop(path: Path | str) -> Loop:
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+        The file is missing or not TOML, a key is unknown or missing, or a value is out of range.
     """
     return read_settings(Loop, Path(path), "loop")

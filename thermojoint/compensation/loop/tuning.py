@@ -101,7 +101,7 @@ def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) 
     steps = np.arange(1, max(2, round(horizon / model.step)) + 1)[:, None]
     both = []
     for source in (channels.disturbance, channels.heater):
-        # What a step has come to after k steps: a geometric sum of each state.
+        # Step response after k steps: a geometric sum for each state.
         level = system.drive[:, source] / (1.0 - system.decay)
         per_state = model.band.tangent[channels.axis, :dynamic] * level
         both.append((1.0 - system.decay[None, :] ** steps) @ per_state)
@@ -124,7 +124,7 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
     responses : Responses
         Of the model.
     start : Controller
-        With its sign, limits and feed-forward gain; the other settings are computed.
+        Sign, limits and feed-forward gain are used; the other settings are computed.
     required : Requirements
 
     Raises
@@ -143,8 +143,7 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
         ):
             return candidate
     raise InputError(
-        "tuning: no crossover keeps the margins and the noise that are required; ask for less, or "
-        "make the delay shorter"
+        "tuning: no crossover meets the required margins and noise; relax them, or reduce the delay"
     )
 
 
@@ -181,7 +180,7 @@ def _checked(responses: Responses, controller: Controller, required: Requirement
         controller,
         nominal,
         min(margins.gain for margins in (nominal, *worst)),
-        # NaN where a loop never has gain 1: then nothing is controlled.
+        # NaN for a loop that never has gain 1, in which nothing is controlled.
         float(np.min([margins.phase for margins in (nominal, *worst)])),
         noise,
     )

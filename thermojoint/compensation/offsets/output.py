@@ -1,15 +1,14 @@
 """Axis offsets in one control cycle, from an estimate.
 
-What is wanted is sign times the estimated displacement, filtered by a first-order low-pass, held
-within a dead band, limited to a largest total; what comes out goes there no faster than a rate, in
-whole steps of the control's resolution. An estimate that cannot be used freezes the offsets, and
-after a while they decay to zero; they follow again once estimates have been usable for some time,
-so that a status that comes and goes does not drive an axis to and fro. The offsets are counted in
-whole steps, so that none is between.
+The target is sign times the estimated displacement after a first-order low-pass, a dead band and a
+limit. The offset approaches it with a limited rate in whole steps of the control's resolution.
+Without a usable estimate the offsets freeze, and later decay to zero; they follow again once
+estimates have been usable for some time, so that an intermittent status does not move an axis back
+and forth.
 
-A state outlives its settings (`content_of`, `restored`): it is kept in metres by the names of the
-axes, so after a change of the resolution, the limits or the axes each axis goes on from the offset
-that the control received last.
+A state outlives its settings (`content_of`, `restored`): it is stored in metres by axis name, so
+after a change of the resolution, the limits or the axes each axis continues from the offset that
+the control received last.
 """
 
 from __future__ import annotations
@@ -33,30 +32,30 @@ class OutputSettings:
     Attributes
     ----------
     names : tuple of str
-        The control's axes.
+        Axes of the control.
     estimated : tuple of str
-        The axis of the estimate that each of them follows.
+        Axis of the estimate that each of them follows.
     signs : tuple of int
         1 or -1: offset per estimated displacement.
     resolution : float
-        One step of an offset, m.
+        Step of an offset, m.
     rate : float
-        Fastest change of an offset, m/s.
+        Largest rate of an offset, m/s.
     dead_band : float
-        What is wanted moves only if the estimate has moved by more than this, m.
+        The target changes only if the estimate has changed by more than this, m.
     filter_time : float
         Time constant of the low-pass, s; 0 for none.
     largest : float
         Largest offset of either sign, m.
     freeze_time : float
-        How long offsets stay where they are without a usable estimate, s.
+        Time for which offsets are held without a usable estimate, s.
     decay_time : float
-        Time constant with which they go to zero then, s.
+        Time constant of their decay to zero after that, s.
     recover_time : float
-        How long estimates must have been usable again before offsets follow them, s.
+        Time for which estimates must be usable again before offsets follow them, s.
     longest_cycle : float
-        A longer time between two cycles counts as this long for how far offsets may move, s: after
-        a pause they begin where they were.
+        Upper limit of a cycle's duration in the rate limit, s, so that offsets do not jump after a
+        pause.
     """
 
     names: tuple[str, ...]
@@ -75,7 +74,7 @@ class OutputSettings:
     @property
     def most_steps(self) -> int:
         """Largest offset in whole steps."""
-        # A limit that is a number of steps, but for its rounding, is that number.
+        # Rounding must not reduce a limit of a whole number of steps.
         return math.floor(self.largest / self.resolution + 1e-9)
 
 
@@ -94,19 +93,19 @@ class OutputState(NamedTuple):
     Attributes
     ----------
     time : float
-        Of the last cycle, s; NaN before the first.
+        Time of the last cycle, s; NaN before the first.
     steps : ndarray of int, shape (axes,)
         The offsets, in steps of the resolution.
     filtered, wanted : ndarray, shape (axes,)
-        After the low-pass, and after the dead band, m; NaN where no estimate has been used yet.
+        Target after the low-pass, and after the dead band, m; NaN before the first estimate.
     credit : float
-        How far an offset may move beyond what the time of a cycle allows, m: less than a step.
+        Unused travel carried over from previous cycles, m; at most one step.
     unusable_since : float
-        When the offsets ceased to follow, s; NaN while they follow.
+        Time at which the offsets stopped following, s; NaN while they follow.
     frozen : ndarray of int, shape (axes,)
         The offsets at that time.
     usable_since : float
-        When estimates became usable again since then, s; NaN if they have not.
+        Time at which estimates became usable again, s; NaN if they have not.
     """
 
     time: float
@@ -125,7 +124,7 @@ class OutputState(NamedTuple):
 
 
 def at_zero(settings: OutputSettings) -> OutputState:
-    """Return the state of a control that has received nothing yet."""
+    """Return the state before the first cycle."""
     count = len(settings.names)
     unseen, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
     return OutputState(math.nan, none, unseen, unseen, 0.0, math.nan, none, math.nan)
@@ -137,13 +136,13 @@ def offsets_of(settings: OutputSettings, state: OutputState) -> Array:
 
 
 def followed(settings: OutputSettings, axes: Sequence[str], displacement: Array) -> Array:
-    """Return what the offsets should be, m, shape (control's axes,).
+    """Return the targets of the offsets, m, shape (control's axes,).
 
     Parameters
     ----------
     settings : OutputSettings
     axes : sequence of str
-        Of the estimate; it has every one that `settings` names.
+        Axes of the estimate, including all that `settings` refers to.
     displacement : ndarray, shape (axes,)
         Estimated, m.
     """
@@ -160,12 +159,11 @@ def cycle(
     ----------
     settings : OutputSettings
     state : OutputState
-        After the cycle before; it stays as it is.
+        State after the previous cycle; not modified.
     time : float
-        s; later than that of the cycle before.
+        s; later than that of the previous cycle.
     target : ndarray, shape (axes,), or None
-        What the offsets should be, m (`followed`); None, or a value that is not finite: there is no
-        usable estimate.
+        Targets of the offsets, m (`followed`); None or non-finite values without a usable estimate.
     """
     passed = 0.0 if math.isnan(state.time) else time - state.time
     usable = target is not None and bool(np.isfinite(target).all())
@@ -184,7 +182,7 @@ def cycle(
         since = time if math.isnan(state.unusable_since) else state.unusable_since
         frozen = state.steps if math.isnan(state.unusable_since) else state.frozen
         left = _left(settings, time - since)
-        # Towards zero, so that what decays never grows; nor beyond what another resolution left.
+        # Rounded towards zero, so that a decaying offset never grows, even with a new resolution.
         goal = np.sign(state.steps) * np.minimum(np.trunc(left * np.abs(frozen)), abs(state.steps))
         filtered = wanted = np.full(len(settings.names), np.nan)
     most = settings.most_steps
@@ -198,7 +196,7 @@ def cycle(
 
 
 def mode_of(settings: OutputSettings, state: OutputState) -> Mode:
-    """Return what the offsets of a state do; they wait until an estimate has moved them."""
+    """Return the mode of a state: waiting until the first usable estimate."""
     if math.isnan(state.unusable_since):
         return Mode.FOLLOW if np.isfinite(state.wanted).any() else Mode.WAIT
     if not state.used:
@@ -208,9 +206,9 @@ def mode_of(settings: OutputSettings, state: OutputState) -> Mode:
 
 
 def content_of(settings: OutputSettings, state: OutputState) -> dict[str, Any]:
-    """Return a state as JSON values that do not depend on the settings: `restored`.
+    """Return a state as JSON values that do not depend on the settings, for `restored`.
 
-    None stands for what is not known. Axes of another such content may stand beside these.
+    Unknown values are None. Axes of other settings may be added.
     """
     return {
         "time": _known(state.time),
@@ -232,21 +230,21 @@ def content_of(settings: OutputSettings, state: OutputState) -> dict[str, Any]:
 def restored(
     settings: OutputSettings, content: Mapping[str, Any], time: float, silence: float
 ) -> OutputState:
-    """Return the state that goes on, under these settings, from one that others have left.
+    """Return the state under these settings that continues one stored under others.
 
-    An axis of the same name begins at the offset that it had, to half a step of the resolution; an
-    axis that is new, at zero. What was filtered counts only where the same estimate is followed.
-    Nothing moves by the time that has passed: a control that was told nothing holds its value.
+    An axis of the same name starts from its last offset, rounded to the resolution; a new axis from
+    zero. Filtered values are only used if the same estimate is followed. The elapsed time moves no
+    axis, since a control holds its last value.
 
     Parameters
     ----------
     settings : OutputSettings
     content : mapping
-        `content_of` the state, by whatever settings.
+        Result of `content_of`, under any settings.
     time : float
-        When it goes on, by the clock of the cycles from now on, s.
+        Current time by the clock of the next cycles, s.
     silence : float
-        Since its last cycle, s; freezing and decay count it.
+        Time since the last cycle, s, which counts for freezing and decay.
     """
     state, axes = at_zero(settings), content["axes"]
     steps, frozen = state.steps.copy(), state.frozen.copy()
@@ -273,17 +271,17 @@ def _number(value: float | None) -> float:
 
 
 def _recovered(settings: OutputSettings, state: OutputState, usable: float) -> bool:
-    """Whether offsets follow an estimate that is usable, and has been for a time (s)."""
+    """Whether offsets follow an estimate that has been usable for a time (s)."""
     return math.isnan(state.unusable_since) or usable >= settings.recover_time
 
 
 def _left(settings: OutputSettings, unusable: float) -> float:
-    """Part of a frozen offset that is left after a time without an estimate (s)."""
+    """Fraction of a frozen offset that remains after a time without an estimate (s)."""
     return math.exp(-max(unusable - settings.freeze_time, 0.0) / settings.decay_time)
 
 
 def _filtered(settings: OutputSettings, before: Array, target: Array, passed: float) -> Array:
-    """The low-pass; it begins where the first usable estimate is, and the rate does the rest."""
+    """Low-pass that starts at the first usable estimate; the rate limit smooths the start."""
     if settings.filter_time <= 0.0:
         return target
     filtered = target + math.exp(-passed / settings.filter_time) * (before - target)
@@ -291,16 +289,16 @@ def _filtered(settings: OutputSettings, before: Array, target: Array, passed: fl
 
 
 def _beyond_dead_band(settings: OutputSettings, before: Array, filtered: Array) -> Array:
-    stays = np.abs(filtered - before) <= settings.dead_band  # not where there was none
-    return np.where(stays, before, filtered)
+    inside = np.abs(filtered - before) <= settings.dead_band  # False for NaN
+    return np.where(inside, before, filtered)
 
 
 def _allowed(settings: OutputSettings, credit: float, passed: float) -> tuple[int, float]:
-    """Steps that an offset may move in a cycle, and the way (m) they are taken from.
+    """Number of steps that an offset may move in a cycle, and the available travel (m).
 
-    What a cycle's time allows less than a step of is kept for the next, but never more than a step:
-    so over any time an offset moves by the rate times this time, and a step.
+    Travel of less than a step is carried over to the next cycle, up to one step, so that within any
+    time an offset moves by at most the rate times this time plus one step.
     """
-    way = settings.rate * passed
-    credit = min(credit + way, max(way, settings.resolution))
+    travel = settings.rate * passed
+    credit = min(credit + travel, max(travel, settings.resolution))
     return math.floor(credit / settings.resolution + 1e-9), credit

@@ -42,28 +42,28 @@ class Cycle(NamedTuple):
 
 
 def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Iterator[Cycle]:
-    """Yield what the control receives, in every cycle from the first to the last estimate.
+    """Yield the offsets that the control receives, in every cycle of the estimates.
 
     Parameters
     ----------
     settings : Settings
         The compensation output.
     axes : sequence of str
-        Of the estimates.
+        Axes of the estimates.
     rows : sequence of Row
-        The estimates, one or more.
+        Estimates, one or more.
 
     Raises
     ------
     InputError
-        An axis that a control's axis follows is not among those of the estimate.
+        The estimate lacks an axis that is followed.
     """
     for name in settings.output.estimated:
         if name not in axes:
             raise unknown_name("axis", name, axes, "axes: the estimate has")
     times = np.array([row.time for row in rows])
     state = at_zero(settings.output)
-    # The last cycle may come after the last estimate by a rounding, not before it.
+    # Rounding must not drop the last cycle.
     count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
     for index in range(count):
         time = float(times[0] + index * settings.cycle)

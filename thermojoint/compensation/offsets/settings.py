@@ -1,4 +1,4 @@
-"""The settings of a compensation output as a TOML file; units stand in the names of the keys."""
+"""Settings of a compensation output from a TOML file, with units in the names of the keys."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
 
-#: More steps than this in the range of an axis or of a heater are a slip of the units.
+#: More steps than this in the range of an axis or a heater indicate a wrong unit.
 MOST_STEPS = 1e9
 
 
 class AxisSection(Section):
-    """``[axes.NAME]``: which axis of the estimate an axis of the control follows, and its sign."""
+    """``[axes.NAME]``: the axis of the estimate that an axis of the control follows; the sign."""
 
     follows: str
     sign: Literal[-1, 1] = -1
@@ -53,11 +53,11 @@ class Settings:
     Attributes
     ----------
     output : OutputSettings
-        How offsets are made.
+        Rules for the offsets.
     trust : Trust
-        Of which estimates.
+        Conditions for using an estimate.
     cycle : float
-        Of the control, s.
+        Cycle time of the control, s.
     """
 
     output: OutputSettings
@@ -76,7 +76,7 @@ def read_settings(path: Path | str) -> Settings:
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+        The file is missing or not TOML, a key is unknown or missing, or a value is out of range.
     """
     return settings_from_data(toml.parse(toml.read_text(Path(path), "settings"), str(path)), path)
 

@@ -11,8 +11,8 @@ from estimator.interface import Status
 from estimator.quality import LOST, reasons_of
 from thermojoint.artefacts.arrays import Array
 
-#: Reasons that make an estimate unusable where the settings name none: what was never calibrated,
-#: and a start of which little is known.
+#: Default reasons that make an estimate unusable: temperatures beyond the calibration, and an
+#: unknown start.
 UNUSABLE = ("beyond-temperature", "unsettled")
 
 
@@ -25,9 +25,9 @@ class Trust:
     unusable : tuple of str
         Reasons of a status (`estimator.interface.Status`) that make an estimate unusable.
     widest_band : float
-        Half a band of 95 % that is wider makes it unusable, m; infinite if the band does not count.
+        Largest usable half-width of the 95 % band, m; infinite to ignore the band.
     oldest : float
-        An estimate that is older is unusable, s.
+        Largest usable age of an estimate, s.
     """
 
     unusable: tuple[str, ...]
@@ -36,17 +36,17 @@ class Trust:
 
 
 def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
-    """Say whether an estimate may move an axis; one of bad quality never does.
+    """Whether an estimate may move an axis; one of bad quality never may.
 
     Parameters
     ----------
     trust : Trust
     age : float
-        s.
+        Age of the estimate, s.
     band : ndarray, shape (axes,)
-        Half its bands, m; NaN for an estimator that knows none.
+        Half-widths of its bands, m; NaN if unknown.
     status : str
-        In words: ``ok``, or reasons with what they are of: ``sensor-distrusted:T1,T2``.
+        ``ok``, or reasons with the channels concerned: ``sensor-distrusted:T1,T2``.
     """
     return (
         age <= trust.oldest

@@ -6,11 +6,11 @@ A bank is a transfer matrix in modal form,
 
 every pole in the open left half plane; of a conjugate pair only the pole with Im >= 0 is kept and
 y is the real part. Between two samples u is either the straight line through them or a constant.
-For both the states at the end of the interval are known in closed form
-(`thermojoint.models.filters.phi`), so nothing is integrated numerically and a gap in the data is
-one long interval. A sample costs the same time and memory however long the run is.
+In both cases the states at the end of the interval are known in closed form
+(`thermojoint.models.filters.phi`), so there is no numerical integration, and a gap in the data is
+one long interval. The cost of a sample does not depend on the length of the run.
 
-A bank may leak: its inputs then pass s/(s + λ) first, which has states of its own.
+A bank may leak: its inputs then pass a first-order high-pass s/(s + λ) with its own states.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class Bank:
     poles : ndarray of complex, shape (m,)
         p_k in 1/s, Re < 0, Im >= 0 (the conjugate is understood).
     drive : ndarray, shape (m, n_in)
-        What each mode sees of the inputs.
+        Weight of each input in each mode.
     gain, double : ndarray of complex, shape (n_out, m)
         Coefficients of 1/(s - p_k) and 1/(s - p_k)²; the output is the real part of the sum, so a
         pair with residues R and conj(R) has gain 2 R.
     constant, slope : ndarray, shape (n_out, n_in)
         Coefficients of 1 and of s.
     leak : float
-        λ of s/(s + λ), which the inputs pass first, 1/s; 0: they do not.
+        λ of the high-pass s/(s + λ) at the inputs, 1/s; 0 for none.
     """
 
     poles: np.ndarray
@@ -76,8 +76,8 @@ class Bank:
     def at_rest(self) -> np.ndarray:
         """Response to constant inputs without leak, (n_out, n_in); no double poles.
 
-        Terms that are 100 000 times their sum cancel here. They are summed exactly, so that it is
-        the same number on every processor and in every exported program.
+        Terms 100 000 times larger than their sum cancel. They are summed exactly, so that the
+        result is the same on every processor and in every exported program.
         """
         terms = (self.gain / -self.poles).real[:, :, None] * self.drive
         sums = [[fsum(column) for column in term.T] for term in terms]
@@ -170,11 +170,11 @@ def over_interval(bank: Bank, dt: float) -> Interval:
 
 
 def _over_leaking_interval(bank: Bank, dt: float) -> Interval:
-    """Return the matrices of a bank that leaks; u goes on where it was, it must not jump.
+    """Return the matrices of a leaking bank; u must be continuous.
 
     w' = -λ w + u' with u' constant, hence w' = exp(-λ t) c, c = u' - λ w0. With 1/(s - p) =
-    -1/p + s / (p (s - p)) the modes are v' = p v + w'/p: they see changes alone, and their
-    residues, which nearly cancel, nothing that stands still. The states are (v, w).
+    -1/p + s / (p (s - p)) the modes are v' = p v + w'/p: their residues, which nearly cancel, only
+    act on changes. The states are (v, w).
     """
     at, z = -bank.leak * dt, bank.poles * dt
     phi0, phi1 = phi_functions(z)[:2]
@@ -192,7 +192,7 @@ def _over_leaking_interval(bank: Bank, dt: float) -> Interval:
     def real(image: np.ndarray) -> np.ndarray:
         return np.concatenate((image.real, image.imag[pair]))
 
-    # What c does to the states, and to the mean of the outputs.
+    # Effect of c on the states, and on the mean of the outputs.
     change = np.concatenate((real(dt * direct[:, None] * drive), dt * flow * leaks))
     mean_change = (bank.gain @ (dt * mean[:, None] * drive)).real
     mean_change += dt * mean_flow * rest + flow * bank.slope
@@ -225,9 +225,9 @@ def simple_bank(poles: np.ndarray, gains: np.ndarray) -> Bank:
 def stacked(banks: list[Bank]) -> Bank:
     """Return the bank whose outputs are those of `banks`, one below the other, on shared inputs.
 
-    Banks that leak cannot be put together; put them together first, then let the whole leak.
+    Leaking banks cannot be combined; combine them first, then add the leak.
     """
-    _tight(banks)
+    _check_no_leak(banks)
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
         drive=np.concatenate([b.drive for b in banks]),
@@ -239,8 +239,8 @@ def stacked(banks: list[Bank]) -> Bank:
 
 
 def summed(banks: list[Bank]) -> Bank:
-    """Return the bank whose inputs are those of `banks` side by side, outputs added; no leaks."""
-    _tight(banks)
+    """Return the bank with the inputs of `banks` side by side and the sum of their outputs."""
+    _check_no_leak(banks)
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
         drive=_diagonal([b.drive for b in banks]),
@@ -252,10 +252,10 @@ def summed(banks: list[Bank]) -> Bank:
 
 
 def leaking(bank: Bank, rate: float) -> Bank:
-    """Return `bank` times s/(s + rate): what stands still at its inputs fades from its outputs.
+    """Return `bank` times s/(s + rate): the response to a constant input decays.
 
-    The leak stays a stage of its own. By partial fractions it would be one more pole of the bank,
-    and a pole that happens to lie near it would have residues that nearly cancel.
+    The leak remains a separate stage. By partial fractions it would be one more pole, and residues
+    of a nearby pole would nearly cancel.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def leaking(bank: Bank, rate: float) -> Bank:
         1/s, positive.
     """
     if bank._has_double().any():
-        raise InputError("a bank with double poles has no leaking form here")
+        raise InputError("a bank with double poles cannot leak")
     return replace(bank, leak=rate)
 
 
@@ -300,12 +300,12 @@ def respond_to_line(
 
 
 def respond_to_steps(bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: float) -> np.ndarray:
-    """Return the outputs at `times` where input n holds over the interval that ends at time n.
+    """Return the outputs at `times` if input n is constant over the interval that ends at time n.
 
-    Parameters and result as in `respond_to_line`; the first input holds for `lead` seconds. The
-    bank must not leak: its inputs would jump.
+    Parameters and result as in `respond_to_line`; the first input lasts for `lead` seconds. The
+    bank must not leak, since its inputs are discontinuous.
     """
-    _tight([bank])
+    _check_no_leak([bank])
     ends = _outputs(bank, times)
     state = np.zeros(bank.n_state)
     for n, dt in enumerate(intervals(times, lead)):
@@ -324,9 +324,9 @@ def _outputs(bank: Bank, times: np.ndarray) -> np.ndarray:
     return np.empty((len(times), bank.constant.shape[0]))
 
 
-def _tight(banks: list[Bank]) -> None:
+def _check_no_leak(banks: list[Bank]) -> None:
     if any(bank.leak for bank in banks):
-        raise InputError("banks that leak cannot be put together; let the whole leak")
+        raise InputError("leaking banks cannot be combined; add the leak to the combined bank")
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:

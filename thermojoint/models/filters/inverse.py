@@ -10,11 +10,11 @@ Away from the source the Bessel part vanishes faster than any power of s, so H_r
     G(s) = H_reg(s)^{-1} = slope s + constant + G_r(s),   slope -> diag(1/A),   G_r strictly proper.
 
 G/(s + σ) is finite at both ends of the band; it is fitted by stable poles (relative error at every
-frequency) and multiplied out again. A sets how much of the measurement noise passes: a jump of one
-sample by e changes the mean heat of that interval by e / (A Δt).
+frequency) and then multiplied by s + σ. A determines the noise gain: a change of one sample by e
+changes the mean heat of that interval by e / (A Δt).
 
-If H_reg has a zero in the right half plane its inverse is unstable, whatever represents it; zeros
-are counted by the argument principle beforehand.
+If H_reg has a zero in the right half plane its inverse is unstable; zeros are counted by the
+argument principle beforehand.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ def inverse_bank(
     rings, regularisations
         As in `regularised_transfer`.
     dt_s, run_length_s : float
-        Sampling interval and length of the runs it is for, s.
+        Sampling interval and length of the runs, s.
     tolerance : float
         Relative error of G over the band of `excited_band`.
     what : str
-        Names the source or sources in an error.
+        Name of the source or sources for error messages.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def unstable_zeros(
     run_length_s: float,
     what: str,
 ) -> int:
-    """Return how many zeros det H_reg has in the right half plane; parameters as `inverse_bank`.
+    """Return the number of zeros of det H_reg in the right half plane; see `inverse_bank`.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def unstable_zeros(
     sigma = _crossover(transfer, regularisations, what)
     lowest, highest = excited_band(dt_s, run_length_s)
 
-    # Times s + σ it is finite and not zero at infinity, and no zero is added on the right.
+    # Multiplied by s + σ it is finite and non-zero at infinity, without a new zero on the right.
     def determinant(s: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.det((s + sigma)[:, None, None] * transfer(s)))
 

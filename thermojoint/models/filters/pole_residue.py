@@ -4,9 +4,9 @@ The transfer functions of the generalised model have a branch cut on the negativ
 finite set of poles; over the band that a run can excite, some twenty poles reproduce them to 1e-7
 and better. The poles are found by vector fitting (Gustavsen & Semlyen, IEEE Trans. Power Delivery
 14, 1999; relaxed as in Gustavsen, ibid. 21, 2006; entries condensed one by one as in Deschrijver et
-al., IEEE MWCL 18, 2008): linear least squares on the imaginary axis with real coefficients, a pole
-that crosses the axis mirrored back, all entries of a matrix sharing the poles. The error that was
-reached is part of the result, and one above the tolerance is an error, never a warning.
+al., IEEE MWCL 18, 2008): linear least squares on the imaginary axis with real coefficients; a pole
+that crosses the axis is mirrored back; all entries of a matrix share the poles. The result contains
+the error; an error above the tolerance is refused.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from thermojoint.models.ring_source import transfer_function
 
 Transfer = Callable[[np.ndarray], np.ndarray]
 
-#: Numbers of poles that are tried, and rounds of relocation for each.
+#: Trial numbers of poles, and rounds of relocation for each.
 _ORDERS = (12, 16, 20, 24, 28, 32, 36, 40)
 _ROUNDS = 6
-#: Samples on the imaginary axis per decade, and how far past the Nyquist rate they reach: the
-#: straight lines between samples still have a spectrum there.
+#: Samples on the imaginary axis per decade; upper limit relative to the Nyquist rate, beyond which
+#: linear interpolation still has a spectrum; lower limit relative to the run length.
 _PER_DECADE = 60
 _BEYOND = 30.0
 _BELOW = 0.1
@@ -46,9 +46,9 @@ class PoleResidue:
     constant : ndarray, shape (n_out, n_in)
         Value at infinite frequency.
     error : float
-        Largest error over the band, relative as asked.
+        Largest relative error over the band.
     band : tuple of float
-        Angular frequencies between which it was measured, 1/s.
+        Lowest and highest angular frequency of the fit, 1/s.
     """
 
     poles: np.ndarray
@@ -70,7 +70,7 @@ def excited_band(dt_s: float, run_length_s: float) -> tuple[float, float]:
     Raises
     ------
     InputError
-        The sampling interval or the run length is not positive, or the run has no two samples.
+        The sampling interval or the run length is not positive, or the run has only one sample.
     """
     if not 0.0 < dt_s < run_length_s < np.inf:
         raise InputError(
@@ -93,9 +93,9 @@ def fit_strictly_proper(
     band : tuple of float
         Lowest and highest angular frequency, 1/s.
     tolerance : float
-        Largest error that is accepted.
+        Largest accepted error.
     what : str
-        Names the function in the error.
+        Name of the function for error messages.
 
     Raises
     ------
@@ -124,11 +124,11 @@ def direct_bank(
     ----------
     ring : RingModel
     dt_s, run_length_s : float
-        Sampling interval and length of the runs it is for, s.
+        Sampling interval and length of the runs, s.
     tolerance : float
         Error over the band, relative to the largest value of the transfer function.
     what : str
-        Names the function in an error.
+        Name of the function for error messages.
     """
 
     def transfer(s: np.ndarray) -> np.ndarray:
@@ -245,7 +245,7 @@ def _relocated(
     companion, drive = _state_matrix(poles)
     zeros = np.linalg.eigvals(companion - np.outer(drive, solution[:-1]) / solution[-1])
     zeros = zeros[zeros.imag >= 0.0].astype(complex)
-    # A zero on the axis itself cannot be mirrored; it is moved in by its own magnitude's share.
+    # A zero on the axis cannot be mirrored; it is moved inwards in proportion to its magnitude.
     inward = np.maximum(np.abs(zeros.real), 1e-6 * np.abs(zeros))
     return -inward + 1j * zeros.imag
 

@@ -1,7 +1,7 @@
 """First-order relaxations of signals: y' = (u - y)/τ, exactly for straight lines between samples.
 
-Eq. 8's exponentials, as filters of what is measured. Every one is bounded by its signal, however
-long it runs. τ = 0 is the signal itself.
+The exponentials of Eq. 8 as filters of measured signals, each bounded by its signal for any run
+length. τ = 0 is the signal itself.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ def relaxed(states: Array, old: Array, new: Array, dt: float, taus: Array) -> Ar
     Parameters
     ----------
     states : ndarray, shape (n,)
-        At the beginning of the interval.
+        Relaxations at the start of the interval.
     old, new : ndarray, shape (n,)
-        The signal of each at the beginning and the end.
+        Signals at its start and end.
     dt : float
         Length of the interval, s, positive.
     taus : ndarray, shape (n,)
@@ -39,11 +39,11 @@ def relax_all(times: Array, signals: Array, taus: Array, start: Array) -> Array:
     times : ndarray, shape (k,)
         Increasing, s.
     signals : ndarray, shape (k, n)
-        One for each relaxation.
+        Signal of each relaxation.
     taus : ndarray, shape (n,)
         Time constants, s.
     start : ndarray, shape (n,)
-        At the first sample.
+        Relaxations at the first sample.
     """
     states = np.empty_like(signals)
     state = states[0] = np.where(taus > 0.0, start, signals[0])

@@ -42,8 +42,8 @@ def evaluate(
         Which test was recorded.
     record : Record
     begin, end : float, optional
-        Of the running period, s. By default it is read off the drive; without a drive it is the
-        whole record. ETVE takes the whole record.
+        Start and end of the running period, s. Default: from the first to the last motion of the
+        drive; without a drive the whole record. ETVE uses the whole record.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def evaluate(
     """
     if protocol is Protocol.ETVE:
         if begin is not None or end is not None:
-            raise InputError("etve: is taken over the whole record; cut the record instead")
+            raise InputError("etve: is evaluated over the whole record; cut the record instead")
         return Evaluation(protocol, whole(record), environment(record), {})
     drive = record.drive
     usual = whole(record) if drive is None else running(record.times, drive)

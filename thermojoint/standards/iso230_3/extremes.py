@@ -19,7 +19,7 @@ class Extremes:
     low, high : float
         In the signal's unit.
     low_at, high_at : float
-        When, s.
+        Their times, s.
     """
 
     low: float
@@ -34,9 +34,9 @@ class Extremes:
 
 
 def extremes(times: Array, values: Array, begin: float, end: float, name: str) -> Extremes:
-    """Return the extremes of a signal within a period, its ends included.
+    """Return the extremes of a signal within a period, including its ends.
 
-    Samples are joined by straight lines, so that the ends of the period need not be samples.
+    The signal is interpolated linearly, so that the ends of the period need not be samples.
 
     Parameters
     ----------
@@ -47,20 +47,19 @@ def extremes(times: Array, values: Array, begin: float, end: float, name: str) -
     begin, end : float
         s.
     name : str
-        Of the signal, for the error message.
+        Name of the signal for the error message.
 
     Raises
     ------
     InputError
-        Fewer than two values were read, or none near an end of the period: what was read does not
-        cover it.
+        There are fewer than two values, or they do not cover the period.
     """
     read = np.isfinite(values)
     t, v = times[read], values[read]
     if t.size < 2 or t[0] > begin or t[-1] < end:
         covered = f"{t[0]:g} to {t[-1]:g} s" if t.size else "nothing"
         raise InputError(
-            f"{name}: read over {covered}, the test asks for {begin:g} to {end:g} s; give a longer "
+            f"{name}: read over {covered}, the test needs {begin:g} to {end:g} s; give a longer "
             "record or another period"
         )
     inside = (t > begin) & (t < end)

@@ -15,7 +15,7 @@ from thermojoint.standards.iso230_3.extremes import Extremes, extremes
 from thermojoint.standards.iso230_3.period import Period, whole
 from thermojoint.standards.iso230_3.record import Record
 
-#: The first part of a test with motion, which the standard evaluates by itself, s.
+#: Duration of the first part of a test with motion, which is evaluated separately, s.
 FIRST = 3600.0
 
 Quantity = Literal["displacement", "tilt", "temperature"]
@@ -23,7 +23,7 @@ Quantity = Literal["displacement", "tilt", "temperature"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One figure of a test.
+    """One parameter of a test.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Parameter:
     quantity : str
         ``displacement`` (m), ``tilt`` (rad) or ``temperature`` (K).
     channel : str
-        Of the record.
+        Channel of the record.
     period : Period
         Period of the range.
     extremes : Extremes
-        Its `range` is the figure.
+        Its `range` is the value.
     """
 
     symbol: str
@@ -54,8 +54,8 @@ class Parameter:
 def environment(record: Record) -> tuple[Parameter, ...]:
     """Return the environmental temperature variation error of every channel.
 
-    ETVE(c) is the range over the whole record of a machine on which nothing runs; ΔT(c) the range
-    of a temperature over the same time.
+    ETVE(c) is the range over the whole record of a machine at standstill; ΔT(c) the range of a
+    temperature over the same time.
     """
     period = whole(record)
     return tuple(
@@ -72,7 +72,7 @@ def environment(record: Record) -> tuple[Parameter, ...]:
 
 
 def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
-    """Return the thermal distortion that a motion causes, spindle's or axis', of every channel.
+    """Return the thermal distortion of every channel by the motion of a spindle or an axis.
 
     d(c)60 is the range over the first 60 min, d(c)t over the whole running period t; ΔT(c)60 and
     ΔT(c)t the ranges of a temperature.
@@ -103,10 +103,9 @@ def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
 
 
 def unsettled(record: Record, period: Period) -> dict[str, float]:
-    """Return how much each channel still moved at the end: last 60 min over first 60 min.
+    """Return the range over the last 60 min relative to that over the first 60 min, by channel.
 
-    The ratio of the two ranges; a test that has come to rest has a small one. It is left out where
-    the first 60 min moved nothing.
+    Small for a test that has reached a steady state; left out if the first range is zero.
 
     Parameters
     ----------

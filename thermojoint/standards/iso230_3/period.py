@@ -31,19 +31,19 @@ def whole(record: Record) -> Period:
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
-    Stops in between belong to it: a spectrum of speeds has some.
+    Stops in between are included: a spectrum of speeds has some.
 
     Parameters
     ----------
     times : ndarray, shape (n,)
         s.
     drive : ndarray, shape (n,)
-        Speed or heat input of the interval that ends at the sample; NaN is no motion.
+        Speed or heat input of the interval that ends at the sample; NaN means no motion.
 
     Raises
     ------
     InputError
-        Nothing ever moves.
+        There is no motion.
     """
     moving = np.flatnonzero(np.nan_to_num(drive) != 0.0)
     if not moving.size:
@@ -52,12 +52,12 @@ def running(times: Array, drive: Array) -> Period:
 
 
 def asked_for(record: Record, usual: Period, begin: float | None, end: float | None) -> Period:
-    """Return a period with the ends that a person gave (s) in place of those found.
+    """Return a period with the start and end (s) given by the user in place of those detected.
 
     Raises
     ------
     InputError
-        It ends before it begins, or lies outside of the record.
+        It ends before it starts, or lies outside the record.
     """
     period = Period(usual.begin if begin is None else begin, usual.end if end is None else end)
     first, last = whole(record)

@@ -34,9 +34,9 @@ class Record:
     times : ndarray, shape (n,)
         s, strictly increasing.
     displacements : mapping
-        Channel to displacement, m, shape (n,); NaN where nothing was read.
+        Channel to displacement, m, shape (n,); NaN for a missing reading.
     temperatures : mapping
-        Channel to temperature, °C or K above the start, shape (n,); NaN where nothing was read.
+        Channel to temperature, °C or K above the start, shape (n,); NaN for a missing reading.
     tilts : mapping
         Channel to angle, rad, shape (n,); see `with_tilts`.
     drive : ndarray, shape (n,), optional
@@ -67,7 +67,7 @@ def response_record(
     Raises
     ------
     InputError
-        An axis or a probe is missing, or nothing moves.
+        An axis or a probe is missing, or no displacement changes.
     """
     if axes is None:
         moved = np.abs(response["displacement"].to_numpy()).max(axis=0) > STILL
@@ -109,7 +109,8 @@ def log_record(
     Raises
     ------
     InputError
-        A column is missing or of another quantity, there are several runs, or no displacement.
+        A column is missing or has another quantity, there are several runs, or there is no
+        displacement.
     """
     if len(log.starts) > 1:
         raise InputError("log: time restarts within it; give the file of one test")
@@ -157,7 +158,7 @@ def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
     Raises
     ------
     InputError
-        The times differ, or a name is there already.
+        The times differ, or a name exists already.
     """
     same = record.times.shape == second.times.shape and np.allclose(
         record.times, second.times, rtol=1e-9, atol=1e-6
@@ -172,10 +173,10 @@ def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
 
 
 def with_tilts(record: Record, pairs: Mapping[str, tuple[str, str]], distance: float) -> Record:
-    """Return the record with the tilts that pairs of parallel displacements show.
+    """Return the record with tilts from pairs of parallel displacements.
 
-    A body that turns by a small angle moves two of its points, l apart, by displacements that
-    differ by the angle times l: tilt = (first - second) / l. The order of a pair is its sign.
+    A small rotation of a body changes the displacements of two points at a distance l by the angle
+    times l: tilt = (first - second) / l. The order of a pair defines the sign.
 
     Parameters
     ----------

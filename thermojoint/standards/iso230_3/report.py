@@ -23,7 +23,7 @@ def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
     ----------
     evaluation : Evaluation
     origin : str
-        What was evaluated, e.g. the name of a file.
+        Source of the record, e.g. the name of a file.
     """
     return {
         "schema": SCHEMA,
@@ -40,7 +40,7 @@ def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
 def report_html(
     record: Record, evaluation: Evaluation, origin: str, facts: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """Return the page; everything in it is escaped, nothing is loaded from elsewhere.
+    """Return the page; all content is escaped, and nothing is loaded from elsewhere.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def report_html(
     evaluation : Evaluation
         Of the record.
     origin : str
-        What was evaluated.
+        Source of the record.
     facts : sequence of (str, str)
-        Further lines on what was tested, e.g. the distance of two sensors.
+        Further facts about the test, e.g. the distance of two sensors.
     """
     environment = templates_of("thermojoint.standards.iso230_3")
     return environment.get_template("report.html.j2").render(
