@@ -2,13 +2,80 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from estimator.interface import Status
+from thermojoint.artefacts.arrays import Array
 from thermojoint.models.parameters import Span
 
 #: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
 SLACK = 0.05
+#: An unknown past has died out to 5 % after this many of a model's slowest time constants.
+SETTLING = 3.0
+#: After a pause of more than this, s, and than this many nominal intervals, the past is unknown.
+PAUSE, INTERVALS = 600.0, 3.0
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How long an estimator without a covariance is unsettled after a start on a warm machine.
+
+    Such an estimator starts as if the machine were cold. A machine is warm if a sensor at the joint
+    reads more than `SLACK` of its calibrated range above the ambient; those near the source may do
+    so within a sample.
+
+    Attributes
+    ----------
+    span : Span
+        What the calibration has seen.
+    sensors : tuple of str
+        At the joint.
+    slowest : float
+        Slowest time constant of the model, s; it counts up to the calibrated duration.
+    nominal : float
+        Sampling interval, s.
+    """
+
+    span: Span
+    sensors: tuple[str, ...]
+    slowest: float
+    nominal: float
+
+    @property
+    def duration(self) -> float:
+        """Time after which an unknown past no longer counts, s."""
+        return SETTLING * min(self.slowest, self.span.duration_s)
+
+    @property
+    def longest_pause(self) -> float:
+        """After a longer interval a run starts anew as far as its past is concerned, s."""
+        return max(PAUSE, INTERVALS * self.nominal)
+
+    @property
+    def cold(self) -> dict[str, float]:
+        """Largest rise of each sensor of a machine that counts as cold, K."""
+        ranges = ((name, self.span.temperatures[name]) for name in self.sensors)
+        return {name: SLACK * max(abs(low), abs(high)) for name, (low, high) in ranges}
+
+    def until(self, state: Array, time: float, values: Mapping[str, float]) -> float:
+        """Return the time up to which an estimator is unsettled, s; NaN if it never was.
+
+        Parameters
+        ----------
+        state : ndarray
+            Its first entry is the time of the last sample, NaN before the first; its last entry is
+            what this function returned then.
+        time : float
+            Of the sample, s.
+        values : mapping
+            Channel to its value, K.
+        """
+        if time - state[0] <= self.longest_pause:
+            return float(state[-1])
+        warm = any(abs(values[name]) > limit for name, limit in self.cold.items())
+        return time + self.duration if warm else math.nan
 
 
 def status_of(

@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from estimator.baselines.samples import began
-from estimator.interface import Channel, Estimate
-from estimator.span import status_of
+from estimator.interface import Channel, Estimate, Status
+from estimator.span import Settling, status_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.baselines import FILE, Baselines, Regression, taus_of
 from thermojoint.models.filters.relaxations import relaxed
-from thermojoint.models.sensors import ROLES
+from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 
 #: Temperature rises of the four sensors above the current ambient.
 CHANNELS = tuple(Channel(role, "K") for role in ROLES)
@@ -25,7 +25,8 @@ CHANNELS = tuple(Channel(role, "K") for role in ROLES)
 class RegressionEstimator:
     """δ as a weighted sum of temperatures and of their low-passes.
 
-    Its state is (time of the last sample, start of the run, last temperatures, low-passes).
+    Its state is (time of the last sample, start of the run, last temperatures, low-passes, the time
+    up to which it is unsettled).
 
     Attributes
     ----------
@@ -65,16 +66,26 @@ class RegressionEstimator:
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
-        return np.concatenate(([np.nan] * 2, np.zeros(len(self._taus))))
+        return np.concatenate(([np.nan] * 2, np.zeros(len(self._taus)), [np.nan]))
+
+    @cached_property
+    def settling(self) -> Settling:
+        """How long it is unsettled after a start on a warm machine; without low-passes not."""
+        slowest = max(self.regression.time_constants, default=0.0)
+        return Settling(self.model.span, JOINT_SENSORS, slowest, self.dt_s)
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
         begun, dt = began(state, time, values, CHANNELS, self.dt_s)
         old, new = state[2 : 2 + len(CHANNELS)], np.asarray(values, dtype=float)
         times = len(self._taus) // len(CHANNELS)
-        features = relaxed(state[2:], np.tile(old, times), np.tile(new, times), dt, self._taus)
-        status = status_of(self.model.span, time - begun, dict(zip(ROLES, values, strict=True)))
+        features = relaxed(state[2:-1], np.tile(old, times), np.tile(new, times), dt, self._taus)
+        named = dict(zip(ROLES, values, strict=True))
+        status = status_of(self.model.span, time - begun, named)
+        until = self.settling.until(state, time, named)
+        if time < until:
+            status |= Status.UNSETTLED
         band = np.full(len(self.axes), np.nan)
-        return np.concatenate(([time, begun], features)), Estimate(
+        return np.concatenate(([time, begun], features, [until])), Estimate(
             time, self._weights @ features, band, status, np.empty(0)
         )

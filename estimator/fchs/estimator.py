@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from estimator.fchs import stream
-from estimator.interface import Channel, Estimate
-from estimator.span import status_of
+from estimator.interface import Channel, Estimate, Status
+from estimator.span import Settling, status_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.models.assembly import Assembly
@@ -22,7 +23,8 @@ from thermojoint.models.parameters import Model
 class Fchs(Described):
     """Fictitious contact heat sources (Figure 5).
 
-    Its state is (time of the last sample, start of the run, the state of the blocks).
+    Its state is (time of the last sample, start of the run, the state of the blocks, the time up to
+    which it is unsettled).
 
     Attributes
     ----------
@@ -69,7 +71,15 @@ class Fchs(Described):
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
         inner = stream.initial_state(self.assembly)
-        return np.concatenate((inner[:1], [np.nan], inner[1:]))
+        return np.concatenate((inner[:1], [np.nan], inner[1:], [np.nan]))
+
+    @cached_property
+    def settling(self) -> Settling:
+        """How long it is unsettled after a start on a warm machine."""
+        a = self.assembly
+        rates = [-bank.poles.real for bank in (a.linear, a.temperature, a.nonlinear)]
+        slowest = 1.0 / float(np.concatenate(rates).min())
+        return Settling(a.model.span, a.sensors, slowest, a.dt_s)
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator` and `estimator.fchs.stream.step`.
@@ -84,7 +94,7 @@ class Fchs(Described):
             ΔT and the temperatures at the joint above the current ambient, K.
         """
         inner, signals = stream.step(
-            self.assembly, np.concatenate((state[:1], state[2:])), time, *values
+            self.assembly, np.concatenate((state[:1], state[2:-1])), time, *values
         )
         begun = time - self.assembly.dt_s if np.isnan(state[1]) else float(state[1])
         parts = (
@@ -98,6 +108,9 @@ class Fchs(Described):
         named = {channel.name: value for channel, value in zip(self.channels, values, strict=True)}
         span = self.assembly.model.span
         status = status_of(span, time - begun, named, float(signals.heat))
-        return np.concatenate((inner[:1], [begun], inner[1:])), Estimate(
+        until = self.settling.until(state, time, named)
+        if time < until:
+            status |= Status.UNSETTLED
+        return np.concatenate((inner[:1], [begun], inner[1:], [until])), Estimate(
             time, signals.total, np.full(len(self.axes), np.nan), status, details
         )

@@ -14,7 +14,12 @@ from estimator.measured import LARGEST
 from estimator.span import SLACK, with_slack
 from thermojoint.models.assembly_file import fingerprint
 
-_STATUSES = (Status.BEYOND_TIME, Status.BEYOND_HEAT, Status.BEYOND_TEMPERATURE)
+_STATUSES = (
+    Status.BEYOND_TIME,
+    Status.BEYOND_HEAT,
+    Status.BEYOND_TEMPERATURE,
+    Status.UNSETTLED,
+)
 
 
 class NamedBank(NamedTuple):
@@ -32,7 +37,7 @@ def contents(estimator: Fchs) -> Contents:
     span, dt = assembly.model.span, assembly.dt_s
     banks = _banks(estimator)
     ranges = [*(span.temperatures[name] for name in channels), span.heat]
-    usual = _operations(banks)
+    usual, settling = _operations(banks), estimator.settling
     return Contents(
         estimator,
         _interface(estimator),
@@ -41,14 +46,17 @@ def contents(estimator: Fchs) -> Contents:
             "limits": [with_slack(limits) for limits in ranges],
             "longest": (1.0 + SLACK) * span.duration_s,
             "no_temperature": LARGEST,
+            "cold": list(settling.cold.values()),
+            "settling": settling.duration,
+            "longest_pause": settling.longest_pause,
         },
-        constants=2 * len(ranges) + 2 + sum(bank.modes.numbers for bank in banks),
+        constants=2 * len(ranges) + len(channels) + 3 + sum(bank.modes.numbers for bank in banks),
         state=4 * sum(bank.modes.states for bank in banks)
         + 2 * sum(bank.modes.drive.shape[1] for bank in banks if bank.on_lines)
         + len(channels)
-        + 4,
+        + 5,
         usual=usual,
-        worst=usual + _another_interval(banks),
+        worst=usual + _another_interval(banks) + Operations(additions=1),
         labels=("a sample at the nominal interval", "at any other interval, at most"),
         duty=lambda: duty_cycle([span.temperatures[name] for name in channels], dt).tolist(),
     )

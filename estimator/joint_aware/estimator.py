@@ -289,6 +289,7 @@ class JointAware(Described):
             (distrusted, Status.SENSOR_DISTRUSTED),
             (taken.refused, Status.READING_REFUSED),
             (factor.any(), Status.UNSETTLED),
+            ((missing or distrusted) and self._lost(after, time), Status.READINGS_LOST),
         ):
             if holds:
                 status |= flag
@@ -301,6 +302,13 @@ class JointAware(Described):
             missing=missing,
             distrusted=distrusted,
         )
+
+    def _lost(self, after: ObserverState, time: float) -> bool:
+        """Whether every thermometer has been missing or distrusted for too long."""
+        count = len(self.model.sensors)
+        read = np.where(after.watch.distrusted > 0.0, np.nan, after.watch.read)[:count]
+        last = np.fmax.reduce(read, initial=float(after.begun))
+        return bool(time - last > self.thresholds.lost)
 
     def separated(self, values: Sequence[float]) -> tuple[Array, Array]:
         """Return the temperature readings, K, and the displacement readings, m.

@@ -48,6 +48,9 @@ class Thresholds:
         to 2.6 times the band, docs/joint-aware.md).
     ambient : float
         Tolerated change of the ambient without a flag, K.
+    lost : float
+        Without any thermometer for longer than this, s, an estimate is bad: the heat may have been
+        anything meanwhile. As a learned model, whose temperatures wander with this time constant.
     most_steps : int
         Most steps between two samples; after a longer gap they are longer.
     """
@@ -66,6 +69,7 @@ class Thresholds:
     doubt_of_heat: float = 0.2
     doubt: float = 3.0
     ambient: float = 10.0
+    lost: float = 1800.0
     most_steps: int = 2000
 
 

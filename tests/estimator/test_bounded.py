@@ -133,6 +133,26 @@ def test_an_estimator_calibrated_for_35_minutes_is_bounded_for_as_long_as_it_run
     assert (Status.BEYOND_HEAT in status[-1]) == (run == "day at 3" and kind == "fchs")
 
 
+@pytest.mark.parametrize("kind", ["ridge", "arx", "fchs"])
+def test_a_start_on_a_warm_machine_and_after_a_pause_is_said_until_it_has_died_out(
+    estimators, long_runs, kind
+):
+    response, estimator = long_runs["day"], estimators[kind]
+    half = response.sizes["time"] // 2
+    whole, _ = estimated(estimator, response)
+    late, status = estimated(estimator, response.isel(time=slice(half, None)))
+    unsettled = np.array([Status.UNSETTLED in one for one in status])
+    settled = int(unsettled.argmin())
+    assert unsettled[:settled].all()
+    assert settled > 0
+    assert not unsettled[settled:].any()
+    assert np.abs(late - whole[half:])[settled:].max() < 0.1 * np.abs(whole).max()
+    kept = np.delete(np.arange(half + 2), slice(half // 2, half))
+    _, status = estimated(estimator, response.isel(time=kept))
+    assert Status.UNSETTLED not in status[half // 2 - 1]
+    assert Status.UNSETTLED in status[half // 2]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_inside_the_calibration_nothing_is_flagged_and_the_estimate_is_near(
     estimators, calibration, kind

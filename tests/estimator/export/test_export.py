@@ -175,6 +175,9 @@ def test_the_status_says_what_is_beyond_the_calibration(program):
     state = started(program)
     assert step(program, state, DT, (0.0, 0.0, 0.0)).status == Status.OK
     assert step(program, state, DT, (0.0, 3.0, 0.0)).status & Status.BEYOND_TEMPERATURE
+    assert not step(program, state, DT, (0.0, 3.0, 0.0)).status & Status.UNSETTLED
+    assert step(program, state, 3600.0, (0.0, 3.0, 0.0)).status & Status.UNSETTLED
+    assert step(program, started(program), DT, (0.0, 3.0, 0.0)).status & Status.UNSETTLED
     assert step(program, state, DT, (7.9, 0.0, 0.0)).status & Status.BEYOND_HEAT
     assert step(program, state, 100.0, (7.9, 0.0, 0.0)).status & Status.BEYOND_TIME
 

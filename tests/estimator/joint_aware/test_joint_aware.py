@@ -33,6 +33,7 @@ from estimator.joint_aware.model_file import (
 from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.readings import samples_in
 from estimator.kind import Options
+from estimator.quality import Quality, quality_of
 from estimator.registry import kind_of_file, resumed, save_state
 from estimator.states import read_state
 from fesim.case.joint_sections import JointSection
@@ -189,6 +190,17 @@ def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, r
         np.testing.assert_allclose(quick.band, plain.band, rtol=1e-9)
         assert quick.words == plain.words
     assert sum(one is None for one in taken) < 0.1 * len(taken)
+
+
+def test_without_any_thermometer_for_long_the_estimate_is_bad(estimator, response):
+    samples = [list(row) for row in samples_in(response, SENSORS)][:40]
+    time, *readings = samples[-1]
+    nothing = [np.nan] * len(SENSORS) + readings[len(SENSORS) :]
+    samples += [[time + 900.0 * k, *nothing] for k in (1, 2, 3)]
+    _, found = estimates(estimator, samples)
+    quality = [quality_of(one.words, one.displacement) for one in found]
+    assert quality[-4:] == [Quality.GOOD, Quality.UNCERTAIN, Quality.UNCERTAIN, Quality.BAD]
+    assert found[-1].band.max() > 3.0 * found[-4].band.max()
 
 
 def test_a_missing_sensor_costs_little_and_is_said(estimator, response):
