@@ -39,6 +39,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         compensating.control,
         serving.serve,
         serving.rollback,
+        serving.backup,
+        serving.restore,
         accounts.users,
         accounts.tokens,
         scene.scene,

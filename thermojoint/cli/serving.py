@@ -103,3 +103,42 @@ def rollback(
     audit_of(given).accepted(user_name(), "command", what, machine)
     follows = "reloads now" if hang_up(given.folder) else "follows at its next start"
     print(f"{machine}: {what}; the service {follows}")
+
+
+def backup(
+    service: ServiceFile,
+    out: Annotated[Path, typer.Option(help="The backup (.tar.gz).")] = Path("backup.tar.gz"),
+) -> None:
+    """Back up settings, models, users, states and history of a service, which may be running.
+
+    The backup is readable by its owner only. Secrets and keys that the settings name are left out.
+
+    Example: [bold]thermojoint backup service.toml --out backup.tar.gz[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.cli.accounts import user_name
+    from thermojoint.live.accounts import audit_of
+    from thermojoint.live.backup import back_up
+    from thermojoint.live.settings import read_service
+
+    audit_of(read_service(service)).accepted(user_name(), "command", f"backup to {out}")
+    console.warn(f"left out: {secret}" for secret in back_up(service, out))
+    console.wrote(out)
+
+
+def restore(
+    backup: Annotated[Path, typer.Argument(help="A backup (.tar.gz).")],
+    out: Annotated[Path, typer.Option(help="Folder to restore into; it must be empty.")],
+) -> None:
+    """Restore a backup into an empty folder; nothing is overwritten.
+
+    Example: [bold]thermojoint restore backup.tar.gz --out restored[/bold]
+    """
+    from thermojoint.cli.accounts import user_name
+    from thermojoint.live.accounts import audit_of
+    from thermojoint.live.backup import restore as restore_backup
+    from thermojoint.live.settings import read_service
+
+    file = restore_backup(backup, out)
+    audit_of(read_service(file)).accepted(user_name(), "command", f"restored from {backup}")
+    print(f"{file}: restored; put the secrets back, then: thermojoint serve {file} --check")

@@ -1,6 +1,7 @@
 """One machine of the service: what silence does, what a kill does not, and what the store keeps."""
 
 import json
+import logging
 import math
 from dataclasses import replace
 
@@ -14,10 +15,11 @@ from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor, Place
-from thermojoint.live.log_lines import EventLog, line_of
+from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
+from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served
 from thermojoint.live.settings import ModelSection, WatchdogSection
@@ -247,6 +249,19 @@ def test_a_flood_of_events_is_a_few_lines():
     assert told == 5
     assert log.say(START + 100.0, "malformed", "x", "mill")
     assert "9995 more" in log.pending[-1].text
+
+
+def test_a_library_that_complains_without_end_is_a_few_lines():
+    passes = limited(LineLimit())
+    written = []
+    for k in range(1000):
+        record = logging.LogRecord("asyncua", logging.ERROR, "x.py", 7, "fault %d", (k,), None)
+        record.created = START + 0.001 * k
+        written += [record.getMessage()] if passes(record) else []
+    assert len(written) == AT_ONCE
+    assert written[0] == 'event=library text="asyncua: fault 0"'
+    other = logging.LogRecord("asyncua", logging.ERROR, "x.py", 8, "another", (), None)
+    assert passes(other)
 
 
 # --- what a control receives ---------------------------------------------------------------------

@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import json
+import shutil
 import signal
 import ssl
+import stat
 import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -233,3 +235,46 @@ def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):
     assert not list(ending(given, tmp_path, end - ANNOUNCED - timedelta(days=1)))
     (line,) = ending(given, tmp_path, end - timedelta(days=10))
     assert "plant.pem ends on" in line
+
+
+def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(models, tmp_path):
+    base = tmp_path / "plant"
+    base.mkdir()
+    port = free_port()
+    file = plant(base, models, port)
+    outside = tmp_path / "outside.json"
+    outside.write_bytes(models["old"])
+    file.write_text(file.read_text().replace('"model.json"', f'"{outside}"'))
+
+    async def live():
+        async with running(file) as (starts, _):
+            await until(lambda: starts[0].hub.newest["mill"].number == 20)
+            digest = starts[0].floor.places["mill"].served.digest
+            done = await asyncio.to_thread(called, "backup", file, "--out", base / "b.tar.gz")
+            assert done.exit_code == 0, done.output
+            return digest
+
+    digest = asyncio.run(live())
+    archive, restored = base / "b.tar.gz", tmp_path / "restored"
+    assert stat.S_IMODE(archive.stat().st_mode) == 0o600
+    done = called("restore", archive, "--out", restored)
+    assert done.exit_code == 0, done.output
+    assert not {"token", "plant.key"} & {path.name for path in restored.rglob("*")}
+    outside.unlink()
+    for name in ("token", "plant.key", "log.csv"):
+        shutil.copy2(base / name, restored / name)
+
+    async def again():
+        async with running(restored / "service.toml") as (starts, _):
+            place = starts[0].floor.places["mill"]
+            return place.machine.said.number, place.served.digest
+
+    assert asyncio.run(again()) == (20, digest)
+    assert not events(restored, "state-refused")
+    # Nothing is overwritten, and a damaged backup restores nothing.
+    assert "not empty" in str(called("restore", archive, "--out", restored).exception)
+    content = bytearray(archive.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    archive.write_bytes(content)
+    assert "backup" in str(called("restore", archive, "--out", tmp_path / "third").exception)
+    assert not (tmp_path / "third").exists()

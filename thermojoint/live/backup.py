@@ -1,0 +1,226 @@
+"""Backup of a service while it runs, and restore into an empty folder.
+
+A backup is a .tar.gz that only its owner can read: the settings' file, the files that it names, and
+the folder of the service, with a SHA-256 of each. SQLite copies its own stores, so they are whole
+although the service writes meanwhile. Secrets and keys that the settings name are left out.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+import tarfile
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from hashlib import sha256
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import IO, Any, NamedTuple
+
+from pydantic import BaseModel
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import whole_file
+from thermojoint.artefacts.folders import whole_folder
+from thermojoint.artefacts.json_file import JsonKind, parse_json
+from thermojoint.artefacts.settings import toml
+from thermojoint.live import access_store
+from thermojoint.live.settings import CsvSource, Secret, read_service
+
+_KIND = JsonKind(
+    "thermojoint-backup", 1, "backup", "by 'thermojoint backup'", "take another backup"
+)
+_MANIFEST = "manifest.json"
+#: Not copied: logs that SQLite keeps beside its stores, the lock, rejected certificates.
+_LEFT_OUT = (".sqlite-wal", ".sqlite-shm", "lock")
+_CHUNK = 1 << 20
+
+
+class Named(NamedTuple):
+    """A file or folder that the settings name.
+
+    Attributes
+    ----------
+    key : str
+        Where they name it.
+    path : Path
+    secret : bool
+        A password, a token or a private key.
+    """
+
+    key: str
+    path: Path
+    secret: bool
+
+
+def back_up(file: Path, out: Path) -> list[str]:
+    """Write a backup of a service, which may be running.
+
+    Parameters
+    ----------
+    file : Path
+        Of the service (TOML).
+    out : Path
+        The backup; replaced whole.
+
+    Returns
+    -------
+    list of str
+        Secrets that are left out: where the settings name each, and its path.
+
+    Raises
+    ------
+    InputError
+        The settings are wrong, or a file that they name cannot be read.
+    """
+    service, base = read_service(file), file.resolve().parent
+    named = list(_named(service.given))
+    places = {
+        one.path: _place(one.path, base, k)
+        for k, one in enumerate(named)
+        if not one.secret and one.path.exists()
+    }
+    digests: dict[str, str] = {}
+    with whole_file(out) as part, TemporaryDirectory(dir=out.parent) as scratch:
+        part.chmod(0o600)
+        with tarfile.open(part, "w:gz", compresslevel=3) as tar:
+            text = _moved(toml.read_text(file, "service"), base, places)
+            settings = Path(scratch) / "service.toml"
+            settings.write_text(text, "utf-8")
+            _add(tar, settings, "service.toml", digests)
+            for path, place in places.items():
+                for member in [path] if path.is_file() else sorted(path.rglob("*")):
+                    if member.is_file() and not member.name.endswith(_LEFT_OUT):
+                        name = PurePosixPath(place, *member.relative_to(path).parts)
+                        _add(tar, _readable(member, Path(scratch)), str(name), digests)
+            manifest = Path(scratch) / _MANIFEST
+            content = _KIND.header | {"time_s": time.time(), "sha256": digests}
+            manifest.write_text(json.dumps(content, indent=1), "utf-8")
+            tar.add(manifest, _MANIFEST)
+    return [f"{one.key}: {one.path}" for one in named if one.secret]
+
+
+def restore(archive: Path, folder: Path) -> Path:
+    """Restore a backup into an empty folder; return the settings' file in it.
+
+    Raises
+    ------
+    InputError
+        The folder is not empty, or the backup is damaged: then nothing is restored.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is not empty; restore into a new folder")
+    try:
+        with tarfile.open(archive) as tar, whole_folder(folder) as work:
+            manifest = parse_json(
+                _member(tar, _MANIFEST).read().decode("utf-8"), _KIND, str(archive)
+            )
+            for name, digest in manifest["sha256"].items():
+                target = work / name
+                if ".." in target.parts or not target.is_relative_to(work):
+                    raise InputError(f"{archive}: {name}: leads out of the folder")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                handle = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+                with os.fdopen(handle, "wb") as file:
+                    if _copied(_member(tar, name), file) != digest:
+                        raise InputError(f"{archive}: {name} is damaged; take another backup")
+    except (OSError, EOFError, zlib.error, tarfile.TarError, KeyError, ValueError) as error:
+        raise InputError(f"{archive}: not a whole backup ({error}); take another one") from error
+    return folder / "service.toml"
+
+
+def _named(section: BaseModel, above: str = "") -> Iterator[Named]:
+    """Yield what settings name, the sources of readings apart."""
+    for name, value in section:
+        yield from _named_by(value, f"{above}{name}", isinstance(section, Secret))
+
+
+def _named_by(value: Any, key: str, secret: bool) -> Iterator[Named]:  # noqa: ANN401
+    if isinstance(value, Path):
+        yield Named(key, value, secret or key.endswith("key_file"))
+    elif isinstance(value, dict):
+        for name, one in value.items():
+            yield from _named_by(one, f"{key}.{name}", secret)
+    elif isinstance(value, BaseModel) and not isinstance(value, CsvSource):
+        yield from _named(value, f"{key}.")
+
+
+def _place(path: Path, base: Path, number: int) -> str:
+    """Return the name in the backup: as beside the settings' file, or in a folder of its own."""
+    if path.resolve().is_relative_to(base) and path.resolve() != base:
+        return path.resolve().relative_to(base).as_posix()
+    return f"files/{number}/{path.name}"
+
+
+def _moved(text: str, base: Path, places: dict[Path, str]) -> str:
+    """Return the settings with the names that files have in the backup."""
+    for raw in set(_strings(toml.parse(text, "service"))):
+        for path, place in places.items():
+            if (base / raw).resolve() == path.resolve():
+                for quote in ('"', "'"):
+                    text = text.replace(f"{quote}{raw}{quote}", f'"{place}"')
+    return text
+
+
+def _strings(value: Any) -> Iterator[str]:  # noqa: ANN401
+    if isinstance(value, str):
+        yield value
+    for one in value.values() if isinstance(value, dict) else ():
+        yield from _strings(one)
+
+
+def _readable(path: Path, scratch: Path) -> Path:
+    """Return a file to read; of a store of SQLite a copy that is whole, without sessions."""
+    if path.suffix != ".sqlite":
+        return path
+    copy = scratch / path.name
+    copy.touch(mode=0o600)
+    uri = f"{path.resolve().as_uri()}?mode=ro"
+    with closing(sqlite3.connect(uri, uri=True)) as store, closing(sqlite3.connect(copy)) as target:
+        store.backup(target)
+        if path.name == access_store.NAME:
+            target.execute("DELETE FROM sessions")
+            target.commit()
+        # The copy is one file.
+        target.execute("PRAGMA journal_mode = DELETE")
+    return copy
+
+
+def _add(tar: tarfile.TarFile, path: Path, name: str, digests: dict[str, str]) -> None:
+    """Add a file as it is now; what is appended to it meanwhile is left out."""
+    with path.open("rb") as file:
+        about = tar.gettarinfo(arcname=name, fileobj=file)
+        hashing = _Hashing(file)
+        tar.addfile(about, hashing)
+    digests[name] = hashing.digest.hexdigest()
+
+
+class _Hashing:
+    """A file that is hashed while it is read."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.digest = file, sha256()
+
+    def read(self, size: int = -1) -> bytes:
+        """Return the next bytes."""
+        content = self._file.read(size)
+        self.digest.update(content)
+        return content
+
+
+def _member(tar: tarfile.TarFile, name: str) -> IO[bytes]:
+    file = tar.extractfile(name)
+    if file is None:
+        raise KeyError(f"{name} is not a file")
+    return file
+
+
+def _copied(source: IO[bytes], target: IO[bytes]) -> str:
+    """Copy to the end, and return the SHA-256."""
+    hashing = _Hashing(source)
+    shutil.copyfileobj(hashing, target, _CHUNK)
+    return hashing.digest.hexdigest()
