@@ -7,6 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.secret import create_private
 
 #: Its name in the folder of a service.
 NAME = "access.sqlite"
@@ -32,7 +33,7 @@ def open_access(folder: Path) -> sqlite3.Connection:
     path = folder / NAME
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path.touch(mode=0o600)
+        create_private(path)
         store = sqlite3.connect(
             path, isolation_level=None, timeout=_PATIENCE_S, check_same_thread=False
         )

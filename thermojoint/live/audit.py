@@ -1,7 +1,7 @@
 """Audit log: who did what from where, and whether it was accepted; one JSON object per line.
 
-Lines are only ever appended. Refused attempts are limited like log lines, so that nobody can write
-the log full; what was accepted is always written.
+Lines are only ever appended. Refused attempts and values that a control writes in every cycle are
+limited like log lines, with the number of those left out, so that nobody can write the log full.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 from thermojoint.live.publication import iso_time
 from thermojoint.live.rate_limit import LineLimit
+from thermojoint.live.secret import create_private
 
 #: Its name in the folder of a service.
 NAME = "audit.jsonl"
@@ -60,7 +61,13 @@ class Audit:
         OSError
             The line cannot be written; the caller refuses what cannot be audited.
         """
-        self._write(who, origin, what, machine, {"outcome": "accepted"})
+        self._write(who, origin, what, machine, _outcome("accepted", 0))
+
+    def written(self, who: str, origin: str, what: str, machine: str | None) -> None:
+        """Write that somebody has written a value; as `accepted`, but limited."""
+        left_out = self._limit.left_out((who, what), time.monotonic())
+        if left_out is not None:
+            self._write(who, origin, what, machine, _outcome("accepted", left_out))
 
     def refused(
         self, who: str, origin: str, what: str, why: str, machine: str | None = None
@@ -68,18 +75,19 @@ class Audit:
         """Write what somebody tried; parameters as of `accepted`, and why it was refused."""
         left_out = self._limit.left_out((origin, what), time.monotonic())
         if left_out is not None:
-            more: dict[str, object] = {"left_out_before": left_out} if left_out else {}
+            outcome = _outcome("refused", left_out) | {"why": why}
             with suppress(OSError):
-                self._write(who, origin, what, machine, {"outcome": "refused", "why": why} | more)
+                self._write(who, origin, what, machine, outcome)
 
     def _write(
-        self, who: str, origin: str, what: str, machine: str | None, outcome: dict[str, object]
+        self, who: str, origin: str, what: str, machine: str | None, outcome: dict[str, str | int]
     ) -> None:
         entry = {"time": iso_time(time.time()), "who": who[:_LONGEST], "from": origin, "what": what}
         line = json.dumps(entry | ({"machine": machine} if machine else {}) | outcome) + "\n"
         if self.path.exists() and self.path.stat().st_size + len(line) > self.largest:
             self._rotate()
-        handle = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        create_private(self.path)
+        handle = os.open(self.path, os.O_WRONLY | os.O_APPEND)
         try:
             os.write(handle, line.encode())
         finally:
@@ -94,3 +102,7 @@ class Audit:
         for path in self.path.parent.glob(f"{stem}-*.jsonl"):
             if time.time() - path.stat().st_mtime > self.keep:
                 path.unlink(missing_ok=True)
+
+
+def _outcome(word: str, left_out: int) -> dict[str, str | int]:
+    return {"outcome": word} | ({"left_out_before": left_out} if left_out else {})

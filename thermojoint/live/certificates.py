@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import socket
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.secret import refuse_open_to_others
+from thermojoint.live.secret import create_private, refuse_open_to_others
 from thermojoint.live.settings import Certified, HttpServer, OpcuaServer, ServiceFile
 from thermojoint.live.trust_list import certificate_in
 
@@ -64,6 +63,16 @@ def opcua_identity(section: OpcuaServer, folder: Path) -> Identity:
 def http_identity(section: HttpServer, folder: Path) -> Identity:
     """Return the certificate of the HTTP server; as `opcua_identity`."""
     return _given(section, "http") or own_certificate(folder, section)
+
+
+def application_uri(identity: Identity) -> str:
+    """Return the application URI that an OPC UA certificate names; clients compare it."""
+    try:
+        extensions = certificate_in(identity.certificate).extensions
+        names = extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return APPLICATION
+    return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), APPLICATION)
 
 
 def _given(section: Certified, where: str) -> Identity | None:
@@ -242,9 +251,8 @@ def _write(
     # A key without its certificate is made again; one beside the certificate of another is not.
     identity.certificate.unlink(missing_ok=True)
     identity.key.unlink(missing_ok=True)
-    handle = os.open(identity.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(handle, "wb") as file:
-        file.write(content)
+    create_private(identity.key)
+    identity.key.write_bytes(content)
     identity.certificate.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
 
 

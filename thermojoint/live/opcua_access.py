@@ -159,7 +159,7 @@ class Door(UserManager):
             self.accounts.audit.refused(who, origin, what, why, machine)
             return
         try:
-            self.accounts.audit.accepted(who, origin, what, machine)
+            self.accounts.audit.written(who, origin, what, machine)
         except OSError as error:
             raise ServiceError(_DENIED) from error
 

@@ -46,6 +46,19 @@ def read_secret(secret: Secret, where: str) -> str:
     return _line(text, f"{where}: {path}")
 
 
+def create_private(path: Path) -> None:
+    """Create a file that only its owner can read, if it is missing.
+
+    What a command of root creates belongs to the owner of the folder: the service must write it.
+    """
+    if path.exists():
+        return
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT, 0o600))
+    if os.geteuid() == 0:
+        folder = path.parent.stat()
+        os.chown(path, folder.st_uid, folder.st_gid)
+
+
 def refuse_open_to_others(path: Path, where: str, others: int = 0o077) -> None:
     """Refuse a file that others than its owner can read or write.
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.rights import ALL_MACHINES, FORMER_ROLES, ROLES, Principal, Role
-from thermojoint.live.secret import refuse_open_to_others
+from thermojoint.live.secret import create_private, refuse_open_to_others
 
 #: Cost of a hash: 16 MB, and about 50 ms.
 _N, _R, _P = 1 << 14, 8, 1
@@ -157,9 +157,8 @@ def _write(path: Path, users: Mapping[str, UserLine]) -> None:
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
-    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
+    create_private(part)
+    part.write_text(text, "utf-8")
     part.replace(path)
 
 

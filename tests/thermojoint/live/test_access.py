@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import json
+import os
+import stat
 import time
 from datetime import UTC, datetime, timedelta
 
@@ -168,6 +170,24 @@ def test_the_audit_log_rotates_and_refusals_do_not_fill_it(tmp_path):
     assert {f"write {k}" for k in range(20)} <= {one["what"] for one in lines}
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="root alone can give files away")
+def test_what_a_command_of_root_writes_belongs_to_the_services_user(tmp_path):
+    os.chown(tmp_path, 65534, 65534)
+    open_access(tmp_path).close()
+    Audit(tmp_path / "audit.jsonl").accepted("root", "command", "token x")
+    add_user(tmp_path / "users", "panel", "viewer", "panel-secret")
+    for name in ("access.sqlite", "audit.jsonl", "users"):
+        about = (tmp_path / name).stat()
+        assert (about.st_uid, stat.S_IMODE(about.st_mode)) == (65534, 0o600), name
+
+
+def test_a_value_that_is_written_in_every_cycle_is_audited_with_its_count(tmp_path):
+    audit = Audit(tmp_path / "audit.jsonl")
+    for _ in range(1000):
+        audit.written("plc", "opcua 192.0.2.7", "write mill.Control.heartbeat", "mill")
+    assert len(audit.path.read_text().splitlines()) == AT_ONCE
+
+
 def test_users_of_earlier_versions_keep_their_rights(tmp_path):
     path = tmp_path / "users"
     path.touch(mode=0o600)
@@ -281,8 +301,16 @@ def plant(tmp_path_factory):
     hub.publish([publication(1, time.time(), name) for name in ("mill-1", "lathe-1")])
     audit = Audit(folder / "audit.jsonl")
     accounts = Accounts(open_access(folder), audit, folder / "users")
-    section = OpcuaServer(port=port, users=folder / "users", trusted=trusted)
-    server_certificate = folder / "certificate.pem"
+    # The server's certificate is the authority's, too.
+    own, _, _ = issued(folder, "server", authority=(ca, ca_key))
+    section = OpcuaServer(
+        port=port,
+        users=folder / "users",
+        trusted=trusted,
+        certificate_file=own.certificate,
+        key_file=own.key,
+    )
+    server_certificate = own.certificate
 
     async def live():
         machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))

@@ -22,7 +22,7 @@ from asyncua.server import Server
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.certificates import APPLICATION, opcua_identity
+from thermojoint.live.certificates import APPLICATION, application_uri, opcua_identity
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
@@ -304,9 +304,9 @@ async def open_server(
         contents_of(section.trusted)
     server = fresh_server(section)
     await server.init()
-    await server.set_application_uri(APPLICATION)
     if encrypted:
         own = opcua_identity(section, entry.folder)
+        await server.set_application_uri(application_uri(own))
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, entry.folder / "rejected")
