@@ -104,23 +104,11 @@ class Estimate(NamedTuple):
 
 
 class Estimator(Protocol):
-    """Protocol of estimators.
-
-    Attributes
-    ----------
-    kind : str
-        E.g. ``fchs``.
-    axes : tuple of str
-        Of the displacement.
-    channels : tuple of Channel
-        Contents of a sample, in order.
-    details : tuple of Channel
-        Contents of an estimate beside displacement, band and status.
-    """
+    """Protocol of estimators."""
 
     @property
     def kind(self) -> str:
-        """Name of the kind."""
+        """Name of the kind, e.g. ``fchs``."""
         ...
 
     @property
@@ -130,7 +118,7 @@ class Estimator(Protocol):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """Contents of a sample."""
+        """Contents of a sample, in order."""
         ...
 
     @property
@@ -148,16 +136,16 @@ class Estimator(Protocol):
         Parameters
         ----------
         state : ndarray
-            What the sample before returned, or the initial state.
+            State after the previous sample, or the initial state.
         time : float
-            s; later than that of the sample before.
+            s; later than that of the previous sample.
         values : sequence of float
             In the order of `channels`.
 
         Raises
         ------
         InputError
-            Time does not increase, or a value is unusable. The state may be used again.
+            Time does not increase, or a value is unusable. The state can be used again.
         """
         ...
 

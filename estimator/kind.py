@@ -33,24 +33,16 @@ OnFirst = Callable[[Mapping[str, float]], None]
 
 
 class OpenedEstimator(Estimator, Protocol):
-    """Estimator opened from a file.
-
-    Attributes
-    ----------
-    schema : str
-        Schema of its model file, which identifies its kind in the registry.
-    model : object
-        Content of the file, as its `Kind` takes it.
-    """
+    """Estimator opened from a file."""
 
     @property
     def schema(self) -> str:
-        """Schema of the model file."""
+        """Schema of the model file, which identifies the kind in the registry."""
         ...
 
     @property
     def model(self) -> Any:  # noqa: ANN401
-        """Content of the model file."""
+        """Content of the model file, as its `Kind` takes it."""
         ...
 
 

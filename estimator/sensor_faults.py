@@ -2,11 +2,11 @@
 
 Start at `judge_sample`: it judges a sample before it is used. A channel is distrusted when it is
 
-- impossible: no part of the machine can be so hot or so cold;
-- hasty: it changed faster than any part of a machine can;
-- stuck: it repeats its last value far longer than ever before; or the model says that it should
-  have moved by now;
-- contradicted: its innovation, given the other channels, is larger than can be expected.
+- impossible: the temperature cannot occur in a machine;
+- too fast: it changed faster than any part of a machine can;
+- stuck: it repeats its last value much longer than before, or it should have changed according to
+  the model;
+- contradicted: its innovation, given the other channels, is larger than expected.
 
 The first three are detected by `look`, channel by channel; the last by `_contradicted`, the worst
 channel first. A channel is trusted again after `Thresholds.clear` without a fault; one that was
@@ -306,7 +306,7 @@ def _stuck(watch: Watch, channel: int, sample: Sample, noise: float, rules: Thre
 
 @compiled
 def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) -> bool:
-    """Whether a channel has never changed while others have noise."""
+    """Whether a channel has never changed although others have noise."""
     if channel >= thermometers or watch.finest[channel] >= 0.0:
         return False
     witnesses, habit = 0, 0.0
@@ -326,15 +326,15 @@ def look(
     """Update the watch by a sample, in place; return what is faulty, and what is near the model."""
     time, readings, predicted = sample.time, sample.readings, sample.predicted
     for k in range(readings.size):
-        reading, said = readings[k], predicted[k]
+        reading, expected = readings[k], predicted[k]
         odd[k] = near[k] = False
         if not np.isfinite(reading):
             continue
-        imperfect = rules.model_error + rules.model_share * abs(said)
+        imperfect = rules.model_error + rules.model_share * abs(expected)
         limit = rules.gate * imperfect
         if watch.off[k] >= 0.0:
             limit = min(limit, max(rules.near * imperfect, rules.nearer * watch.off[k]))
-        near[k] = abs(reading - said) <= limit
+        near[k] = abs(reading - expected) <= limit
         change, since = abs(reading - watch.last[k]), time - watch.read[k]
         # Comparisons with unknown values, NaN, find no fault.
         odd[k] = reading < channels.low[k] or reading > channels.high[k]
@@ -351,7 +351,7 @@ def look(
         rise, before = reading - watch.last[k], watch.rise[k]
         if change >= rules.jumped_back * abs(watch.off[k]):
             watch.off[k] = -abs(watch.off[k])
-        watch.last[k], watch.changed[k], watch.expected[k] = reading, time, said
+        watch.last[k], watch.changed[k], watch.expected[k] = reading, time, expected
         watch.repeats[k] = 0.0
         if not change >= 0.0:
             continue

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from estimator.interface import Status
-from thermojoint.artefacts.arrays import Array
 from thermojoint.models.parameters import Span
 
-#: A value is beyond what was calibrated if it is so by more than this part of the calibrated range.
+#: A value is beyond the calibrated range if it exceeds it by more than this fraction of the range.
 SLACK = 0.05
 #: An unknown past has died out to 5 % after this many of a model's slowest time constants.
 SETTLING = 3.0
@@ -20,7 +19,7 @@ PAUSE, INTERVALS = 600.0, 3.0
 
 @dataclass(frozen=True)
 class Settling:
-    """How long an estimator without a covariance is unsettled after a start on a warm machine.
+    """Unsettled time after a start on a warm machine, for estimators without a covariance.
 
     Such an estimator starts as if the machine were cold. A machine is warm if a sensor at the joint
     reads more than `SLACK` of its calibrated range above the ambient; those near the source may do
@@ -29,9 +28,9 @@ class Settling:
     Attributes
     ----------
     span : Span
-        What the calibration has seen.
+        Calibrated ranges.
     sensors : tuple of str
-        At the joint.
+        Sensors at the joint.
     slowest : float
         Slowest time constant of the model, s; it counts up to the calibrated duration.
     nominal : float
@@ -59,21 +58,24 @@ class Settling:
         ranges = ((name, self.span.temperatures[name]) for name in self.sensors)
         return {name: SLACK * max(abs(low), abs(high)) for name, (low, high) in ranges}
 
-    def until(self, state: Array, time: float, values: Mapping[str, float]) -> float:
+    def until(
+        self, last: float, before: float, time: float, values: Mapping[str, float]
+    ) -> float:
         """Return the time up to which an estimator is unsettled, s; NaN if it never was.
 
         Parameters
         ----------
-        state : ndarray
-            Its first entry is the time of the last sample, NaN before the first; its last entry is
-            what this function returned then.
+        last : float
+            Time of the previous sample, s; NaN before the first.
+        before : float
+            Result of this function at the previous sample, s.
         time : float
-            Of the sample, s.
+            Time of the sample, s.
         values : mapping
             Channel to its value, K.
         """
-        if time - state[0] <= self.longest_pause:
-            return float(state[-1])
+        if time - last <= self.longest_pause:
+            return before
         warm = any(abs(values[name]) > limit for name, limit in self.cold.items())
         return time + self.duration if warm else math.nan
 
@@ -81,18 +83,18 @@ class Settling:
 def status_of(
     span: Span, elapsed: float, values: Mapping[str, float], heat: float | None = None
 ) -> Status:
-    """Return how far an estimate can be trusted.
+    """Return the status of an estimate with respect to the calibrated range.
 
     Parameters
     ----------
     span : Span
-        What the calibration has seen.
+        Calibrated ranges.
     elapsed : float
         Time since the run began, s.
     values : mapping
         Channel to its value, K.
     heat : float, optional
-        Heat input; an estimator that knows none leaves it out.
+        Heat input, if the estimator knows it.
     """
     status = Status.OK
     if elapsed > (1.0 + SLACK) * span.duration_s:
@@ -105,7 +107,7 @@ def status_of(
 
 
 def with_slack(span: tuple[float, float]) -> tuple[float, float]:
-    """Return the lowest and highest value that are not beyond a calibrated range."""
+    """Return a calibrated range widened by `SLACK`."""
     low, high = span
     slack = SLACK * (high - low)
     return low - slack, high + slack

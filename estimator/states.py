@@ -126,9 +126,9 @@ def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
         data[numbers + _DIGEST :],
     )
     if not data.startswith(_MAGIC) or stated != _digest(content) or len(content) % 8:
-        raise InputError(f"{where}: the state that is kept is damaged; give another folder")
+        raise InputError(f"{where}: the stored state is damaged; give another folder")
     if own != _digest(fingerprint.encode()):
-        raise InputError(f"{where}: the state that is kept is of another model; give its folder")
+        raise InputError(f"{where}: the stored state belongs to another model; give its folder")
     return np.frombuffer(content, dtype="<f8").copy()
 
 

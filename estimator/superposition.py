@@ -1,4 +1,4 @@
-"""Response of a linear structure to any heat, by superposition of its reference response."""
+"""Response of a linear structure to any heat input, by superposition of its reference response."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def superposed(reference: xr.Dataset, response: xr.Dataset, variable: str) -> np.ndarray:
-    """Return what a structure proportional to `reference` would do under the heat of `response`.
+    """Return the linear response to the heat of `response`, by superposition of `reference`.
 
-    Duhamel's sum over the changes of the heat input, each value of which holds over the interval
-    that ends at its sample. The reference is the response to one step at time 0.
+    Duhamel's sum over the changes of the heat input, whose values are constant over the interval
+    that ends at their sample. The reference is the response to one step at time 0.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def superposed(reference: xr.Dataset, response: xr.Dataset, variable: str) -> np
     Raises
     ------
     InputError
-        The reference is not one step, is too short, or has other probes or axes.
+        The reference is not a step, is too short, or has other probes or axes.
     """
     level = step_level(reference, "reference response")
     times, lag = response["time"].to_numpy(), reference["time"].to_numpy()
@@ -63,5 +63,5 @@ def held_heat(response: xr.Dataset) -> np.ndarray:
     times, heat = response["time"].to_numpy(), response["heat_input"].to_numpy().astype(float)
     if times[0] < 0.0:
         raise InputError(f"response: time starts at {times[0]:g} s; it must start at rest, at 0")
-    # Nothing has gone in by time 0, whatever the history's value there.
+    # No heat has been supplied by time 0, even if the history has a value there.
     return np.where(times > 0.0, heat, 0.0)

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from estimator.baselines.regression import CHANNELS
-from estimator.baselines.samples import began
+from estimator.baselines.samples import Clock, advanced
 from estimator.interface import Channel, Estimate, Status
 from estimator.span import Settling, status_of
 from thermojoint.artefacts.arrays import Array
@@ -22,14 +22,45 @@ from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 _AT_STEP = 1e-6
 
 
+class State(NamedTuple):
+    """State after a sample.
+
+    Attributes
+    ----------
+    clock : Clock
+        Time of the sample, and start of the run.
+    steps : int
+        Number of autoregression steps done.
+    temperatures : ndarray, shape (channels,)
+        Of the sample, K.
+    past : ndarray, shape (axes, order)
+        Past estimates, newest first, m.
+    seen : ndarray, shape (lags, channels)
+        Temperatures at past steps, newest first, K.
+    until : float
+        Time up to which the estimate is unsettled, s; NaN if it never was.
+    """
+
+    clock: Clock
+    steps: int
+    temperatures: Array
+    past: Array
+    seen: Array
+    until: float
+
+
+def _flat(state: State) -> Array:
+    """Return a state as one array."""
+    clock, steps, temperatures, past, seen, until = state
+    return np.concatenate((clock, [steps], temperatures, past.ravel(), seen.ravel(), [until]))
+
+
 @dataclass(frozen=True, eq=False)
 class AutoregressionEstimator:
     """Steps at a fixed interval from the start of the run; samples may come at any time.
 
     Temperatures are interpolated linearly. Between two steps the estimate is interpolated linearly
-    towards the next step, computed with the present temperatures. The state is (time of the last
-    sample, start of the run, steps done, last temperatures, past estimates, past temperatures, the
-    time up to which it is unsettled).
+    towards the next step, computed with the present temperatures. Its state is `State`.
 
     Attributes
     ----------
@@ -60,8 +91,16 @@ class AutoregressionEstimator:
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
-        size = len(CHANNELS) + self._past.size + self._inputs[0].size
-        return np.concatenate(([np.nan] * 2, [0.0], np.zeros(size), [np.nan]))
+        return _flat(
+            State(
+                Clock(),
+                steps=0,
+                temperatures=np.zeros(len(CHANNELS)),
+                past=np.zeros_like(self._past),
+                seen=np.zeros_like(self._inputs[0]),
+                until=math.nan,
+            )
+        )
 
     @cached_property
     def settling(self) -> Settling:
@@ -72,28 +111,38 @@ class AutoregressionEstimator:
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
-        begun, dt = began(state, time, values, CHANNELS, self.model.interval_s)
-        done = int(state[2])
-        width = len(CHANNELS)
-        last, past, seen = np.split(state[3:-1], [width, width + self._past.size])
-        past, seen = past.reshape(self._past.shape), seen.reshape(self._inputs.shape[1:])
-        new = np.asarray(values, dtype=float)
-        steps = (time - begun) / self.model.interval_s
+        last, done, old, past, seen, until = self._state_in(state)
+        clock, dt = advanced(last, time, values, CHANNELS, self.model.interval_s)
+        new, elapsed = np.asarray(values, dtype=float), time - clock.begun
+        steps = elapsed / self.model.interval_s
         while done + 1 <= steps + _AT_STEP:
             done += 1
             share = 1.0 - (steps - done) * self.model.interval_s / dt
-            past, seen = self._stepped(past, seen, last + min(share, 1.0) * (new - last))
+            past, seen = self._stepped(past, seen, old + min(share, 1.0) * (new - old))
         part = max(steps - done, 0.0)
         ahead = self._stepped(past, seen, new)[0][:, 0] if part > _AT_STEP else past[:, 0]
         displacement = past[:, 0] + part * (ahead - past[:, 0])
         named = dict(zip(ROLES, values, strict=True))
-        status = status_of(self.model.span, time - begun, named)
-        until = self.settling.until(state, time, named)
+        status = status_of(self.model.span, elapsed, named)
+        until = self.settling.until(last.time, until, time, named)
         if time < until:
             status |= Status.UNSETTLED
         band = np.full(len(self.axes), np.nan)
-        inner = np.concatenate(([time, begun, done], new, past.ravel(), seen.ravel(), [until]))
-        return inner, Estimate(time, displacement, band, status, np.empty(0))
+        after = _flat(State(clock, done, new, past, seen, until))
+        return after, Estimate(time, displacement, band, status, np.empty(0))
+
+    def _state_in(self, array: Array) -> State:
+        """Return the state in an array of `_flat`."""
+        ends = np.cumsum([len(Clock()), 1, len(CHANNELS), self._past.size, self._inputs[0].size])
+        clock, steps, temperatures, past, seen, until = np.split(array, ends)
+        return State(
+            Clock(*clock.tolist()),
+            int(steps[0]),
+            temperatures,
+            past.reshape(self._past.shape),
+            seen.reshape(self._inputs.shape[1:]),
+            float(until[0]),
+        )
 
     def _stepped(self, past: Array, seen: Array, now: Array) -> tuple[Array, Array]:
         """Return past estimates and temperatures, newest first, one step later."""

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from estimator.baselines.samples import began
+from estimator.baselines.samples import Clock, advanced
 from estimator.interface import Channel, Estimate, Status
 from estimator.span import Settling, status_of
 from thermojoint.artefacts.arrays import Array
@@ -25,8 +25,8 @@ CHANNELS = tuple(Channel(role, "K") for role in ROLES)
 class RegressionEstimator:
     """δ as a weighted sum of temperatures and of their low-passes.
 
-    Its state is (time of the last sample, start of the run, last temperatures, low-passes, the time
-    up to which it is unsettled).
+    Its state is a `Clock`, the features (last temperatures and their low-passes), and the time up to
+    which it is unsettled, s.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class RegressionEstimator:
 
     @property
     def regression(self) -> Regression:
-        """The weights."""
+        """The regression of this kind."""
         return self.model.mlr if self.kind == "mlr" else self.model.ridge
 
     @property
@@ -66,7 +66,7 @@ class RegressionEstimator:
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
-        return np.concatenate(([np.nan] * 2, np.zeros(len(self._taus)), [np.nan]))
+        return np.concatenate((Clock(), np.zeros(len(self._taus)), [np.nan]))
 
     @cached_property
     def settling(self) -> Settling:
@@ -76,16 +76,18 @@ class RegressionEstimator:
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
-        begun, dt = began(state, time, values, CHANNELS, self.dt_s)
-        old, new = state[2 : 2 + len(CHANNELS)], np.asarray(values, dtype=float)
+        head, features, until = np.split(state, [len(Clock()), len(state) - 1])
+        last = Clock(*head.tolist())
+        clock, dt = advanced(last, time, values, CHANNELS, self.dt_s)
         times = len(self._taus) // len(CHANNELS)
-        features = relaxed(state[2:-1], np.tile(old, times), np.tile(new, times), dt, self._taus)
+        old, new = np.tile(features[: len(CHANNELS)], times), np.tile(values, times)
+        features = relaxed(features, old, new, dt, self._taus)
         named = dict(zip(ROLES, values, strict=True))
-        status = status_of(self.model.span, time - begun, named)
-        until = self.settling.until(state, time, named)
-        if time < until:
+        status = status_of(self.model.span, time - clock.begun, named)
+        until[0] = self.settling.until(last.time, until[0], time, named)
+        if time < until[0]:
             status |= Status.UNSETTLED
         band = np.full(len(self.axes), np.nan)
-        return np.concatenate(([time, begun], features, [until])), Estimate(
+        return np.concatenate((clock, features, until)), Estimate(
             time, self._weights @ features, band, status, np.empty(0)
         )

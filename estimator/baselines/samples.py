@@ -1,29 +1,43 @@
-"""Validation of samples for the baselines."""
+"""Clock of a run and validation of samples for the baselines."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from estimator.interface import Channel
-from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
 
-def began(
-    state: Array, time: float, values: Sequence[float], channels: Sequence[Channel], lead: float
-) -> tuple[float, float]:
-    """Return the start of the run and the interval that ends at this sample, s.
+class Clock(NamedTuple):
+    """First two entries of the states of baselines; NaN before the first sample.
+
+    Attributes
+    ----------
+    time : float
+        Time of the last sample, s.
+    begun : float
+        Start of the run, s.
+    """
+
+    time: float = math.nan
+    begun: float = math.nan
+
+
+def advanced(
+    clock: Clock, time: float, values: Sequence[float], channels: Sequence[Channel], lead: float
+) -> tuple[Clock, float]:
+    """Return the clock after a sample, and the interval that ends at the sample, s.
 
     Parameters
     ----------
-    state : ndarray
-        Its first two entries are the time of the last sample and the start of the run, NaN before
-        the first sample.
+    clock : Clock
+        Before the sample.
     time, values
-        Of the sample.
+        Time (s) and values of the sample.
     channels : sequence of Channel
-        The channels of a sample.
+        Channels of a sample.
     lead : float
         The machine is at rest until this long before the first sample, s.
 
@@ -32,11 +46,11 @@ def began(
     InputError
         Time does not increase, or a value is missing or not finite.
     """
-    fresh = math.isnan(state[0])
-    dt = lead if fresh else time - float(state[0])
+    fresh = math.isnan(clock.time)
+    dt = lead if fresh else time - clock.time
     if not 0.0 < dt < math.inf or not math.isfinite(time):
         raise InputError(
-            f"sample at t = {time:g} s: time does not increase (the last was at {state[0]:g} s); "
+            f"sample at t = {time:g} s: time does not increase (the last was at {clock.time:g} s); "
             "drop or re-order the sample"
         )
     if len(values) != len(channels) or not all(map(math.isfinite, values)):
@@ -44,4 +58,4 @@ def began(
         raise InputError(
             f"sample at t = {time:g} s: give {names} as finite numbers, or leave the sample out"
         )
-    return (time - lead if fresh else float(state[1])), dt
+    return Clock(time, time - lead if fresh else clock.begun), dt

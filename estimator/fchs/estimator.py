@@ -19,12 +19,21 @@ from thermojoint.models.model_file import FILE
 from thermojoint.models.parameters import Model
 
 
+#: Index of the start of the run, and of the time up to which it is unsettled, in a state.
+_BEGUN, _UNTIL = 1, -1
+
+
+def _state(inner: Array, begun: float, until: float) -> Array:
+    """Return the state of the blocks with the two times, s."""
+    return np.append(np.insert(inner, _BEGUN, begun), until)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fchs(Described):
     """Fictitious contact heat sources (Figure 5).
 
-    Its state is (time of the last sample, start of the run, the state of the blocks, the time up to
-    which it is unsettled).
+    Its state is that of `estimator.fchs.stream`, with the start of the run (s) inserted after its
+    time, and the time up to which it is unsettled (s) at the end.
 
     Attributes
     ----------
@@ -70,8 +79,7 @@ class Fchs(Described):
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest at ambient temperature, before any sample."""
-        inner = stream.initial_state(self.assembly)
-        return np.concatenate((inner[:1], [np.nan], inner[1:], [np.nan]))
+        return _state(stream.initial_state(self.assembly), np.nan, np.nan)
 
     @cached_property
     def settling(self) -> Settling:
@@ -87,30 +95,25 @@ class Fchs(Described):
         Parameters
         ----------
         state : ndarray
-            What the sample before returned, or the initial state.
+            State after the previous sample, or the initial state.
         time : float
-            s; later than that of the sample before.
+            s; later than that of the previous sample.
         values : sequence of float
             ΔT and the temperatures at the joint above the current ambient, K.
         """
-        inner, signals = stream.step(
-            self.assembly, np.concatenate((state[:1], state[2:-1])), time, *values
+        last, begun, until = float(state[0]), float(state[_BEGUN]), float(state[_UNTIL])
+        inner = np.delete(state, [_BEGUN, _UNTIL])
+        inner, signals = stream.step(self.assembly, inner, time, *values)
+        begun = time - self.assembly.dt_s if np.isnan(begun) else begun
+        details = np.hstack(
+            (signals.heat, signals.sources, signals.deviation, signals.linear, signals.nonlinear)
         )
-        begun = time - self.assembly.dt_s if np.isnan(state[1]) else float(state[1])
-        parts = (
-            signals.heat,
-            signals.sources,
-            signals.deviation,
-            signals.linear,
-            signals.nonlinear,
-        )
-        details = np.hstack(parts)
         named = {channel.name: value for channel, value in zip(self.channels, values, strict=True)}
         span = self.assembly.model.span
         status = status_of(span, time - begun, named, float(signals.heat))
-        until = self.settling.until(state, time, named)
+        until = self.settling.until(last, until, time, named)
         if time < until:
             status |= Status.UNSETTLED
-        return np.concatenate((inner[:1], [begun], inner[1:], [until])), Estimate(
+        return _state(inner, begun, until), Estimate(
             time, signals.total, np.full(len(self.axes), np.nan), status, details
         )

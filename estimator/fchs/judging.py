@@ -35,23 +35,22 @@ from thermojoint.models.sensors import readings, rises, roles_in
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Their order in all tables.
+#: Order of the estimators in all tables.
 ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", "joint-aware")
 
 
 @dataclass(frozen=True)
 class Beside:
-    """What is judged beside a model, and the time from which samples count.
+    """Estimators to be compared with a model, and the time from which samples count.
 
     Attributes
     ----------
     baselines : Baselines, optional
         Regressions.
     observers : sequence of (OpenedEstimator, ndarray)
-        Observers, and the state that each starts from. They read the probes that are named as
-        their sensors.
+        Observers with their initial states. They read the probes with the names of their sensors.
     settled_s : float
-        Samples count from this long after the first one on, s.
+        Samples count from this time after the first one, s.
     """
 
     baselines: Baselines | None = None
@@ -59,24 +58,24 @@ class Beside:
     settled_s: float = 0.0
 
 
-#: Nothing beside the model, from the first sample on.
+#: The model alone, from the first sample.
 ALONE = Beside()
 
 
 @dataclass(frozen=True)
 class Judged:
-    """The estimators against one response.
+    """Errors of the estimators for one response.
 
     Attributes
     ----------
     rows : list of dict
         For each estimator ("none", "linear": δ_L alone, the baselines, "fchs": δ, observers) and
         axis: estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
-        peak_nonlinear_um; of observers band_cover and mean_band_um, too.
+        peak_nonlinear_um; for observers also band_cover and mean_band_um.
     vectors : list of dict
-        estimator, max_abs_error_um: largest length of the error in all axes together.
+        estimator, max_abs_error_um: largest length of the error vector.
     errors : dict
-        Estimator to estimated less actual displacement, m, shape (k, axes).
+        Estimator to estimated minus actual displacement, m, shape (k, axes).
     estimate : Signals
         The whole run of FCHS, axes in the order of the model.
     """
@@ -89,20 +88,20 @@ class Judged:
 
 @dataclass(frozen=True)
 class Validated:
-    """The estimator against responses.
+    """Errors of the estimators for several responses.
 
     Attributes
     ----------
     rows, vectors : list of dict
-        See `Judged`; the name of the case comes first.
+        As in `Judged`, with the name of the case first.
     as_printed : list of dict
-        `rows` of the paper's own scheme, whose deformation models are calibrated to steps.
+        `rows` of the paper's scheme, whose deformation models are calibrated to steps.
     blocks : list of dict
         See `estimator.fchs.block_errors`; empty without a reference response.
     estimates : dict
         Case to the whole run of FCHS.
     errors : dict
-        Case to estimator to estimated less actual displacement, m, shape (k, axes).
+        Case to estimator to estimated minus actual displacement, m, shape (k, axes).
     """
 
     rows: list[Row]
@@ -123,7 +122,7 @@ class Validated:
 
 
 def joined(parts: Sequence[Validated]) -> Validated:
-    """Return several validations as one; their cases are distinct."""
+    """Return several validations of distinct cases as one."""
     whole = Validated([], [], [], [], {}, {})
     for part in parts:
         whole.rows.extend(part.rows)
@@ -144,17 +143,17 @@ def validate(
     noise: Mapping[str, np.ndarray] | None = None,
     beside: Beside = ALONE,
 ) -> Judged:
-    """Run the estimators on the temperatures of `response` and judge them by the displacement.
+    """Run the estimators on the temperatures of a response, and compare with its displacement.
 
     Parameters
     ----------
     response, model, roles, noise
         As in `thermojoint.models.sensors.readings`.
     reference : xarray.Dataset, optional
-        Response to the reference step. With it the actual δ_NL is the displacement less the
-        superposed reference; without it, less the estimated δ_L.
+        Response to the reference step. With it the actual δ_NL is the displacement minus the
+        superposed reference; without it, minus the estimated δ_L.
     beside : Beside
-        What is judged beside the model.
+        Estimators to be compared with the model.
     """
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = assembled_for(model, seen.times)
@@ -170,16 +169,16 @@ def validate(
         "peak_total_um": np.abs(actual[counted]).max(axis=0) * MEGA,
         "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MEGA,
     }
-    told = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
-    claims = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
+    samples = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
+    estimated = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
     if beside.baselines is not None:
-        claims |= _regressed(beside.baselines, assembly.dt_s, told, axes)
+        estimated |= _regressed(beside.baselines, assembly.dt_s, samples, axes)
     bands = {}
     for observer, state in beside.observers:
-        claims[observer.kind], bands[observer.kind] = _observed(
+        estimated[observer.kind], bands[observer.kind] = _observed(
             response, observer, axes, noise or {}, state
         )
-    errors = {name: claims[name] - actual for name in ESTIMATORS if name in claims}
+    errors = {name: estimated[name] - actual for name in ESTIMATORS if name in estimated}
     rows: list[Row] = []
     for name, error in errors.items():
         band = bands[name][counted] if name in bands else None
@@ -200,7 +199,7 @@ def validate(
 
 
 def _regressed(
-    baselines: Baselines, interval: float, told: list[list[float]], axes: Sequence[str]
+    baselines: Baselines, interval: float, samples: list[list[float]], axes: Sequence[str]
 ) -> dict[str, Array]:
     """Return the displacement (k, axes), m, of every regression."""
     for axis in axes:
@@ -209,7 +208,7 @@ def _regressed(
     displacements: dict[str, Array] = {}
     for regression in regressions(baselines, interval):
         order = [regression.axes.index(axis) for axis in axes]
-        run_of = follow(regression, told, regression.initial_state())
+        run_of = follow(regression, samples, regression.initial_state())
         displacements[regression.kind] = np.array([each.displacement[order] for _, each in run_of])
     return displacements
 
@@ -221,7 +220,7 @@ def _observed(
     noise: Mapping[str, Array],
     state: Array,
 ) -> tuple[Array, Array]:
-    """Return the displacement and half its band, (k, axes), m, of an observer."""
+    """Return the displacement and the half-width of its band, (k, axes), m, of an observer."""
     for axis in axes:
         if axis not in observer.axes:
             raise unknown_name("axis", axis, observer.axes, observer.kind)
@@ -245,20 +244,20 @@ def validate_model(
     noisy: Collection[str] = (),
     beside: Beside = ALONE,
 ) -> Validated:
-    """Judge a model by responses, from temperatures alone.
+    """Validate a model by responses, from temperatures alone.
 
     Parameters
     ----------
     model : Model
-        What is judged.
+        The model.
     reference : xarray.Dataset, optional
-        Response to the reference step, to tell the actual nonlinear part.
+        Response to the reference step, for the actual nonlinear part.
     responses : mapping
         Name to response.
     noisy : collection of str
-        Names of responses to judge once more with `joint_noise`, as "NAME-noise".
+        Names of responses to be validated again with `joint_noise`, as "NAME-noise".
     beside : Beside
-        What is judged beside the model, and from when on.
+        Estimators to be compared with the model.
     """
     printed = as_printed(model)
     validated = Validated([], [], [], [], {}, {})

@@ -9,11 +9,10 @@ One sample passes seven blocks:
 6, 7. q̂ -> δ_NL (Eq. 18), for each axis; δ = δ_L + δ_NL.
 
 Between samples the temperatures are interpolated linearly, and Q̂ (likewise q̂) at a sample is the
-**mean heat over the interval that has just ended**. It drives the blocks behind it as a constant
-over that interval. So the heat delivered by any sample is exactly that of the interpolated
-temperatures, whatever the intervals, and a step that starts at a sample is not smeared forward in
-time. Before the first sample the structure is at rest for one nominal interval, in which the
-temperatures rise to their first values.
+**mean heat over the interval that has just ended**. It drives the following blocks as a constant
+over that interval. So the heat of any sample is exactly that of the interpolated temperatures, for
+any intervals, and a step that starts at a sample is not delayed. Before the first sample the
+structure is at rest for one nominal interval, in which the temperatures rise to their first values.
 
 All blocks together are linear, so a sample at a given interval is one product of a precomputed
 matrix with (state, measured values). The state is a plain array; there is no other memory.
@@ -63,7 +62,8 @@ class Signals(NamedTuple):
 def initial_state(assembly: Assembly) -> np.ndarray:
     """Return the state of a structure at rest at ambient temperature, before any sample.
 
-    Its first entry, the time of the last sample, is NaN: there has been none yet.
+    A state is (time of the last sample, last ΔT, last ∂T, states of the banks); here the time is
+    NaN.
     """
     state = np.zeros(assembly.n_state)
     state[0] = np.nan
@@ -79,9 +79,9 @@ def step(
     ----------
     assembly : Assembly
     state : ndarray, shape (assembly.n_state,)
-        From `initial_state` or the last step; it is not changed.
+        From `initial_state` or the previous step; not modified.
     time : float
-        s, after the last sample's.
+        s, later than that of the previous sample.
     delta_T : float
         T_a - T_b, K.
     *temperatures : float
@@ -96,7 +96,7 @@ def step(
     Raises
     ------
     InputError
-        Time does not increase, or a value is not finite or missing. The state may be used again.
+        Time does not increase, or a value is not finite or missing. The state can be used again.
     """
     if not math.isfinite(time):
         raise InputError(f"sample at t = {time:g} s: its time is not finite; leave the sample out")
@@ -111,21 +111,12 @@ def step(
     if len(measured) != 1 + assembly.n_sources or not all(map(_possible, measured)):
         raise _unusable(assembly, time, measured)
     result = propagator(assembly, dt) @ np.concatenate((state[1:], measured))
-    result_state = np.empty(state.size)
-    result_state[0] = time
-    inner = state.size - 1
-    result_state[1:] = result[:inner]
     sources, axes = assembly.n_sources, len(assembly.axes)
-    at = inner + 1 + sources
-    linear, nonlinear = result[at : at + axes], result[at + axes :]
-    return result_state, Signals(
-        time,
-        float(result[inner]),
-        result[inner + 1 : at],
-        result_state[2 : 2 + sources],
-        linear,
-        nonlinear,
-        linear + nonlinear,
+    ends = np.cumsum([state.size - 1, 1, sources, axes])
+    inner, heat, strengths, linear, nonlinear = np.split(result, ends)
+    deviation = inner[1 : 1 + sources]
+    return np.concatenate(([time], inner)), Signals(
+        time, float(heat[0]), strengths, deviation, linear, nonlinear, linear + nonlinear
     )
 
 
@@ -159,7 +150,7 @@ def run(
     temperatures: np.ndarray,
     state: np.ndarray | None = None,
 ) -> tuple[Signals, np.ndarray]:
-    """Process a block of samples: bit for bit the same as successive calls of `step`.
+    """Process a block of samples, with the same bits as successive calls of `step`.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ import numpy as np
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in
 from estimator.learned.unread import Unread, at_start, later
-from estimator.span import SLACK
+from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
@@ -155,7 +155,7 @@ class Learned(Described):
                 begun=np.nan,
                 values=np.full(len(model.columns), np.nan),
                 relaxations=np.full(len(model.features), np.nan),
-                mean=np.array([(one.zero, 0.0, *one.weights) for one in model.channels]),
+                mean=np.array([(c.zero, 0.0, *c.weights) for c in model.channels]),
                 refused=np.zeros(len(model.channels)),
                 covariance=self._prior,
                 unread=Unread(*np.zeros((2, len(model.features)))),
@@ -168,9 +168,9 @@ class Learned(Described):
         Parameters
         ----------
         state : ndarray
-            What the sample before returned, or the initial state.
+            State after the previous sample, or the initial state.
         time : float
-            s; later than that of the sample before.
+            s; later than that of the previous sample.
         values : sequence of float
             As in `channels`; NaN where missing. It may end before the displacement readings.
         """
@@ -181,13 +181,13 @@ class Learned(Described):
             )
         columns = len(self.model.columns)
         unread = [math.nan] * len(self.axes) if len(values) == columns else []
-        told = np.array([*values, *unread], dtype=float)
-        if told.shape != (columns + len(self.axes),) or np.isinf(told).any():
+        sample = np.array([*values, *unread], dtype=float)
+        if sample.shape != (columns + len(self.axes),) or np.isinf(sample).any():
             raise InputError(
-                f"{told.size} values, or one that is infinite; give {columns + len(self.axes)}, "
+                f"{sample.size} values, or one that is infinite; give {columns + len(self.axes)}, "
                 "NaN where a reading is missing"
             )
-        now, readings = told[:columns], told[columns:]
+        now, readings = sample[:columns], sample[columns:]
         lowest, highest = self._possible
         now = np.where((now > lowest) & (now < highest), now, np.nan)
         missing = np.isnan(now)
@@ -311,9 +311,8 @@ class Learned(Described):
         if elapsed > (1.0 + SLACK) * self.model.duration_s:
             status |= Status.BEYOND_TIME
         for name, value in zip(self.model.columns, now, strict=True):
-            low, high = self.model.spans[name]
-            slack = SLACK * (high - low)
-            if not low - slack <= value <= high + slack:
+            low, high = with_slack(self.model.spans[name])
+            if not low <= value <= high:
                 status |= (
                     Status.BEYOND_TEMPERATURE if name in self.model.sensors else Status.BEYOND_HEAT
                 )

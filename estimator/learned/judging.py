@@ -30,8 +30,8 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
     if every is not None:
         due = np.arange(log.times[0], log.times[-1] + 1.0, every)
         at = np.minimum(np.searchsorted(log.times, due), len(log.times) - 1)
-        told = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
-        samples = with_probe_readings(samples, log.times[at], told)
+        readings = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
+        samples = with_probe_readings(samples, log.times[at], readings)
     estimates = [estimate for _, estimate in follow(estimator, samples, estimator.initial_state())]
     return (
         np.array([estimate.displacement for estimate in estimates]),

@@ -1,4 +1,4 @@
-"""State of a learned estimator by name, and as the flat array that is kept and written."""
+"""State of a learned estimator: by name, and as the flat array that is stored."""
 
 from __future__ import annotations
 
