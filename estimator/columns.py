@@ -14,13 +14,6 @@ Sample = tuple[float, ...]
 def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
     """Yield (time, columns in SI) of a log.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the columns, with their units.
-    pieces : iterable of Log
-        In the order of time.
-
     Raises
     ------
     InputError

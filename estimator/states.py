@@ -106,14 +106,6 @@ def as_bytes(fingerprint: str, values: Array) -> bytes:
 def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
     """Return the state from the bytes of `as_bytes`.
 
-    Parameters
-    ----------
-    data : bytes
-    fingerprint : str
-        Fingerprint of the model to resume.
-    where : str
-        For the error message.
-
     Raises
     ------
     InputError

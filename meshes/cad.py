@@ -46,7 +46,7 @@ def read_names(path: Path) -> dict[str, list[Point]]:
     Raises
     ------
     InputError
-        The file is missing, no TOML, or holds something else.
+        The file is missing, not TOML, or has other contents.
     """
     points_by_name = read_settings(FaceNames, path, "names").surfaces_mm
     return {
@@ -98,7 +98,7 @@ def mesh_cad(
         with _in_one_line(part, "find its joints", "correct solids that overlap"):
             bodies = _bodies(gmsh)
             if not bodies:
-                raise InputError(f"{part}: holds no solid; export solids, not surfaces")
+                raise InputError(f"{part}: contains no solid; export solids, not surfaces")
             sides = _joint_sides(gmsh, bodies)
             surfaces = _surfaces(gmsh, bodies, sides, names or {})
         with _in_one_line(part, "mesh it", "take another element size or correct the part"):
@@ -144,8 +144,8 @@ def _in_one_line(part: Path, task: str, remedy: str) -> Iterator[None]:
         raise
     # Gmsh raises nothing more specific.
     except Exception as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"{part}: Gmsh cannot {task} ({said}); {remedy}") from error
+        reason = " ".join(str(error).split())
+        raise InputError(f"{part}: Gmsh cannot {task} ({reason}); {remedy}") from error
 
 
 @contextmanager
@@ -154,7 +154,7 @@ def _gmsh_session() -> Iterator[Any]:
         import gmsh
     except (ImportError, OSError) as error:
         raise InputError(
-            f"Gmsh is not to be had ({error}); pip install -e '.[gmsh]', and its system "
+            f"Gmsh cannot be loaded ({error}); pip install -e '.[gmsh]', and its system "
             "libraries (Debian: libglu1-mesa libxcursor1 libxft2 libxinerama1)"
         ) from error
     with _broken_pipes_as_errors():
@@ -226,8 +226,8 @@ def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]: 
     for body, sides in patches.items():
         tools = [patch for side in sides.values() for patch in side]
         if tools:
-            _, (_, *made) = occ.fragment([(3, bodies[body])], tools)
-            now = dict(zip(tools, made, strict=True))
+            _, (_, *pieces) = occ.fragment([(3, bodies[body])], tools)
+            now = dict(zip(tools, pieces, strict=True))
             for name, side in sides.items():
                 sides_by_name[name] = sorted({tag for patch in side for _, tag in now[patch]})
     occ.synchronize()

@@ -127,7 +127,7 @@ def write_structure(structure: Structure, path: Path | str) -> None:
     Parameters
     ----------
     structure : Structure
-        What to write; its ``symmetry_factor`` is not kept.
+        The structure; its ``symmetry_factor`` is not stored.
     path : Path or str
         ``.vtu``, or ``.msh`` (written in version 2.2, binary: meshio's 4.1 cannot hold a facet of
         several surfaces).
@@ -135,7 +135,7 @@ def write_structure(structure: Structure, path: Path | str) -> None:
     Raises
     ------
     InputError
-        The suffix is unknown, or a name would not be read back as it is.
+        The suffix is unknown, or a name cannot be represented in the file.
     """
     path = Path(path)
     _check_suffix(path, SUFFIXES)
@@ -380,10 +380,7 @@ def _check_names(names: list[str]) -> None:
 
 
 def _cells(
-    mesh: Mesh,
-    volumes: meshio.CellBlock,
-    facets: NDArray[np.int64],
-    vertices: NDArray[np.int64],
+    mesh: Mesh, volumes: meshio.CellBlock, facets: NDArray[np.int64], vertices: NDArray[np.int64]
 ) -> Cells:
     """Volume cells, facet cells and vertex cells, as files have them."""
     facet_type = "quad" if mesh.facets.shape[0] == 4 else "triangle"

@@ -20,11 +20,11 @@ from meshes.units import USUAL_SIZE
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: Cells below this quality give poor stresses; the worst are named.
+#: Cells below this quality give inaccurate stresses.
 POOR = 0.1
-#: Facing facets lie this near to each other, relative to the structure's size.
+#: Largest distance between facing facets, relative to the structure's size.
 TOUCHING = 1e-4
-#: Corners coincide if they are this near to each other, relative to the structure's size.
+#: Largest distance between coinciding corners, relative to the structure's size.
 SAME = 1e-8
 
 
@@ -85,7 +85,7 @@ class Inspection:
     kind : str
         Type of the cells.
     nodes, cells : int
-        How many.
+        Numbers of nodes and cells.
     extent : tuple of float
         Along x, y and z, m.
     bodies, surfaces, joints : dict
@@ -95,7 +95,7 @@ class Inspection:
     quality : dict of str to float
         Quality of the cells: ``worst``, ``1 %`` and ``median``.
     worst_cell : tuple of float
-        Where the worst cell is, m.
+        Position of the worst cell, m.
     unnamed_area : float
         Boundary without any name, m2, and therefore without convection.
     warnings : tuple of str
@@ -348,12 +348,12 @@ def _partner_warnings(structure: Structure) -> list[str]:
 
 
 def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) -> list[str]:
-    """Return a line about every two bodies that touch where there is no joint.
+    """Return a warning for every two bodies that touch without a joint.
 
     Parameters
     ----------
     structure : Structure
-        With its bodies.
+        The structure.
     sides : sequence of ndarray of int
         Facets of the sides of its joints.
     """
@@ -364,7 +364,7 @@ def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) ->
     for k, cells in enumerate(structure.bodies.values()):
         owner[cells] = k
     body, corners = owner[mesh.f2t[0, free]], facet_corners(mesh, free)
-    # Where no other body is anywhere near nothing touches: most facets need no further look.
+    # Most facets are excluded by the bounding boxes of the other bodies.
     close = np.zeros(len(free), dtype=bool)
     for k, cells in enumerate(structure.bodies.values()):
         points = mesh.p[:, np.unique(mesh.t[:, cells])]

@@ -39,7 +39,7 @@ def _scaled_jacobian(corners: Array, mesh: Mesh) -> Array:
             edges.append(edge / np.linalg.norm(edge, axis=1, keepdims=True))
         volumes.append(np.einsum("ci,ci->c", edges[0], np.cross(edges[1], edges[2])))
     jacobians = np.array(volumes)
-    # The sense of the corners is a convention: the cell's own majority counts as right.
+    # The orientation of the corners is a convention: the sign of most corners is taken as valid.
     return np.asarray((jacobians * np.sign(jacobians.sum(axis=0))).min(axis=0))
 
 

@@ -33,7 +33,7 @@ class Probe:
 
 @dataclass(frozen=True, repr=False)
 class Structure(Described):
-    """A mesh and the names that a case refers to.
+    """A mesh with named bodies, surfaces, joints and probes.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Structure(Described):
     probes : dict of str to Probe
         Named points.
     symmetry_factor : int
-        How many copies of the mesh make the whole structure (2 for a half model).
+        Number of copies of the mesh in the whole structure (2 for a half model).
     """
 
     mesh: Mesh
@@ -75,29 +75,13 @@ class Structure(Described):
         _check_probes(self)
 
     def body(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the cells of a body; if there is none, an InputError suggests the closest name.
-
-        Parameters
-        ----------
-        name : str
-            Of the body.
-        where : str
-            What the error calls the place that names it.
-        """
+        """Return the cells of a body; if there is none, an InputError suggests the closest name."""
         if name not in self.bodies:
             raise unknown_name("body", name, self.bodies, where)
         return self.bodies[name]
 
     def surface(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the facets of a surface; otherwise an InputError suggests the closest name.
-
-        Parameters
-        ----------
-        name : str
-            Of the surface.
-        where : str
-            What the error calls the place that names it.
-        """
+        """Return the facets of a surface; otherwise an InputError suggests the closest name."""
         if name not in self.surfaces:
             raise unknown_name("surface", name, self.surfaces, where)
         return self.surfaces[name]

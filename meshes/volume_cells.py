@@ -87,7 +87,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
             "[structure], or --unit mm without a case"
         )
     mesh = from_meshio(meshio.Mesh(points[used], [(straight, renumber[cells[:, :corners]])]))
-    # Only now: edges and faces of a damaged mesh are meaningless.
+    # Before its edges and faces are used, which are meaningless in a damaged mesh.
     _check_cells(mesh, path)
     if between and _is_curved(points, cells, corners, between):
         mesh = _curved(mesh, points, cells, renumber[cells[:, :corners]], between)

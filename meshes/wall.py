@@ -33,10 +33,10 @@ def with_wall(structure: Structure, name: str, faces: str) -> Structure:
     structure : Structure
         Of hexahedra or tetrahedra of first order.
     name : str
-        Of the wall: of its body, and of the surface with all its nodes. `face_of` it is the surface
-        that faces the body.
+        Name of the wall's body, and of the surface with all its nodes; `face_of` gives the name of
+        the surface that faces the structure.
     faces : str
-        Surface that it faces.
+        Surface in front of the wall.
 
     Raises
     ------

@@ -212,17 +212,7 @@ CASE = {
 
 
 def implausible(place: str, value: float, quantity: Quantity) -> list[str]:
-    """Return the warning about an implausible value; nothing if it is plausible.
-
-    Parameters
-    ----------
-    place : str
-        File and key.
-    value : float
-        The value as given.
-    quantity : Quantity
-        Its quantity.
-    """
+    """Return the warning about an implausible value; nothing if it is plausible."""
     if _plausible(value, quantity):
         return []
     unit = f" {quantity.unit}" if quantity.unit else ""
@@ -250,15 +240,7 @@ def _distance(value: float, typical: float) -> float:
 
 
 def of_case(case: Case, where: str) -> list[str]:
-    """Return a warning for every implausible value of a case and its histories.
-
-    Parameters
-    ----------
-    case : Case
-        A valid case.
-    where : str
-        Name of its file.
-    """
+    """Return a warning for every implausible value of a case and its histories."""
     return of_cases([case], where)
 
 
@@ -306,14 +288,7 @@ def _histories(case: Case) -> Iterator[tuple[Path, str, Quantity]]:
 def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
     """Return the warning about a history with implausible values or swapped columns.
 
-    Parameters
-    ----------
-    path : Path
-        A CSV with ``time_s`` and `column`; an unreadable file is reported elsewhere.
-    column : str
-        Name of the column of values.
-    quantity : Quantity
-        Their quantity.
+    An unreadable file is reported elsewhere.
     """
     try:
         times, values = read_samples(path, column)
@@ -340,15 +315,7 @@ def of_structure(structure: Structure, where: str) -> list[str]:
 
 
 def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
-    """Return a warning for every temperature of a row that is probably in another unit.
-
-    Parameters
-    ----------
-    sample : mapping
-        Name of a column, which ends in its unit, to its value.
-    where : str
-        Name of the file.
-    """
+    """Return a warning for every temperature of a row that is probably in another unit."""
     lines = []
     for name, value in sample.items():
         if name == "ambient_degC":
@@ -363,12 +330,7 @@ def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
 def of_response(response: xr.Dataset, where: str) -> list[str]:
     """Return a warning for every variable of a measured response probably in another unit.
 
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A checked response; those that contain their case are simulated and not examined.
-    where : str
-        Name of its file.
+    Simulated responses, which contain their case, are not examined.
     """
     if "case" in response.attrs:
         return []

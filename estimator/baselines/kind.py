@@ -82,10 +82,7 @@ def _intake(baselines: Baselines, above_ambient: bool) -> Intake:
 
 
 def _log(
-    baselines: Baselines,
-    pieces: Iterable[Log],
-    where: str,
-    on_first: OnFirst | None,
+    baselines: Baselines, pieces: Iterable[Log], where: str, on_first: OnFirst | None
 ) -> Iterator[tuple[float, ...]]:
     """Columns ``a_K`` and so on, above the current ambient, or ``a_degC`` with ``ambient_degC``."""
     for piece in pieces:

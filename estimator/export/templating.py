@@ -14,19 +14,7 @@ if TYPE_CHECKING:
 def rendered(
     program: Program, templates: Environment, endings: Mapping[str, str], **words: str
 ) -> dict[str, str]:
-    """Return the text of a program's files by name.
-
-    Parameters
-    ----------
-    program : Program
-        The program to render.
-    templates : Environment
-        From `thermojoint.artefacts.templates.templates_of`, with the filters of a language.
-    endings : mapping
-        File name endings to template names.
-    **words : str
-        Language-specific values.
-    """
+    """Return the text of a program's files by name; `endings` maps endings to templates."""
     return {
         f"{program.name}{ending}": templates.get_template(template).render(
             **program.common, **words

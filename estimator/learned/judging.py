@@ -46,15 +46,6 @@ def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float
     ``rms_error_um`` uses the zero of the learning log; for ``rms_error_zeroed_um`` the estimate at
     the first sample is the day's zero, also for the uncompensated error.
 
-    Parameters
-    ----------
-    case : str
-        Name for the rows.
-    estimator : Learned
-        Starts from its initial state in every run.
-    log : Log
-        With the displacements.
-
     Raises
     ------
     InputError

@@ -39,10 +39,7 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
 
 
 def _log(
-    model: LearnedModel,
-    pieces: Iterable[Log],
-    where: str,
-    on_first: OnFirst | None,
+    model: LearnedModel, pieces: Iterable[Log], where: str, on_first: OnFirst | None
 ) -> Iterator[tuple[float, ...]]:
     return samples_of(model.columns, pieces)
 

@@ -30,19 +30,7 @@ class ConvergenceError(ThermojointError, ArithmeticError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> InputError:
-    """Return the error for an unknown name, which suggests the closest known one.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of the name, e.g. ``"surface"``.
-    name : str
-        The unknown name.
-    known : iterable of str
-        The known names.
-    where : str
-        Where the name was read or looked up.
-    """
+    """Return the error for an unknown name of a kind, which suggests the closest known one."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"

@@ -8,16 +8,7 @@ from thermojoint.artefacts.errors import InputError
 
 
 def require(feature: str, extra: str, *packages: str) -> None:
-    """Refuse a feature whose extra is not installed, before any work.
-
-    Parameters
-    ----------
-    feature : str
-        The feature, e.g. ``"serve"``.
-    extra : str
-        The extra that installs it, e.g. ``"serve"``.
-    *packages : str
-        Names under which they are imported.
+    """Refuse a feature, before any work, if one of the packages of its extra is missing.
 
     Raises
     ------

@@ -33,12 +33,7 @@ def stacked_panels(count: int, width: float, height: float) -> tuple[Figure, lis
 def svg_address(figure: Figure, salt: str) -> str:
     """Return a figure as SVG in a data address, the same text for the same figure.
 
-    Parameters
-    ----------
-    figure : Figure
-        Any figure.
-    salt : str
-        Makes the names inside differ from those of another kind of figure on the same page.
+    `salt` makes the names inside differ from those of other figures on the same page.
     """
     import matplotlib as mpl
 

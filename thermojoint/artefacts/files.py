@@ -35,11 +35,6 @@ def whole_file(path: Path) -> Iterator[Path]:
     and a failed or killed writer leaves nothing under the final name. The content is synchronised
     before the rename, so even a power cut leaves no empty file.
 
-    Parameters
-    ----------
-    path : Path
-        The final name; a missing folder is created.
-
     Yields
     ------
     Path

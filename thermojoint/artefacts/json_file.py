@@ -99,16 +99,7 @@ def validated(
 ) -> T:
     """Return content without its header as the object that it describes.
 
-    Parameters
-    ----------
-    kind : TypeAdapter
-        Type of the object.
-    content : object
-        Parsed JSON.
-    where, remedy : str
-        For the error message.
-    members : collection of str
-        Names of the classes of unions, which are left out of the place in the message.
+    `members` are the classes of unions, which are left out of the place in the message.
 
     Raises
     ------

@@ -66,16 +66,9 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
 def log_pieces(
     paths: Sequence[Path], renamed: Mapping[str, str] | None = None, rows: int = ROWS
 ) -> Iterator[Log]:
-    """Yield the samples of files piece by piece; see `read_log`.
+    """Yield the samples of files in pieces of at most `rows`; see `read_log`.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files with the same content are read once.
-    renamed : mapping, optional
-        Name of a column to its new name.
-    rows : int
-        Largest number of samples in a piece.
+    Files with the same content are read once.
     """
     for path, note in _in_order(paths, renamed):
         for k, piece in enumerate(_pieces_in_file(path, renamed, rows)):

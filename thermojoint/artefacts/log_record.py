@@ -147,15 +147,7 @@ def ended(record: Record) -> list[str]:
 
 
 def noticed(record: Record, before: Record) -> list[str]:
-    """Return the new findings in the latest rows of a stream, line by line.
-
-    Parameters
-    ----------
-    record : Record
-        Of the latest rows.
-    before : Record
-        Of all previous rows.
-    """
+    """Return the new findings in the latest rows of a stream since those `before`, line by line."""
     fresh = {key: count for key, count in record.missing.items() if key not in before.missing}
     return [*_found(replace(record, missing=fresh, twice=0)), *_notes(record)]
 

@@ -27,11 +27,6 @@ def user_cache() -> Path | None:
 def own_folder(name: str) -> Path | None:
     """Return an existing, writable folder that belongs to this user alone.
 
-    Parameters
-    ----------
-    name : str
-        Last part of its path.
-
     Returns
     -------
     Path or None

@@ -162,15 +162,7 @@ class Place(NamedTuple):
 
 
 def place_of(wanted: str, names: Sequence[str]) -> Place | None:
-    """Find a column of a table by its name, with the same or another unit; None if it is missing.
-
-    Parameters
-    ----------
-    wanted : str
-        With its unit, e.g. ``x_mm``.
-    names : sequence of str
-        Of the table.
-    """
+    """Find a column of a table by its name, with the same or another unit; None without one."""
     if wanted in names:
         return Place(names.index(wanted), None, None)
     asked = column_named(wanted)

@@ -11,11 +11,6 @@ from pathlib import Path
 def source_digest(package: str) -> str:
     """Return a digest of the paths and contents of all modules of one of our packages.
 
-    Parameters
-    ----------
-    package : str
-        Its import name, e.g. ``thermojoint.artefacts``.
-
     Raises
     ------
     ModuleNotFoundError

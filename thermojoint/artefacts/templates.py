@@ -12,11 +12,6 @@ def templates_of(package: str) -> Environment:
     """Return the templates in the folder ``templates`` of a package.
 
     An undefined name in a template is an error. Values are escaped in HTML templates only.
-
-    Parameters
-    ----------
-    package : str
-        E.g. ``"thermojoint.paper"``.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -38,8 +38,7 @@ Machines = Annotated[
 def users(
     service: Service,
     add: Annotated[
-        str | None,
-        typer.Option(help="Add or change this user; the password is asked for."),
+        str | None, typer.Option(help="Add or change this user; the password is asked for.")
     ] = None,
     remove: Annotated[str | None, typer.Option(help="Remove this user.")] = None,
     role: RoleOption = Role.VIEWER,

@@ -117,9 +117,7 @@ def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, 
             Group(
                 bar,
                 Text(
-                    "\n".join(lines(progress, values, stopped())),
-                    no_wrap=True,
-                    overflow="ellipsis",
+                    "\n".join(lines(progress, values, stopped())), no_wrap=True, overflow="ellipsis"
                 ),
             )
         )

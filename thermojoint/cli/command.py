@@ -19,13 +19,7 @@ _EXAMPLE = re.compile(r"Example: \[bold\](.*)\[/bold\]", re.DOTALL)
 
 
 def help_text(doc: str | None) -> str:
-    """Return a docstring as help: paragraphs of one line each, commands continued by backslashes.
-
-    Parameters
-    ----------
-    doc : str, optional
-        Docstring with examples in paragraphs ``Example: [bold]thermojoint ...[/bold]``.
-    """
+    """Return a docstring as help: paragraphs of one line, commands continued by backslashes."""
     return "\n\n".join(map(_paragraph, inspect.cleandoc(doc or "").split("\n\n")))
 
 

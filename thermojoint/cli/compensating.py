@@ -102,10 +102,7 @@ def control(
 
     machine = read_case(given.plant.case)
     arguments.check_outputs(
-        {
-            "--out": (out, file_kinds.LOOP_REPORT),
-            "--json": (figures, file_kinds.LOOP_FIGURES),
-        },
+        {"--out": (out, file_kinds.LOOP_REPORT), "--json": (figures, file_kinds.LOOP_FIGURES)},
         [loop, *files_of(given), *files_of(machine)],
     )
     console.warn(plausibility.of_case(machine, str(given.plant.case)))

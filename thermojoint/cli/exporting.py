@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermojoint.cli import arguments, file_kinds
-from thermojoint.cli.log_reading import (
-    ColumnOption,
-    MappingOption,
-    opened_log,
-    over,
-    renamed_by,
-)
+from thermojoint.cli.log_reading import ColumnOption, MappingOption, opened_log, over, renamed_by
 
 if TYPE_CHECKING:
     from estimator.export.program import Operations, Program

@@ -53,13 +53,6 @@ def over(known: Mapping[str, str], renamed: Mapping[str, str]) -> dict[str, str]
 def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log] | None]:
     """Open a log, or standard input for ``-``, and report what is read; None for a response.
 
-    Parameters
-    ----------
-    path : Path
-        The log.
-    renamed : mapping
-        Name of a column to its new name.
-
     Yields
     ------
     iterator of Log or None

@@ -147,8 +147,7 @@ def _with_loose_bodies(inspection: Inspection, case: Case, structure: Structure)
 def view(
     source: Annotated[Path, typer.Argument(help="Case file (TOML) or response (NetCDF).")],
     out: Annotated[
-        Path,
-        typer.Option(help="Picture to write (PNG; curves also SVG, PDF), or film (MP4, GIF)."),
+        Path, typer.Option(help="Picture to write (PNG; curves also SVG, PDF), or film (MP4, GIF).")
     ],
     show: Annotated[
         Show | None,

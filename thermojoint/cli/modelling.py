@@ -129,10 +129,7 @@ def calibrate(
     console.wrote(out)
 
 
-def tables(
-    model: ModelFile,
-    as_json: arguments.Json = None,
-) -> None:
+def tables(model: ModelFile, as_json: arguments.Json = None) -> None:
     """Print Tables 1-3 of a model with the paper's values beside them.
 
     Example: [bold]thermojoint tables model.json[/bold]
@@ -226,10 +223,7 @@ def estimate(
 
     # Without the state of --continue, which may be replaced by its successor.
     arguments.check_outputs(
-        {
-            "--out": (out, file_kinds.ESTIMATE),
-            "--save-state": (save, file_kinds.ESTIMATOR_STATE),
-        },
+        {"--out": (out, file_kinds.ESTIMATE), "--save-state": (save, file_kinds.ESTIMATOR_STATE)},
         [model, temperatures, readings, mapping],
     )
     length = arguments.positive("--run-length-min", run_length)

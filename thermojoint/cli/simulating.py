@@ -103,8 +103,7 @@ def batch(
         int | None, typer.Option(help="Processes on this machine; default: one for each core.")
     ] = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786."),
+        str | None, typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786.")
     ] = None,
 ) -> None:
     """Simulate many cases: grids, lists and Latin hypercubes over the values of a case.

@@ -90,10 +90,7 @@ def _kernel_slope(x: np.ndarray, a: float, r: float, r0: float) -> np.ndarray:
 
 
 def _cumulative(
-    x: np.ndarray,
-    r: float,
-    r0: float,
-    integrands: list[Callable[[np.ndarray], np.ndarray]],
+    x: np.ndarray, r: float, r0: float, integrands: list[Callable[[np.ndarray], np.ndarray]]
 ) -> list[np.ndarray]:
     """Return ∫ g(x') dx'/x' from 0 to each x for each g in `integrands`.
 

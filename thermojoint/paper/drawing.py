@@ -63,14 +63,7 @@ def paper_figures(
 ) -> dict[str, Figure]:
     """Return the paper's Figures 7-11, by file name without its suffix.
 
-    Parameters
-    ----------
-    model : Model
-        Names the sensors and the axes.
-    responses : mapping
-        The responses of the study, by name.
-    estimates : mapping
-        Estimates of FCHS for "step-3.0", "triangle" and "triangle-noise".
+    `estimates` are those of FCHS for "step-3.0", "triangle" and "triangle-noise".
     """
     reference = responses[REFERENCE]
     steep, triangle = responses[EXTRAPOLATION], responses[TRIANGLE]

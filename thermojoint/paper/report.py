@@ -13,12 +13,7 @@ from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.templates import templates_of
 from thermojoint.console import number, rounded
 from thermojoint.paper import paper_values
-from thermojoint.paper.summary import (
-    STILL,
-    Convergence,
-    PressureShare,
-    SchemeErrors,
-)
+from thermojoint.paper.summary import STILL, Convergence, PressureShare, SchemeErrors
 from thermojoint.paper.tables import NOTE, PrintedTable
 from thermojoint.paper.verdict import error_table, paper_claim, verdict
 

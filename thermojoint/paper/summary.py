@@ -126,15 +126,7 @@ class SchemeErrors:
 
 
 def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
-    """Return a description of temperatures, bolts and joints at the end.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A simulated response.
-    figures : mapping
-        Its `fesim.batch.summary.figures_of`.
-    """
+    """Return a description of temperatures, bolts and joints at the end."""
     temperature = response["temperature"].to_numpy()
     step, probe = np.unravel_index(temperature.argmax(), temperature.shape)
     lines = [
@@ -175,11 +167,6 @@ def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
     n elements of uniform pressure have (1 - 1/n^2) of the strip's resistance to rotation about its
     middle (sum of areas times squared distances).
-
-    Parameters
-    ----------
-    joints : mapping
-        Sections of a case by name.
     """
     counts = [
         (joint[way], name, way)
@@ -274,12 +261,7 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
 def compare_schemes(
     rows: Sequence[Row], as_printed: Sequence[Row], vectors: Sequence[Row]
 ) -> list[SchemeErrors]:
-    """Return the largest errors of the linear estimator and of both FCHS calibrations.
-
-    Parameters
-    ----------
-    rows, as_printed, vectors
-        See `estimator.fchs.judging.Validated`.
+    """Return the largest errors of the linear estimator and both FCHS calibrations in `Validated`.
 
     Returns
     -------

@@ -143,15 +143,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
 def printed_tables(
     tables: Mapping[str, Any], at_bound: Mapping[str, Collection[str]] = MappingProxyType({})
 ) -> tuple[PrintedTable, ...]:
-    """Return Tables 1-3 of `tables_json` with the paper's values, where it has them.
-
-    Parameters
-    ----------
-    tables : mapping
-        See `tables_json`.
-    at_bound : mapping
-        See `thermojoint.models.model_file.Provenance`.
-    """
+    """Return Tables 1-3 of `tables_json` with the paper's values, where it has them."""
     return (
         _table1(tables["table1"], at_bound),
         _table2(tables["table2"], at_bound.get("sources", ())),

@@ -55,13 +55,7 @@ class ErrorTable:
 
 
 def error_table(rows: Sequence[Row]) -> ErrorTable:
-    """Return the largest errors of all estimators as a table.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        See `estimator.fchs.judging.validate`; every estimator in every case.
-    """
+    """Return the largest errors of all estimators as a table."""
     estimators = tuple(dict.fromkeys(str(row["estimator"]) for row in rows))
     rows_by_key: dict[Key, dict[str, Row]] = {}
     for row in rows:
@@ -95,11 +89,6 @@ def largest_error(row: Row) -> float:
 
 def verdict(rows: Sequence[Row]) -> str:
     """Compare FCHS and the joint-aware estimator with the paper and the linear model, in words.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        See `estimator.fchs.judging.validate`.
 
     Returns
     -------

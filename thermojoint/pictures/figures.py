@@ -34,16 +34,7 @@ _STYLES = (
     (0, (8, 2)),
     (0, (3, 1, 1, 1)),
 )
-_SHADES = (
-    "#000000",
-    "#b2341f",
-    "#1f5fa8",
-    "#3c7d3c",
-    "#8a5a00",
-    "#6b4c9a",
-    "#1b8a8f",
-    "#c04a8c",
-)
+_SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#1b8a8f", "#c04a8c")
 _NOISY_WIDTH = 0.4
 #: Formats of figures of curves.
 FORMATS = ("png", "svg", "pdf")
@@ -58,11 +49,6 @@ def pressure_figure(response: xr.Dataset) -> Figure:
 
     Contact elements at the same place along the joint are averaged over their area, and numbered
     from its lower end, as in the paper, which draws compression downwards.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A simulated response, with ``pressure``.
 
     Raises
     ------
@@ -173,11 +159,7 @@ def displacements_figure(
 
 
 def _panels(
-    times: Array,
-    curves: Mapping[str, Mapping[str, Array]],
-    heat: str,
-    unit: float,
-    label: str,
+    times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str, unit: float, label: str
 ) -> Figure:
     """One panel for each name, with values times `unit`, labelled with the name."""
     figure, axes = _figure(len(curves))
@@ -232,13 +214,7 @@ def estimates_figure(
 
 
 def response_figure(response: xr.Dataset) -> Figure:
-    """Overview of one response: heat input, temperatures and displacements.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        Simulated or measured; only the first eight probes are drawn.
-    """
+    """Overview of one response: heat input, temperatures of eight probes, displacements."""
     times = response["time"].to_numpy()
     figure, axes = _figure(3)
     figure.suptitle(heat_text(response), fontsize=10)

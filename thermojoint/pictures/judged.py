@@ -37,15 +37,7 @@ class Judged(NamedTuple):
 
 
 def write_judged(panels: Sequence[Judged], path: Path) -> None:
-    """Draw measured and estimated displacements.
-
-    Parameters
-    ----------
-    panels : sequence of Judged
-        At least one, from top to bottom.
-    path : Path
-        PNG, whole or not at all.
-    """
+    """Draw measured and estimated displacements as PNG, whole or not at all."""
     figure = Figure(figsize=(9.0, 0.6 + 2.4 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for axis, panel in zip(axes, panels, strict=True):

@@ -27,14 +27,9 @@ _SHOWN = {"length": (1e6, 0.0), "speed": (30.0 / np.pi, 0.0), "load": (100.0, 0.
 
 
 def write_log_picture(log: Log, path: Path) -> None:
-    """Draw every column of a log over the hours since its first sample.
+    """Draw every column of a log over the hours since its first sample, as PNG.
 
-    Parameters
-    ----------
-    log : Log
-        Any number of runs; a run whose clock restarts is drawn after the one before it.
-    path : Path
-        PNG, whole or not at all.
+    A run whose clock restarts is drawn after the one before it.
     """
     quantities = [quantity for quantity in _LABELS if log.of(quantity)]
     figure, panels = stacked_panels(len(quantities), 9.0, 1.0 + 2.2 * len(quantities))

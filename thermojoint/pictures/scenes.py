@@ -181,13 +181,6 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
     It is y or z, as in CAD, up or down: whichever is closest to the opposite of the area-weighted
     outward normal of the supports. Where that lies along x (a beam clamped at its end), where they
     cancel (held at both ends) or there are none, it is z.
-
-    Parameters
-    ----------
-    structure : Structure
-        The structure.
-    supports : iterable of str
-        Surfaces on which it is supported.
     """
     facets = [structure.surface(name, "supports") for name in supports]
     if not facets:

@@ -158,12 +158,7 @@ def _draw_triad(axes: Axes, panel: Panel) -> None:
     for k in np.argsort(arrows[:, 2]):  # the arrow towards the eye last
         name, colour = "xyz"[k], ("#c0392b", "#2e7d32", "#1f5fa8")[k]
         x, y = arrows[k, :2]
-        axes.annotate(
-            "",
-            (x, y),
-            (0.0, 0.0),
-            arrowprops=_ARROW | {"color": colour},
-        )
+        axes.annotate("", (x, y), (0.0, 0.0), arrowprops=_ARROW | {"color": colour})
         away = np.array([x, y]) / max(np.hypot(x, y), 0.35)
         along, above = np.array([x, y]) + 0.28 * away
         axes.text(along, above, name, color=colour, fontsize=10, ha="center", va="center")

@@ -1,1 +1,1 @@
-"""Verification: cases whose results are known, run through the simulator's own operators."""
+"""Verification: cases with known results, computed with the simulator's own operators."""

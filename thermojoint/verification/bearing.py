@@ -1,8 +1,8 @@
 """Forces and stresses from case files: supports, joints and points of loaded columns and a ring.
 
-A column under weight and a force bears both at its foot and in its joint. A thick ring under a
-pressure from within has the stresses of Lame: sigma_r, sigma_t = A -+ B/r^2 with A = p a^2/(b^2 -
-a^2), B = A b^2, and no strain along its axis adds nu (sigma_r + sigma_t).
+The foot and the joint of a column carry its weight and a force. A thick ring under internal
+pressure has the stresses of Lame: sigma_r, sigma_t = A -+ B/r^2 with A = p a^2/(b^2 - a^2), B = A
+b^2; without axial strain the axial stress is nu (sigma_r + sigma_t).
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ def _column_checks(folder: Path) -> Iterator[Check]:
         yield SUPPORT.check(f"forces, column, foot along {axis}", reference, computed)
     across = last["joint_force"].sel(joint="joint")
     moment = last["joint_moment"].sel(joint="joint")
-    # The upper half is side b: what it bears is carried there, besides the preload.
+    # The upper half is side b: the joint carries its load and the preload.
     carried = {
         "shear force": (-FORCE[0], across.sel(space="x"), "N"),
         "normal force": (PRELOAD * AREA - FORCE[2] + half, across.sel(space="z"), "N"),
         "bending moment": (-FORCE[0] * HALF, moment.sel(space="y"), "N m"),
     }
-    for name, (reference, borne, unit) in carried.items():
+    for name, (reference, carried_load, unit) in carried.items():
         resultant = Quantity("resultant", unit, source="equilibrium")
-        yield resultant.check(f"forces, column, joint's {name}", reference, float(borne))
+        yield resultant.check(f"forces, column, joint's {name}", reference, float(carried_load))
     pressed = {
         "loads": {"push": {"surface": "top", "pressure_MPa": 5.0}},
         "output": {"stress_probes": ["P"]},
@@ -102,7 +102,7 @@ def _ring_checks(folder: Path) -> Iterator[Check]:
         compared = replace(STRESS, tolerance=5e-3)
         yield compared.check(f"forces, thick ring, {name}", 1e-6 * reference, 1e-6 * stress)
     yield from _field_checks(structure_snapshot(setup, steps[-1]))
-    # The cut carries what the pressure pushes apart: p a on either side.
+    # The pressure separates the halves of the ring: p a in each section.
     held = float(last["reaction"].sel(support="x0", space="x"))
     support = replace(SUPPORT, tolerance=1e-3)
     yield support.check("forces, thick ring, cut", -PRESSURE * INNER * THICK, held)
@@ -112,11 +112,7 @@ def ring_stresses(radius: float) -> dict[str, float]:
     """Lame's principal stresses at a radius, Pa, the largest first."""
     mean = PRESSURE * INNER**2 / (OUTER**2 - INNER**2)
     apart = mean * OUTER**2 / radius**2
-    return {
-        "around": mean + apart,
-        "along the axis": 2.0 * POISSON * mean,
-        "radial": mean - apart,
-    }
+    return {"around": mean + apart, "along the axis": 2.0 * POISSON * mean, "radial": mean - apart}
 
 
 def _field_checks(grid: meshio.Mesh) -> Iterator[Check]:

@@ -1,10 +1,10 @@
 """Barber's bistable rod from a case file: separated from a hot wall by air when cold.
 
-The air warms the rod, the rod grows towards the wall, and air and contact conduct the better for
-it. Between two temperatures of the wall the rod has three steady states (Barber, Dundurs and
-Comninou 1980): one open, one closed, and one between that no rod stays in. `steady_states` finds
-them without finite elements: with the end at T_L = T2 Bi/(1 + Bi), Bi = h L/k, the growth
-alpha L T_L/2 of the rod closes the clearance and is pressed back by p L/E.
+The air warms the rod, the rod grows towards the wall, and the conductance increases. Between two
+temperatures of the wall the rod has three steady states (Barber, Dundurs and Comninou 1980): open,
+closed, and an unstable one between. `steady_states` computes them without finite elements: with the
+end at T_L = T2 Bi/(1 + Bi), Bi = h L/k, the growth alpha L T_L/2 of the rod closes the clearance
+and is reduced by the compression p L/E.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ CLEARANCE = 20e-6
 ROUGHNESS, SLOPE, HARDNESS, FACTOR, EXPONENT = 1.25e-6, 0.14, 1.2e9, 1.45, 0.985
 #: Conductivity of the air, W/(m K), and its temperature jump distance, m.
 AIR, JUMP = 0.026, 0.4e-6
-#: Temperature of the wall, K, at which there are three states, and one at which only the closed is.
+#: Temperatures of the wall, K, with three states, and with the closed state only.
 WALL, HOTTER = 24.0, 30.0
 STATES = ("open", "middle", "closed")
 TITLE = "bistable rod from a case file"
@@ -52,14 +52,14 @@ PRESSURE = Quantity("pressure", "MPa", 1e-6, "balance of the rod")
 
 
 def at_opening(opening: float, wall: float) -> tuple[float, float, float]:
-    """Return the rod's lack of balance (m), its pressure (Pa) and its end's temperature (K).
+    """Return the residual of the balance (m), the pressure (Pa) and the end's temperature (K).
 
     Parameters
     ----------
     opening : float
-        From the state when cold, m: closing is negative.
+        Opening relative to the cold state, m: closing is negative.
     wall : float
-        T2 above the temperature of the rod's other end, K.
+        T2 relative to the temperature of the rod's other end, K.
     """
     touching = np.sqrt(2.0) * ROUGHNESS * erfcinv(2e-6)
     apart = touching + CLEARANCE + opening
@@ -100,7 +100,7 @@ def rod(elements: int = 20) -> Structure:
 def case_of(
     folder: Path, step: float = 20.0, thermal: str = "full", end: float | None = None
 ) -> Case:
-    """Return the case of `rod.vtu` in a folder: cold at first, or with its end warm (K)."""
+    """Return the case of `rod.vtu` in a folder, initially cold or with a warm end (K)."""
     metal = {"density_kg_m3": 2700.0, "heat_capacity_J_kgK": 900.0, "expansion_1_K": EXPANSION}
     metal |= {"youngs_modulus_GPa": 1e-9 * MODULUS, "poisson_ratio": 0.0}
     data: dict[str, Any] = {
@@ -147,7 +147,7 @@ def case_of(
 def found_near(still: Setup, case: Case, conductance: float) -> State:
     """Steady state of the machine near a conductance of its joint, W/(m2 K), stable or not.
 
-    `still` has a time step of `FOREVER`; the state is that whose joint conducts what it is given.
+    `still` has a time step of `FOREVER`; in this state the joint has the prescribed conductance.
     """
     [(law, count)], inputs = still.machine.contact.laws, thermal_inputs(case)
 
@@ -166,7 +166,7 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
 
 
 def checks() -> Iterator[Check]:
-    """Three steady states; the march settles in two of them and leaves the third."""
+    """Three steady states; the march reaches two of them and leaves the third."""
     with temporary_folder() as folder:
         write_structure(rod(), folder / "rod.vtu")
         yield from _checks(folder)

@@ -1,9 +1,9 @@
 """Bolts from case files: joint diagram, an expanding sleeve, balance with contact pressures.
 
-Bars along z without lateral contraction are one-dimensional, and a bolt that takes hold of a whole
-end of one pulls it evenly. A bolt of stiffness k_b clamps parts of stiffness k_c. A force F that
-parts them, at their ends, changes the bolt's by F k_b/(k_b + k_c) (Roetscher's diagram). A bolt
-through a sleeve that is warmed with it by T gets F0 + (alpha_s - alpha_b) L T / (1/k_b + 1/k_s).
+Bars along z without lateral contraction are one-dimensional, and a bolt on the whole end face of a
+bar loads it uniformly. A bolt of stiffness k_b clamps parts of stiffness k_c. A separating force F
+at their ends changes the force of the bolt by F k_b/(k_b + k_c) (Roetscher's diagram). The force of
+a bolt through a sleeve, both heated by T, is F0 + (alpha_s - alpha_b) L T / (1/k_b + 1/k_s).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def bolted(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str, Any]
 
 
 def _diagram_checks(folder: Path) -> Iterator[Check]:
-    """Two bars on a joint without preload, which the bolt presses; a force that comes and parts."""
+    """Two bars with a joint that only the bolt presses; a force that separates them."""
     (folder / "parting.csv").write_text("time_s,factor\n0,0\n20,0\n60,1\n")
     force = {"surface": "top", "force_N": [0.0, 0.0, PARTING], "file": "parting.csv"}
     at = 1e-6 * FORCE / AREA
@@ -89,7 +89,7 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
 
 
 def _sleeve_checks(folder: Path) -> Iterator[Check]:
-    """A bolt through a sleeve, both warmed evenly."""
+    """A bolt through a sleeve, both heated uniformly."""
     warm = {name: {"rise_K": RISE} for name in ("foot", "top", "back", "side")}
     data = bolted(folder, False, {"held_temperatures": warm})
     data["materials"]["iron"] |= {"expansion_1_K": SLEEVE_EXPANSION}

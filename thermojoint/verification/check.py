@@ -27,10 +27,10 @@ class Check:
     source : str
         Source of the reference.
     relative_error : float
-        Without one: |computed - reference| / scale. Give it where the error is that of a whole
-        field or history and `reference` and `computed` are only its most telling values.
+        Default |computed - reference| / scale. Given if it is the error of a whole field or
+        history, of which `reference` and `computed` are representative values.
     scale : float
-        Scale of the relative error; default |reference|. A reference of zero needs one.
+        Scale of the relative error; default |reference|, required if that is zero.
 
     Raises
     ------
@@ -63,7 +63,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the error is within the tolerance; never for one that is not a number."""
+        """Whether the error is within the tolerance; False for NaN."""
         return self.relative_error <= self.tolerance
 
 

@@ -1,11 +1,11 @@
 """Two dissimilar rods between walls: the simulator against an independent 1-D solution.
 
-Steel and aluminium press on each other between a hot wall and a cold one; their joint conducts the
-better the more it is pressed. When the aluminium is warmed its expansion raises the pressure, and
-with it the heat that it gets; the steel, which then cools, lowers the pressure, later but in the
-end by more, as its alpha L^2/k is the larger. So there is one steady state, and it can be unstable
-(Barber and Zhang, 1988): with a wall cold enough the pressure oscillates without end. Both cases
-are marched.
+Steel and aluminium press on each other between a hot wall and a cold one; the conductance of their
+joint grows with the pressure. A warmer aluminium rod expands and raises the pressure, and with it
+its own heat supply; the steel rod, which then cools, lowers the pressure, later but finally by
+more, as its alpha L^2/k is larger. The only steady state can therefore be unstable (Barber and
+Zhang, 1988): with a sufficiently cold wall the pressure oscillates permanently. Both cases are
+simulated.
 
 The reference shares no code with the march: finite volumes, the closed form of the mechanics, and
 an implicit Runge-Kutta method of order 5 with error control.
@@ -44,14 +44,14 @@ COEFFICIENT = 3e-9
 PRELOAD = 9.5e6
 #: Conductance = CONDUCTANCE (p / 1 MPa)^2, W/(m2 K).
 CONDUCTANCE = 200.0
-#: Temperatures of the walls at last, K, and the time in which they approach them, s.
+#: Final temperatures of the walls, K, and the time constant of the approach, s.
 HOT, RAMP = 100.0, 200.0
 COLD = {"settling": -20.0, "oscillating": -36.0}
-#: When the two solutions are compared, s.
+#: Times of comparison, s.
 TIMES = np.linspace(100.0, 900.0, 9)
 
 ELEMENTS = (160, 160)
-#: Lengths of the time steps, s: what oscillates needs shorter ones.
+#: Time steps, s; shorter for the oscillation.
 STEPS = {"settling": (1.0, 0.5, 0.25), "oscillating": (0.5, 0.25, 0.125)}
 CELLS = 200
 
@@ -171,13 +171,13 @@ def marched(built: Rods, cold: float, step: float) -> Array:
 
 
 def extrapolated(built: Rods, name: str) -> Array:
-    """March with three time steps, each half of the one before; take out errors of dt and dt^2."""
+    """Extrapolate marches with three time steps, each half of the one before, to order 3."""
     coarse, middle, fine = (marched(built, COLD[name], step) for step in STEPS[name])
     return (4.0 * (2.0 * fine - middle) - (2.0 * middle - coarse)) / 3.0
 
 
 def checks() -> Iterator[Check]:
-    """Both sides of the joint and its pressure, at the time when they agree least."""
+    """Both sides of the joint and its pressure, at the time of the largest difference."""
     built = rods(MATERIALS, LENGTHS, ELEMENTS, joint_law(), ["x0", "x1"])
     for name, cold in COLD.items():
         expected, values = reference(cold), extrapolated(built, name)

@@ -1,8 +1,7 @@
 """Friction: a pressed block moved back and forth and in a circle.
 
-Two bodies are so stiff that only the joint between them gives way; the far face of one is fixed,
-that of the other is driven. Force and work are those of a spring k_t A in series with a slider
-mu P.
+Two bodies are so stiff that only the joint between them deforms; the far face of one is fixed, that
+of the other is driven. Force and work are those of a spring k_t A in series with a slider mu P.
 """
 
 from __future__ import annotations
@@ -14,13 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from fesim.joint.gap import Equilibrium, gap_problem
-from fesim.joint.law import (
-    Friction,
-    JointLaw,
-    SurfaceNormalLaw,
-    evaluate,
-    stiffness_at_rest,
-)
+from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, evaluate, stiffness_at_rest
 from fesim.march.contact import gap_solver
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity
 from fesim.solid.elasticity import elastic_operators
@@ -44,10 +37,10 @@ RIGID = replace(IRON, youngs_modulus=1e22, expansion=0.0)
 STIFFNESS = 1e12
 PRELOAD = 1.0e6
 PRESSURES = (1.0e6, 4.41e6)
-#: Direction of the push from the joint's first tangent, rad: neither tangent is special.
+#: Angle between the push and the joint's first tangent, rad; oblique to both tangents.
 DIRECTION = 0.5
-#: Amplitude of the push, in micro-slip lengths mu p / k_t, and steps to one of them. They meet the
-#: kinks of the loop, so that the trapezoidal rule gives its area without error.
+#: Amplitude of the push, in micro-slip lengths mu p / k_t, and steps per length. The steps include
+#: the kinks of the loop, so that the trapezoidal rule is exact.
 AMPLITUDE, PER_LENGTH = 3, 2
 #: Steps to one round of the circle. Return mapping is implicit Euler: its error falls like 1/steps.
 ROUND = 1440
@@ -167,7 +160,7 @@ def approach(pressure: float) -> float:
 def block_checks(pressure: float) -> Iterator[Check]:
     """A push to one side and two full cycles.
 
-    What is to be zero is relative to mu P, or to the work of a cycle.
+    Quantities with reference zero are relative to mu P, or to the work of a cycle.
     """
     length = COEFFICIENT * pressure / STIFFNESS
     top, cycle = AMPLITUDE * PER_LENGTH, 4 * AMPLITUDE * PER_LENGTH

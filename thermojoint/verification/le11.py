@@ -3,7 +3,7 @@
 The section (radius, height) is bounded by A (1, 0), B (1.4, 0), an arc of radius 1.4 m about the
 origin up to 30 degrees, D, a taper to (1, 1.39), a cylinder to I (1, 1.79), H (0.7071, 1.79), a
 cylinder down to 45 degrees, and an arc of radius 1 m back to A. Top and bottom stay in their
-planes. Wanted is the axial stress at A; the benchmark's value is -105 MPa (NAFEMS, The Standard
+planes. The axial stress at A is compared with the benchmark's value, -105 MPa (NAFEMS, The Standard
 NAFEMS Benchmarks, TNSB Rev. 3, 1990).
 """
 

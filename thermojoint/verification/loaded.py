@@ -1,9 +1,9 @@
 """Mechanical loads from case files: a column under its weight, joints in series with a force.
 
 Bars along z without lateral contraction are one-dimensional. A column of height L on a firm base
-sinks by rho g L^2/(2 E) at its top. On a joint without preload it presses by p = rho g L besides,
-and a force F on two bars in series changes the pressure of their joint by F/A: what the joint gives
-way by follows from p = (H/2) erfc(Y/(sqrt 2 sigma)).
+shortens by rho g L^2/(2 E). On a joint without preload its pressure is p = rho g L, and a force F
+on two bars in series changes the pressure of their joint by F/A; the approach of the joint follows
+from p = (H/2) erfc(Y/(sqrt 2 sigma)).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HALF, WIDTH = 0.2, 0.05
 AREA = WIDTH**2
 MODULUS, DENSITY, GRAVITY = 104e9, 7200.0, 9.81
 ROUGHNESS, HARDNESS = 1.25e-6, 1.961e9
-#: Preload, Pa, and the force on the top, N; the times at which it is none, half and whole, s.
+#: Preload, Pa; final force on the top, N; times at which it is zero, half and full, s.
 PRELOAD, FORCE = 2e6, -8000.0
 TIMES = (0.0, 60.0, 120.0)
 
@@ -123,12 +123,12 @@ def _weight_checks(folder: Path) -> Iterator[Check]:
     yield displacement.check("loads, column under its weight: top", sunk, top)
     stands = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
     pressure = DENSITY * GRAVITY * height
-    # The joint without preload gives way from where its surfaces touch.
-    given = separation(pressure) - separation(1e-6 * HARDNESS)
+    # The approach of a joint without preload starts where its surfaces touch.
+    approach = separation(pressure) - separation(1e-6 * HARDNESS)
     last = stands.response.isel(time=-1)
     name = "loads, column on a joint without preload"
     top = float(last["displacement"].sel(axis="z"))
-    yield displacement.check(f"{name}: top", sunk + given, top)
+    yield displacement.check(f"{name}: top", sunk + approach, top)
     force = float(last["pressure"] @ last["contact_area"])
     yield Quantity("contact force", "N").check(f"{name}: joint", pressure * AREA, force)
 
@@ -144,8 +144,8 @@ def _force_checks(folder: Path) -> Iterator[Check]:
     response = simulate(case_from_data(data, "column", folder)).response
     for time, factor in zip(TIMES[1:], (0.5, 1.0), strict=True):
         pressure = PRELOAD - factor * FORCE / AREA
-        given = separation(pressure) - separation(PRELOAD)
-        moved = given + factor * FORCE / AREA * 2.0 * HALF / MODULUS
+        approach = separation(pressure) - separation(PRELOAD)
+        moved = approach + factor * FORCE / AREA * 2.0 * HALF / MODULUS
         then = response.sel(time=time)
         name = f"loads, two bars and a joint under {-factor * FORCE:g} N"
         top = float(then["displacement"].sel(axis="z"))

@@ -1,7 +1,7 @@
 """Manufactured solutions: orders of convergence of the elements and the time integration.
 
-A smooth field is chosen, the heat or the force that it needs is put on the body, and its values are
-given on the boundary. The error in L2 falls like h^order when the mesh is refined.
+A smooth field is chosen; the corresponding heat or force is applied to the body, and its values are
+prescribed on the boundary. The error in L2 decreases like h^order with mesh refinement.
 
 Theoretical orders (h is the element size):
 
@@ -50,7 +50,7 @@ FINE = 7
 
 @dataclass(frozen=True)
 class Wave:
-    """A field a sin(k . x + phase): all its derivatives are known.
+    """A field a sin(k . x + phase) with known derivatives.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ DISPLACEMENT = Wave(np.array([1.0e-5, -0.6e-5, 0.8e-5]), np.array([1.3, 1.8, -1.
 
 
 def checks() -> Iterator[Check]:
-    """Every element's order, then the time scheme's."""
+    """Orders of the elements and of the time scheme."""
     for kind, (low, high) in ELEMENTS.items():
         errors = [heat_error(bent_cube(kind, count)) for count in HEAT_MESHES]
         yield _order(f"heat, {low}", "order of the temperature", HEAT_MESHES, errors, 2.0)
@@ -128,12 +128,12 @@ def bent_cube(kind: str, count: int) -> Structure:
 
 @LinearForm
 def body_load(v: DiscreteField, w: FormExtraParams) -> Array:
-    """(f, v) with a density f that is given at the quadrature points."""
+    """(f, v) with a density f at the quadrature points."""
     return w["density"] * v
 
 
 def heat_error(structure: Structure) -> float:
-    """Relative error in L2 of the temperature under the heat k |q|^2 T that the wave needs."""
+    """Relative error in L2 of the temperature under the heat k |q|^2 T of the wave."""
     basis = make_spaces(structure.mesh).heat
     heat = heat_operators(structure, basis, {"block": IRON}, ThermalLoads())
     fine = CellBasis(structure.mesh, basis.elem, intorder=FINE)
@@ -160,8 +160,7 @@ def elastic_errors(structure: Structure, rise: float) -> tuple[float, float]:
     k, d = DISPLACEMENT.number, DISPLACEMENT.amplitude
     # -div(lambda tr e I + 2 mu e) of d sin(k.x), and what the thermal stress adds.
     force = np.multiply.outer(
-        (lam + mu) * (k @ d) * k + mu * (k @ k) * d,
-        DISPLACEMENT.value(x)[0] / d[0],
+        (lam + mu) * (k @ d) * k + mu * (k @ k) * d, DISPLACEMENT.value(x)[0] / d[0]
     )
     force = force + bulk * TEMPERATURE.gradient(x)[0]
     temperature = rise * TEMPERATURE.value(spaces.heat.doflocs)[0]

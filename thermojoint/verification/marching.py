@@ -41,11 +41,11 @@ from thermojoint.verification.plain_march import PlainStep, plain_march
 from thermojoint.verification.series import law_at
 from thermojoint.verification.structures import IRON, LEFT, SECTION, STEEL, bars
 
-#: Largest gap residual, m: far below the march's, so that nothing but the method is compared.
+#: Largest gap residual, m: far below the march's, so that only the method matters.
 RESIDUAL = 1e-17
 TOLERANCE = 1e-9
 
-#: Coupled steps of each comparison; heat after so many of them, W; rise of the ambient in one, K.
+#: Number of coupled steps; heat (W) over the step number; rise of the ambient per step, K.
 COUNT = 10
 HISTORY = np.array([[0.0, 6.0, 8.0], [0.0, 2000.0, -4000.0]])
 WARMING = 0.1
@@ -67,7 +67,7 @@ STEPS, TIME = (2.0, 1.0, 0.5), 48.0
 
 @dataclass(frozen=True)
 class Assembled:
-    """A structure's operators as they are assembled, and the machine condensed from them.
+    """The assembled operators of a structure, and the machine condensed from them.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Assembled:
 
 @dataclass(frozen=True)
 class Model:
-    """A structure with one joint, before it is assembled.
+    """A structure with one joint, before the assembly.
 
     Attributes
     ----------
@@ -133,9 +133,9 @@ def assemble(model: Model, law: JointLaw, step: float) -> Assembled:
 
 
 def heated_bars(kind: str, law: JointLaw, step: float) -> Assembled:
-    """Return bars of iron and steel between two walls whose meshes do not match; input 1 is 1 W.
+    """Return bars of iron and steel between walls, with non-matching meshes; input 1 is 1 W.
 
-    Heat on one side and air on the other turn the joint; the unlike expansion makes it slide.
+    Heat on one side and air on the other rotate the joint; different expansions make it slide.
     """
     structure = bars(kind, (2, 3, 1), (2, 2, 2))
     model = Model(
@@ -183,13 +183,13 @@ def condensed_checks() -> Iterator[Check]:
 
 
 def plain_steps(made: Assembled) -> list[PlainStep]:
-    """March without condensing anything."""
+    """March without condensation."""
     marching = plain_march(made.heat, made.elastic, made.joints, made.machine, driven(made))
     return list(islice(marching, COUNT))
 
 
 def modes_of(made: Assembled) -> ThermalModes:
-    """Return the modes that a case of this structure would march on."""
+    """Return the modes that a case of this structure would use."""
     machine = made.machine
     step = machine.thermal.step
     outputs = outputs_of(machine.contact.elastic, made.thermometer)
@@ -205,7 +205,7 @@ def reduced_machine(made: Assembled, modes: ThermalModes) -> CondensedMachine:
 
 
 def driven(made: Assembled) -> Inputs:
-    """Return heat and ambient of `made` at a time, s."""
+    """Return heat and ambient over time, s."""
 
     def inputs(time: float) -> Array:
         steps = time / made.machine.thermal.step
@@ -217,19 +217,7 @@ def driven(made: Assembled) -> Inputs:
 def compared(
     name: str, made: Assembled, plain: Sequence[PlainStep], modes: ThermalModes | None = None
 ) -> Iterator[Check]:
-    """Check each quantity at its worst step and place, relative to its largest value in the run.
-
-    Parameters
-    ----------
-    name : str
-        Beginning of the checks' names.
-    made : Assembled
-        Its machine marches.
-    plain : sequence of PlainStep
-        The same steps by the plain march.
-    modes : ThermalModes, optional
-        Modes of the machine's temperatures, if it is reduced.
-    """
+    """Check each quantity at its worst step and place, relative to its largest value in the run."""
     series_of: dict[tuple[str, str], list[tuple[Array, Array]]] = {}
     for theirs, step in zip(plain, march(made.machine, driven(made), staggered), strict=False):
         state = step.state

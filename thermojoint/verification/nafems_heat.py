@@ -1,10 +1,10 @@
 """NAFEMS T3 and T4: heat conduction in one and two dimensions, on meshes of hexahedra.
 
 T3, one-dimensional transient conduction: a bar of 0.1 m, at 0 at first; one end is kept at 0, the
-other at 100 sin(pi t / 40 s). Wanted: the temperature 0.08 m from the cold end after 32 s, 36.60.
+other at 100 sin(pi t / 40 s). Result: the temperature 0.08 m from the cold end after 32 s, 36.60.
 
 T4, two-dimensional convection: a plate of 0.6 m x 1.0 m, its base at 100, its left side insulated,
-its right side and its top in air of 0. Wanted: the temperature at (0.6 m, 0.2 m), 18.25.
+its right side and its top in air of 0. Result: the temperature at (0.6 m, 0.2 m), 18.25.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NO_JOINT = np.zeros(1)
 
 
 def checks() -> Iterator[Check]:
-    """Both benchmarks, each on a mesh and a step that are fine enough for its tolerance."""
+    """Both benchmarks, on a sufficiently fine mesh and time step."""
     bar = Quantity("temperature at 0.08 m after 32 s", "degC", 5e-3, "NAFEMS T3")
     yield bar.check("NAFEMS T3", 36.60, bar_temperature(elements=80, step=0.05))
     plate = Quantity("temperature at (0.6 m, 0.2 m)", "degC", 5e-3, "NAFEMS T4")
@@ -37,7 +37,7 @@ def checks() -> Iterator[Check]:
 
 
 def bar_temperature(elements: int, step: float) -> float:
-    """T3 with so many elements along the bar and a time step in s."""
+    """T3 with a number of elements along the bar and a time step, s."""
     length, end = 0.1, 32.0
     material = _conductor(conductivity=35.0, density=7200.0, heat_capacity=440.5)
     structure = block(box_grid("hexahedra", (elements, 1, 1), (length, 0.01, 0.01)))
@@ -55,7 +55,7 @@ def bar_temperature(elements: int, step: float) -> float:
 
 
 def plate_temperature(elements: int) -> float:
-    """T4 with so many elements along the plate's shorter side."""
+    """T4 with a number of elements along the plate's shorter side."""
     width, height = 0.6, 1.0
     material = _conductor(conductivity=52.0, density=7850.0, heat_capacity=460.0)
     divisions = (elements, round(elements * height / width), 1)
@@ -72,7 +72,7 @@ def plate_temperature(elements: int) -> float:
 
 
 def alone(heat: HeatOperators, step: float) -> ThermalCondensation:
-    """Condense a body that touches nothing: one contact element, and it carries no heat."""
+    """Condense a body without contact: its single contact element carries no heat."""
     size = heat.capacity.shape[0]
     none = csr_array((1, size))
     nothing = JointOperators(none, csr_array((3, 3 * size)), np.ones(1), none)
@@ -80,5 +80,5 @@ def alone(heat: HeatOperators, step: float) -> ThermalCondensation:
 
 
 def _conductor(conductivity: float, density: float, heat_capacity: float) -> Material:
-    """Return a material of which only the thermal properties count."""
+    """Return a material of which only the thermal properties are used."""
     return Material(conductivity, density, heat_capacity, 1e9, 0.3, 0.0)

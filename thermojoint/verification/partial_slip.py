@@ -1,8 +1,8 @@
 """Partial slip of a strip on a rigid base, heated and cooled again.
 
 With nu = 0 and its faces between rollers the strip obeys E t u'' = tau(u), with
-tau = k_t (u - slip), |tau| <= mu p. Heated, it slips from its free end on; cooled, it slips back.
-What has changed since the turn obeys the same equation with twice the limit (Masing).
+tau = k_t (u - slip), |tau| <= mu p. When heated, it slips from its free end; when cooled, it slips
+back. The change since the reversal obeys the same equation with twice the limit (Masing).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from thermojoint.verification.friction import pressed
 from thermojoint.verification.series import law_at
 from thermojoint.verification.structures import IRON, box_grid, two_bars
 
-#: Length, thickness and width of the strip, m. What its thickness shears is k_t t / (3 G) of the
-#: slip, 6e-5.
+#: Length, thickness and width of the strip, m. The shear across its thickness is k_t t / (3 G) =
+#: 6e-5 of the slip.
 LENGTH, THICKNESS, WIDTH = 0.3, 1e-3, 0.02
 #: k_t, Pa/m; mu; p, Pa.
 STIFFNESS, COEFFICIENT, PRESSURE = 1e10, 0.3, 1.0e6
@@ -33,7 +33,7 @@ RISE, STEPS = 80.0, 10
 
 @dataclass(frozen=True)
 class PartialSlip:
-    """The strip's closed form, held at y = 0, free at y = L and heated evenly.
+    """Closed form of the strip, held at y = 0, free at y = L and heated uniformly.
 
     Stuck up to y = a: u = s sinh(beta y) / sinh(beta a), beta^2 = k_t / (E t). Beyond, the shear is
     k_t s; the strain is continuous at a, which determines a.

@@ -43,7 +43,7 @@ UNITS = {"temperature": "K", "displacement": "m", "stress": "Pa", "contact press
 
 
 def heat_checks() -> Iterator[Check]:
-    """A linear temperature, given on the boundary, is found exactly inside."""
+    """A linear temperature, prescribed on the boundary, is exact inside."""
     for kind, (element, _) in ELEMENTS.items():
         structure = shaken_block(kind)
         basis = make_spaces(structure.mesh).heat
@@ -64,7 +64,7 @@ def heat_checks() -> Iterator[Check]:
 
 
 def elastic_checks() -> Iterator[Check]:
-    """A uniform strain, given on the boundary; a uniform expansion without stress."""
+    """A uniform strain, prescribed on the boundary; a uniform expansion without stress."""
     strain = 1e-4 * np.array([[1.0, 0.4, -0.3], [0.4, -0.7, 0.5], [-0.3, 0.5, 0.2]])
     lam, mu = IRON.lame
     stress = lam * np.trace(strain) * np.eye(3) + 2.0 * mu * strain
@@ -110,7 +110,7 @@ def elastic_checks() -> Iterator[Check]:
 
 
 def contact_checks() -> Iterator[Check]:
-    """Two hot bars between walls press evenly on a joint whose sides do not match."""
+    """Two hot bars between walls press uniformly on a joint with non-matching meshes."""
     rise, law = 20.0, law_at(4.41e6)
     pressure = wall_pressure(rise, law)
     for kind in ELEMENTS:

@@ -1,7 +1,7 @@
 """Staggered time stepping without condensation: full matrices, factorised in every step.
 
-It uses the same operators and joint laws as the simulator and shares nothing else with it:
-the unknowns are all temperatures and displacements, Newton's method works on the forces.
+It only shares operators and joint laws with the simulator: the unknowns are all temperatures and
+displacements, and Newton's method is applied to the forces.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def plain_march(
 ) -> Iterator[PlainStep]:
     """Yield the steps of the staggered scheme with full matrices, factorised each time.
 
-    Nothing of `machine` counts but its joint laws and its step length. No surface may have a held
+    Only the joint laws and the time step of `machine` are used. No surface may have a held
     temperature.
     """
     free, step = elastic.free, machine.thermal.step

@@ -37,9 +37,7 @@ said otherwise.
 """
 
 
-def results_data(
-    results: Sequence[Result],
-) -> dict[str, list[dict[str, str | float | None]]]:
+def results_data(results: Sequence[Result]) -> dict[str, list[dict[str, str | float | None]]]:
     """Return the content of ``verify --json``: {"cases": [...]}, one entry for each check.
 
     A number that is not finite (its check fails) becomes None: JSON knows only finite ones.

@@ -29,12 +29,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erfc
 
-from fesim.joint.law import (
-    JointLaw,
-    SurfaceNormalLaw,
-    exact_conductance,
-    harmonic_conductivity,
-)
+from fesim.joint.law import JointLaw, SurfaceNormalLaw, exact_conductance, harmonic_conductivity
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import iterated, march, staggered
@@ -160,14 +155,14 @@ def joint_law() -> JointLaw:
 
 
 def case_at(law: JointLaw, opening: float) -> Case:
-    """Return the rod that is in a steady state at an opening (m): T2 is in proportion to growth."""
+    """Return the rod with a steady state at an opening (m): T2 is proportional to the growth."""
     still, heated = Case(law, 0.0), Case(law, 1.0)
     bare = still.misfit(opening)
     return Case(law, -bare / (heated.misfit(opening) - bare))
 
 
 def balanced_openings(case: Case) -> list[float]:
-    """Openings (m) of all steady states, from the wide one on, by the balance in the docstring."""
+    """Openings (m) of all steady states, the widest first, from the balance in the docstring."""
     grid = np.linspace(0.0, -SEPARATION, 401)
     signs = [case.misfit(float(opening)) for opening in grid]
     return [
@@ -178,7 +173,7 @@ def balanced_openings(case: Case) -> list[float]:
 
 
 def response(still: CondensedMachine, case: Case, pressure: float) -> State:
-    """Steady state of the machine if its joint conducts as it does at `pressure` (Pa).
+    """Steady state of the machine with the conductance of its joint at `pressure` (Pa).
 
     `still` has a time step of `FOREVER`.
     """
@@ -214,7 +209,7 @@ def departure(
 ) -> tuple[float, State]:
     """Perturb a steady state by the mode of `root` and march: its rate (1/s) and the last state.
 
-    A perturbation of another shape would hold other modes too.
+    A perturbation of another shape would contain other modes.
     """
     rate = rate_of(root)
     machine = built.machine(GROWTH / abs(rate))
@@ -267,7 +262,7 @@ def checks() -> Iterator[Check]:
 
 
 def bistable_checks(built: Rods, still: CondensedMachine) -> Iterator[Check]:
-    """Three steady states by continuation; the march finds two of them and leaves the third."""
+    """Three steady states by continuation; the march reaches two of them and leaves the third."""
     case = Case(built.law, BISTABLE)
     openings = balanced_openings(case)
     states = continued(still, case)

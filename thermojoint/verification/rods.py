@@ -41,7 +41,7 @@ class Rods:
     law : JointLaw
         Law of the joint.
     x : ndarray, shape (n,)
-        Of the temperature unknowns, m; the second rod's begin at `second`.
+        Coordinates of the temperature unknowns, m; those of the second rod start at `second`.
     second : int
         Number of the first unknown of the second rod.
     """
@@ -66,7 +66,7 @@ def rods(
     law: JointLaw,
     held: list[str],
 ) -> Rods:
-    """Mesh, assemble and condense two rods between walls; `held` names surfaces of given T."""
+    """Mesh, assemble and condense two rods between walls; `held` surfaces have a prescribed T."""
     first, second = (
         box_grid("hexahedra", (count, 1, 1), (length, *SECTION), (start, 0.0, 0.0))
         for count, length, start in zip(elements, lengths, (0.0, lengths[0]), strict=True)

@@ -81,7 +81,7 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     return CondensedMachine(thermal, ContactProblem(condensed, laws))
 
 
-#: Keys of a joint with a conductance other than Eq. 11, and its h, W/(m2 K).
+#: Keys of joints with a conductance other than Eq. 11, and the conductance, W/(m2 K).
 _OPEN = {"preload_MPa": 0.0, "reference_pressure_MPa": 1.0, "initial_opening_um": 30.0}
 AIR, JUMP, WARM, EMISSIVITIES = 0.026, 0.4e-6, 60.0, (0.3, 0.8)
 OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
@@ -120,8 +120,8 @@ def other_checks() -> Iterator[Check]:
         "hardness_GPa": 1e-9 * HARDNESS,
         "friction_coefficient": 0.6,
     }
-    for name, (said, conductance) in OTHER_LAWS.items():
-        section = JointSection(**surface | said)
+    for name, (keys, conductance) in OTHER_LAWS.items():
+        section = JointSection(**surface | keys)
         given = section.initial_opening_um
         opening = None if given is None else np.full(cold.contact.count, 1e-6 * float(given))
         law = law_of(section, np.full(cold.contact.count, IRON.conductivity), opening)

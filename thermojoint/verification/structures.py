@@ -1,4 +1,4 @@
-"""Structures shared by verification cases: blocks and pairs of bars."""
+"""Structures of verification cases: blocks and pairs of bars."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STEEL = Material(
     expansion=11.0e-6,
 )
 
-#: Cells a verification case is run on, and their elements for temperature and displacement.
+#: Cells of verification cases, and their elements for temperature and displacement.
 KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
 ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
 

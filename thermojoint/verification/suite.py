@@ -55,7 +55,7 @@ def patch_tests() -> Iterator[Check]:
     yield from patch.contact_checks()
 
 
-#: All groups. Add a module's group here: Group("Barber's rod", rod.checks, "What it compares.").
+#: All groups. Add a module's group here: Group("Barber's rod", rod.checks, "Description.").
 GROUPS: tuple[Group, ...] = (
     Group(
         "Two bars in series through a joint",
@@ -256,7 +256,7 @@ GROUPS: tuple[Group, ...] = (
 
 @dataclass(frozen=True)
 class Result:
-    """A group that has run.
+    """Result of a group.
 
     Attributes
     ----------
@@ -276,9 +276,9 @@ class Result:
 
 
 def run(groups: Sequence[Group] = GROUPS) -> Iterator[Result]:
-    """Run one group after another, and yield each as it ends.
+    """Run the groups in order, and yield each result.
 
-    A group that raises an error has failed; the error is its last check.
+    An error in a group becomes its last, failed check.
     """
     for group in groups:
         checks: list[Check] = []

@@ -27,7 +27,7 @@ LAW_SOURCE = {"exact": SOURCE, "cmy-1969": SOURCE, "yovanovich-1982": "Yovanovic
 
 
 def conductance(law: str, share: float, slope: float, roughness: float, k: float) -> float:
-    """h_c, W/(m2 K), at a pressure that is a share of the hardness."""
+    """h_c, W/(m2 K), at a pressure relative to the hardness."""
     if law == "exact":
         of_pressure = exact_conductance(slope, roughness, k, 1.0)
     else:
@@ -37,7 +37,7 @@ def conductance(law: str, share: float, slope: float, roughness: float, k: float
 
 
 def checks() -> Iterator[Check]:
-    """The three laws, without dimensions and at the paper's joint."""
+    """The three laws, in dimensionless form and for the paper's joint."""
     for share, reference in EXACT.items():
         computed = conductance("exact", share, 1.0, 1.0, 1.0)
         dimensionless = Quantity("conductance", "1", 5e-7, SOURCE)

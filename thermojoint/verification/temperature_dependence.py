@@ -1,15 +1,15 @@
 """Temperature-dependent conductivity, convection, radiation and expansion, from case files.
 
-In the steady state of a bar along x all is in closed form:
+Closed forms for the steady state of a bar along x:
 
 - Between ends held at 0 and T1, theta(T) = integral of the conductivity's factor is linear in x
   (Kirchhoff). With f = 1 + b T: T(L/2) = (sqrt(1 + b (T1 + b T1^2/2)) - 1)/b.
-- Heat q that enters at x0 leaves at x1 by radiation: eps sigma (T^4 - T_a^4) = q; or by a film
+- Heat q from x0 leaves at x1 by radiation: eps sigma (T^4 - T_a^4) = q; or by convection:
   h (1 + b T) T = q.
-- A bar warmed by T evenly grows by alpha L (T + b T^2/2).
+- A bar heated uniformly by T grows by alpha L (T + b T^2/2).
 
-Heat stored at a uniform temperature is let go by a film h (1 + b T) T alone, if the bar is short:
-with r = h A/C, T/(1 + b T) = T0/(1 + b T0) exp(-r t).
+A short bar of uniform temperature cools by convection h (1 + b T) T: with r = h A/C,
+T/(1 + b T) = T0/(1 + b T0) exp(-r t).
 
 Two bars between ends held at 0 and T1 face each other across enclosed air: the heat flux is
 T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
@@ -43,12 +43,12 @@ from thermojoint.verification.thermal_bar import (
     run,
 )
 
-#: Slope of the factors, 1/K, and where they end, K: a change by half.
+#: Slope of the factors, 1/K, and their last temperature, K: a change by half.
 SLOPE, HOT = 5e-3, 100.0
 RISING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 + SLOPE * HOT]}
 FALLING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 - SLOPE * HOT]}
 EMISSIVITY, AMBIENT = 0.8, 20.0
-#: Heat that enters, W, and a film, W/(m2 K).
+#: Heat supplied, W, and convection coefficient, W/(m2 K).
 POWER, FILM = 2.0, 40.0
 #: Length of the bar that cools as a whole, m.
 SHORT = 0.001
@@ -56,7 +56,7 @@ TEMPERATURE = Quantity("temperature", "K", 1e-6)
 
 
 def checks() -> Iterator[Check]:
-    """All of them."""
+    """All checks."""
     with temporary_folder() as folder:
         yield from _conducting(folder)
         yield from _radiating(folder)

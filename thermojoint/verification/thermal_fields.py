@@ -1,10 +1,10 @@
 """Initial temperatures, heat and held temperatures that vary in space, from case files.
 
-- A bar without film that starts at A cos(pi x/L): the wave keeps its shape and decays by
+- A bar without convection that starts at A cos(pi x/L): the wave keeps its shape and decays by
   exp(-kappa (pi/L)^2 t).
 - Two bars pressed together between walls start warm: a rise dT closes their joint until
   alpha L dT = (p - p0) L/E - g, and p follows from the surface model.
-- Heat in proportion to x, P in all, in a bar whose end x = 0 is held: T(L) = 2 P L/(3 A k).
+- Heat proportional to x, P in total, in a bar with a held end x = 0: T(L) = 2 P L/(3 A k).
 - A square plate of side a whose edge y = a is held at sin(pi x/a) and the others at 0:
   T(a/2, a/2) = 1/(2 cosh(pi/2)).
 """
@@ -43,7 +43,7 @@ from thermojoint.verification.thermal_bar import (
 )
 
 WAVE = 10.0
-#: Expansion of the pressed bars, 1/K, and by how much they are warm at the start, K.
+#: Expansion of the pressed bars, 1/K, and their initial rise, K.
 EXPANSION, WARM = 11e-6, 20.0
 POWER = 50.0
 SIDE = 0.2
@@ -109,11 +109,7 @@ def _warm_start(folder: Path) -> Iterator[Check]:
 def _uneven_source(folder: Path) -> Check:
     changes = {
         "sources": {
-            "heat": {
-                "body": "block",
-                "reference_power_W": POWER,
-                "profile": {"expression": "x_mm"},
-            }
+            "heat": {"body": "block", "reference_power_W": POWER, "profile": {"expression": "x_mm"}}
         },
         "heat_input": {"kind": "step", "level": 1.0},
         "held_temperatures": {"x0": {"rise_K": 0.0}},

@@ -14,16 +14,7 @@ Schema = TypeVar("Schema", bound=pydantic.BaseModel)
 
 
 def read_settings(schema: type[Schema], path: Path, what: str) -> Schema:
-    """Read a file of settings (TOML).
-
-    Parameters
-    ----------
-    schema : type
-        Model of the whole file.
-    path : Path
-        The file; other files named in it are relative to its folder.
-    what : str
-        Kind of file for messages, e.g. ``"case"``.
+    """Read a file of settings (TOML); files named in it are relative to its folder.
 
     Raises
     ------
@@ -35,18 +26,7 @@ def read_settings(schema: type[Schema], path: Path, what: str) -> Schema:
 
 
 def settings_from(schema: type[Schema], data: dict[str, Any], where: str, folder: Path) -> Schema:
-    """Return settings given as nested dictionaries.
-
-    Parameters
-    ----------
-    schema : type
-        Model of the whole file.
-    data : dict
-        Content of the file.
-    where : str
-        Name of the file for messages.
-    folder : Path
-        Folder to which file names are relative.
+    """Return settings given as nested dictionaries; file names are relative to `folder`.
 
     Raises
     ------

@@ -28,17 +28,7 @@ class Mistake:
 
 
 def refusal(schema: type[BaseModel], error: ValidationError, where: str) -> InputError:
-    """Return the error that lists every mistake of an input, one line each.
-
-    Parameters
-    ----------
-    schema : type
-        Model of the whole input.
-    error : ValidationError
-        Pydantic's error.
-    where : str
-        Name of the input for messages.
-    """
+    """Return the error that lists every mistake of an input, one line each."""
     mistakes = [_mistake(schema, details) for details in error.errors()]
     meant = set(_meant(mistakes))
     lines: dict[Place, str] = {}

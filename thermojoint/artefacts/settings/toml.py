@@ -11,14 +11,7 @@ from thermojoint.artefacts.errors import InputError
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the text of a file in UTF-8.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    what : str
-        Kind of file for messages, e.g. ``"case"``.
+    """Return the text of a file in UTF-8; `what` is its kind for messages, e.g. ``"case"``.
 
     Raises
     ------

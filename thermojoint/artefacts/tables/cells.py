@@ -74,12 +74,8 @@ def is_missing(cell: str) -> bool:
 def number_in(cell: str, decimal: str) -> float | None:
     """Return the number in a cell, or None.
 
-    Parameters
-    ----------
-    cell : str
-        May contain separators of thousands: ``1.234,5``, ``1,234.5``, ``1 234,5``.
-    decimal : str
-        Decimal sign, ``.`` or ``,``; empty if it is not known yet.
+    It may contain separators of thousands: ``1.234,5``, ``1,234.5``, ``1 234,5``. The decimal sign
+    is ``.`` or ``,``; empty if it is not known yet.
     """
     text = cell.strip()
     # Numbers with an exponent have a point in any language: a logger's overflow, 9.9E37.
@@ -122,15 +118,7 @@ def decimal_shown(cells: Sequence[str]) -> str:
 
 
 def numbers(cells: Sequence[str], decimal: str) -> Numbers:
-    """Convert cells of one column to numbers.
-
-    Parameters
-    ----------
-    cells : sequence of str
-        Texts of the cells.
-    decimal : str
-        See `number_in`.
-    """
+    """Convert cells of one column to numbers."""
     if decimal != "," and not _ODD.search("".join(cells)):
         try:
             values = np.array(list(map(float, cells)))
@@ -152,15 +140,7 @@ def numbers(cells: Sequence[str], decimal: str) -> Numbers:
 
 
 def is_error_value(value: float, quantity: str) -> bool:
-    """Whether a number is an error value of a logger; see `without_error_values`.
-
-    Parameters
-    ----------
-    value : float
-        In the unit of the reading.
-    quantity : str
-        Its quantity (`Column.quantity`).
-    """
+    """Whether a number, in the unit of the reading, is an error value of a logger."""
     if not abs(value) > _LEAST_ERROR:
         return False
     return bool(np.isnan(without_error_values(np.array([value]), quantity)[0][0]))

@@ -219,11 +219,7 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
 def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
     """Return the clock of numbers without a unit, by their size."""
     least, most = min(values), max(values)
-    for (low, high), divisor in (
-        (_SECONDS, 1.0),
-        (_MILLISECONDS, 1e3),
-        (_MICROSECONDS, 1e6),
-    ):
+    for (low, high), divisor in ((_SECONDS, 1.0), (_MILLISECONDS, 1e3), (_MICROSECONDS, 1e6)):
         if low < least and most < high:
             return Clock((index,), "number", dated=True, divisor=divisor)
     if _DAYS[0] < least and most < _DAYS[1] and most - least < len(values):
@@ -266,17 +262,7 @@ def zone_named(text: str) -> tzinfo | None:
 
 
 def moment(clock: Clock, cells: Sequence[str], decimal: str) -> Moment | None:
-    """Return the time in the cells of one row, or None if they contain none.
-
-    Parameters
-    ----------
-    clock : Clock
-        The table's clock.
-    cells : sequence of str
-        Cells of the clock's columns.
-    decimal : str
-        Decimal sign.
-    """
+    """Return the time in the cells of one row, or None if they contain none."""
     if clock.form in ("number", "excel"):
         value = number_in(cells[0], decimal)
         if value is None:
@@ -356,15 +342,6 @@ def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
 
     A clock that goes back for an unknown reason stays there: the caller refuses it or starts a new
     run.
-
-    Parameters
-    ----------
-    clock : Clock
-        The table's clock.
-    hands : Hands
-        State at the previous row.
-    at : Moment
-        Time in the row.
     """
     time, shift, note = at.first + hands.shift, hands.shift, ""
     if time < hands.last:

@@ -109,15 +109,6 @@ class Row(NamedTuple):
 def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]:
     """Yield the rows of values; repeated headers and units are skipped.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Lines from the first row.
-    dialect : Dialect
-        Dialect of the table.
-    where : str
-        Name of the file, for error messages.
-
     Raises
     ------
     InputError
@@ -156,14 +147,7 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     """Detect the dialect of a table from its first lines.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        First lines.
-    where : str
-        Name of the file, for error messages.
-    whole : bool
-        Whether more lines would not help: the table ends here, or there are enough lines.
+    `whole` means that more lines would not help: the table ends here, or there are enough lines.
 
     Returns
     -------

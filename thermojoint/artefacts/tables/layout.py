@@ -69,16 +69,8 @@ def layout_of(
 ) -> Layout | None:
     """Detect the layout of a log from its first lines; None if more are needed.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        First lines.
-    where : str
-        Name of the file, for error messages.
-    renamed : mapping
-        Name of a column, with or without its unit, to its new name.
-    whole : bool
-        Whether more lines would not help.
+    `renamed` maps names of columns, with or without unit, to new names; `whole` means that more
+    lines would not help.
 
     Raises
     ------

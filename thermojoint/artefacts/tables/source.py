@@ -41,13 +41,7 @@ codecs.register_error(OR_CP1252, _as_cp1252)
 
 
 def encoding_of(head: bytes) -> str:
-    """Return the encoding of a text by its first bytes; `OR_CP1252` decodes invalid UTF-8.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    """
+    """Return the encoding of a text by its first bytes; `OR_CP1252` decodes invalid UTF-8."""
     if head[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return "utf-16"
     # Without a byte order mark: in Latin letters and digits one byte of two is zero.
@@ -59,28 +53,13 @@ def encoding_of(head: bytes) -> str:
 
 
 def as_text(file: BinaryIO, head: bytes) -> io.TextIOWrapper:
-    """Return an open file as text.
-
-    Parameters
-    ----------
-    file : binary file
-        At its start; may be a pipe.
-    head : bytes
-        Its first bytes.
-    """
+    """Return an open file as text."""
     return io.TextIOWrapper(file, encoding_of(head), errors=OR_CP1252, newline=None)
 
 
 @contextmanager
 def lines_of(path: Path, kind: str) -> Iterator[Iterable[str]]:
-    """Open a table and give its lines; a sheet or Parquet is converted to lines of CSV.
-
-    Parameters
-    ----------
-    path : Path
-        Text, .xlsx or Parquet, recognised by its content.
-    kind : str
-        Kind of file for messages, e.g. ``log``.
+    """Open a table and give its lines; .xlsx and Parquet, known by content, become lines of CSV.
 
     Raises
     ------

@@ -12,15 +12,7 @@ from thermojoint.compensation.loop.run import Closed
 
 
 def report_html(closed: Closed, content: dict[str, Any]) -> str:
-    """Return the page; all content is escaped, and nothing is loaded from elsewhere.
-
-    Parameters
-    ----------
-    closed : Closed
-        The loop.
-    content : dict
-        The result of `thermojoint.compensation.loop.judging.as_content`.
-    """
+    """Return the page of `judging.as_content`, escaped, without references to other files."""
     environment = templates_of("thermojoint.compensation.loop")
     figures = [("The runs against time", runs_figure(closed))]
     if closed.design is not None:

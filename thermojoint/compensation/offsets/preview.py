@@ -12,13 +12,7 @@ from estimator.estimate_table import Row
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.units import MICRO
-from thermojoint.compensation.offsets.output import (
-    at_zero,
-    cycle,
-    followed,
-    mode_of,
-    offsets_of,
-)
+from thermojoint.compensation.offsets.output import at_zero, cycle, followed, mode_of, offsets_of
 from thermojoint.compensation.offsets.settings import Settings
 from thermojoint.compensation.offsets.usable import usable
 
@@ -71,11 +65,7 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
         used = usable(settings.trust, time - row.time, row.band, row.status)
         target = followed(settings.output, axes, row.displacement) if used else None
         state = cycle(settings.output, state, time, target)
-        yield Cycle(
-            time,
-            offsets_of(settings.output, state),
-            mode_of(settings.output, state).value,
-        )
+        yield Cycle(time, offsets_of(settings.output, state), mode_of(settings.output, state).value)
 
 
 def header(settings: Settings) -> list[str]:

@@ -260,10 +260,7 @@ def _state_matrix(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             matrix[row, row], drive[row] = pole.real, 1.0
             row += 1
         else:
-            matrix[row : row + 2, row : row + 2] = [
-                [pole.real, pole.imag],
-                [-pole.imag, pole.real],
-            ]
+            matrix[row : row + 2, row : row + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
             drive[row] = 2.0
             row += 2
     return matrix, drive

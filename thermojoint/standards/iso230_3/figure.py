@@ -36,12 +36,6 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
 
     Right of the curves an arrow spans the range of each displacement and tilt over each period; its
     ends are dots on the curves. Upright lines are the ends of the periods.
-
-    Parameters
-    ----------
-    record : Record
-    evaluation : Evaluation
-        Of the same record.
     """
     groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
     if record.tilts:

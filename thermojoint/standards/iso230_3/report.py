@@ -17,14 +17,7 @@ SCHEMA, SCHEMA_VERSION = "thermojoint-iso230-3", 1
 
 
 def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
-    """Return the parameters for a JSON file, units in the names of the keys.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-    origin : str
-        Source of the record, e.g. the name of a file.
-    """
+    """Return the parameters for a JSON file, units in the names of the keys."""
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -40,17 +33,9 @@ def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
 def report_html(
     record: Record, evaluation: Evaluation, origin: str, facts: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """Return the page; all content is escaped, and nothing is loaded from elsewhere.
+    """Return the page, escaped, without references to other files.
 
-    Parameters
-    ----------
-    record : Record
-    evaluation : Evaluation
-        Of the record.
-    origin : str
-        Source of the record.
-    facts : sequence of (str, str)
-        Further facts about the test, e.g. the distance of two sensors.
+    `facts` are further lines about the test, e.g. the distance of two sensors.
     """
     environment = templates_of("thermojoint.standards.iso230_3")
     return environment.get_template("report.html.j2").render(
