@@ -58,9 +58,7 @@ class Settling:
         ranges = ((name, self.span.temperatures[name]) for name in self.sensors)
         return {name: SLACK * max(abs(low), abs(high)) for name, (low, high) in ranges}
 
-    def until(
-        self, last: float, before: float, time: float, values: Mapping[str, float]
-    ) -> float:
+    def until(self, last: float, before: float, time: float, values: Mapping[str, float]) -> float:
         """Return the time up to which an estimator is unsettled, s; NaN if it never was.
 
         Parameters

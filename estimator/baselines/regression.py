@@ -25,8 +25,8 @@ CHANNELS = tuple(Channel(role, "K") for role in ROLES)
 class RegressionEstimator:
     """δ as a weighted sum of temperatures and of their low-passes.
 
-    Its state is a `Clock`, the features (last temperatures and their low-passes), and the time up to
-    which it is unsettled, s.
+    Its state is a `Clock`, the features (last temperatures and their low-passes), and the time up
+    to which it is unsettled, s.
 
     Attributes
     ----------

@@ -18,7 +18,6 @@ from thermojoint.models.assembly import Assembly
 from thermojoint.models.model_file import FILE
 from thermojoint.models.parameters import Model
 
-
 #: Index of the start of the run, and of the time up to which it is unsettled, in a state.
 _BEGUN, _UNTIL = 1, -1
 
