@@ -67,12 +67,23 @@ def http_identity(section: HttpServer, folder: Path) -> Identity:
 
 def application_uri(identity: Identity) -> str:
     """Return the application URI that an OPC UA certificate names; clients compare it."""
-    try:
-        extensions = certificate_in(identity.certificate).extensions
-        names = extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return APPLICATION
+    names = _alternative_names(identity.certificate)
     return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), APPLICATION)
+
+
+def names_in(certificate: Path) -> list[str]:
+    """Return the host names and addresses that a certificate names."""
+    names = _alternative_names(certificate)
+    addresses = map(str, names.get_values_for_type(x509.IPAddress))
+    return [*names.get_values_for_type(x509.DNSName), *addresses]
+
+
+def _alternative_names(certificate: Path) -> x509.SubjectAlternativeName:
+    try:
+        extensions = certificate_in(certificate).extensions
+        return extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return x509.SubjectAlternativeName([])
 
 
 def _given(section: Certified, where: str) -> Identity | None:

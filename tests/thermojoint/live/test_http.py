@@ -394,6 +394,8 @@ def test_the_certificate_of_its_own_is_checked_made_once_and_renewed(tmp_path):
 def test_tls_is_what_is_spoken_and_the_ticket_is_for_it_alone(tmp_path):
     machines = {"mill-1": ABOUT}
     archive = keep(tmp_path / "store.db", [[publication(1, time.time())]])
+    section = HttpServer(host_names=("mill-pc.example",))
+    own_certificate(tmp_path, section)
     with serving(tmp_path, archive, machines, [], security="tls") as found:
         trusted = ssl.create_default_context(cafile=tmp_path / "http_certificate.pem")
         with httpx.Client(base_url=found.url, verify=trusted, trust_env=False) as browser:
@@ -403,6 +405,8 @@ def test_tls_is_what_is_spoken_and_the_ticket_is_for_it_alone(tmp_path):
             assert "secure" in cookie.lower()
             assert "strict-transport-security" in answer.headers
             assert browser.get("/api/machines").status_code == 200
+            # The names of the certificate are the service's own.
+            assert browser.get("/healthz", headers={"host": "mill-pc.example"}).status_code == 200
         plain = found.url.replace("https", "http")
         with pytest.raises(httpx.HTTPError):
             httpx.get(f"{plain}/healthz")

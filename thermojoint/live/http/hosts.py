@@ -7,18 +7,28 @@ this address (DNS rebinding) or with this service's cookie.
 from __future__ import annotations
 
 import socket
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
+from thermojoint.live.certificates import names_in
 from thermojoint.live.settings import HttpServer
 
 
-def hosts_of(section: HttpServer) -> frozenset[str]:
-    """Return the names under which browsers and programs reach the service."""
-    own = ("localhost", "127.0.0.1", "::1", socket.gethostname(), section.address)
-    return frozenset(name.lower() for name in (*own, *section.host_names))
+def hosts_of(section: HttpServer, certificate: Path | None) -> frozenset[str]:
+    """Return the names under which browsers and programs reach the service.
+
+    Parameters
+    ----------
+    section : HttpServer
+    certificate : Path or None
+        Its names are the service's as well; None without TLS.
+    """
+    own = ["localhost", "127.0.0.1", "::1", socket.gethostname(), section.address]
+    named = [] if certificate is None else names_in(certificate)
+    return frozenset(name.lower() for name in (*own, *named, *section.host_names))
 
 
 def misdirected(headers: Headers, scope: Scope, hosts: frozenset[str]) -> tuple[int, str] | None:

@@ -13,7 +13,7 @@ from starlette.applications import Starlette
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.accounts import Accounts
-from thermojoint.live.certificates import http_identity
+from thermojoint.live.certificates import Identity, http_identity
 from thermojoint.live.http.app import make_app
 from thermojoint.live.http.gate import BURST_S, LARGEST_HEAD, Door
 from thermojoint.live.http.hosts import hosts_of
@@ -27,7 +27,7 @@ from thermojoint.live.tokens import tokens_in
 MOST_CONNECTIONS = 256
 
 
-def make_server(app: Starlette, section: HttpServer, folder: Path) -> Server:
+def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Server:
     """Return a server that is ready to start.
 
     Parameters
@@ -35,9 +35,9 @@ def make_server(app: Starlette, section: HttpServer, folder: Path) -> Server:
     app : Starlette
         What answers.
     section : HttpServer
-        Where, and with which certificate.
-    folder : Path
-        Where the service keeps its own certificate.
+        Where.
+    own : Identity or None
+        Certificate; None without TLS.
 
     Raises
     ------
@@ -45,8 +45,7 @@ def make_server(app: Starlette, section: HttpServer, folder: Path) -> Server:
         The certificate or its key cannot be used.
     """
     security: dict[str, Any] = {}
-    if section.security == "tls":
-        own = http_identity(section, folder)
+    if own is not None:
         security = {"ssl_certfile": own.certificate, "ssl_keyfile": own.key}
     config = uvicorn.Config(
         app,
@@ -128,15 +127,16 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
         )
     if not (accounts.given or accounts.users_file or tokens_in(accounts.store)):
         raise InputError("http: no one could log in; name a token or a file of users")
+    own = http_identity(section, folder) if secure else None
     door = Door(
         accounts,
-        hosts_of(section),
+        hosts_of(section, own.certificate if own else None),
         secure,
         3600.0 * section.session_hours,
         Buckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
     )
     app = make_app(sources, door, section.most_streams)
-    server = make_server(app, section, folder)
+    server = make_server(app, section, own)
     family = socket.AF_INET6 if ":" in section.address else socket.AF_INET
     try:
         taken = socket.create_server((section.address, section.port), family=family)
