@@ -3,13 +3,18 @@
 python -m benchmarks.offset_invariant --sequences 10000
 
 Random sequences (hypothesis) of samples, silences, missing and refused readings, backlogs, clock
-steps, kills at every moment of a commit, restarts, other settings, axes and models drive the parts
-of a service as they are, with a time that is made up. After each publication:
+steps, kills at every moment of a commit, restarts, other settings, axes and models, and controls
+that leave, return, clear their offsets or acknowledge wrong ones drive the parts of a service as
+they are, with a time that is made up. After each publication:
 
 - every offset has moved from what the control received last by no more than the rate times the time
   since then, and a step (and half a step where a restart changed the resolution);
 - it is not beyond the largest offset, unless a limit that was lowered is still on its way;
-- its status is Good only if the last sample gave a usable estimate, which is not too old.
+- its status is Good only if the last sample gave a usable estimate, which is not too old, and the
+  control, where a handshake is asked for, has enabled it and given a sign of life.
+
+A control that was away takes over offsets again when the handshake stands; what counts as received
+last is then what it acknowledged.
 """
 
 from __future__ import annotations
@@ -35,6 +40,7 @@ from estimator.intake import of_columns
 from estimator.interface import Channel, Estimate, Status
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.compensation.offsets.handshake import STANDS, Answer, HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, settings_from_data
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival
@@ -47,7 +53,7 @@ from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served
-from thermojoint.live.settings import service_from_data
+from thermojoint.live.settings import Service, service_from_data
 from thermojoint.live.store import Batch, commit, open_store
 
 START = 1_772_431_200.0
@@ -56,6 +62,9 @@ INTERVAL = 1.0
 #: Readings of a sample: a temperature, and what the estimator makes of it.
 SOUND, REFUSED, UNSETTLED, WIDE, LOST = range(5)
 _METRICS = fresh_metrics()
+#: With a control that answers every second.
+_SECTION = {"by": "mqtt", "differs_um": 1.0}
+HANDSHAKE = HandshakeSettings(oldest=5.0, differs=1e-6, differs_time=5.0)
 
 
 class Gauge:
@@ -94,8 +103,10 @@ def settings_of(given: dict[str, Any], two: bool) -> Settings:
     return settings_from_data(given | {"axes": axes, "widest_band_um": 10.0}, "offsets.toml")
 
 
-def served_with(output: Settings | None, gain: float) -> Served:
-    """Return a model with settings of its output."""
+def served_with(
+    output: Settings | None, gain: float, handshake: HandshakeSettings | None = None
+) -> Served:
+    """Return a model with settings of its output, and of the handshake with its control."""
     found = Gauge(gain)
     controls = () if output is None else output.output.names
     return Served(
@@ -108,6 +119,7 @@ def served_with(output: Settings | None, gain: float) -> Served:
         Rule(INTERVAL, 0.0, 0.0, 2),
         Layout(found.axes, controls, found.details, ("T1_K", "T2_K")),
         output,
+        handshake,
     )
 
 
@@ -135,18 +147,6 @@ class Offsets(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.folder = Path(tempfile.mkdtemp(prefix="offsets-"))
-        self.service = service_from_data(
-            {
-                "folder": str(self.folder),
-                "models": {"gauge": {"file": "gauge.json", "interval_s": INTERVAL}},
-                "machines": {MACHINE: {"model": "gauge", "source": "line"}},
-                "sources": {"line": {"kind": "csv", "path": "line.csv"}},
-                "ahead_s": 60.0,
-                "behind_s": 5.0,
-            },
-            "service.toml",
-            self.folder,
-        )
         self.true = 0.0  # the time that passes, s
         self.wall = START  # what the computer's clock says beyond it
         self.source = START  # what the source's clock says beyond it
@@ -154,15 +154,21 @@ class Offsets(RuleBasedStateMachine):
         self.model = served_with(None, 1.0)
         self.store: sqlite3.Connection | None = None
         self.floor: Floor
-        # By axis: what the control received last, and when; how fast and how far it may have moved
-        # since, by all settings in force; and the axes of which nothing was received since a kill.
+        # By axis: what the control received last, and when; how fast, how far and in which steps it
+        # may have moved since, by all settings in force; and the axes of which nothing was received
+        # since a kill.
         self.control: dict[str, tuple[float, float]] = {}
-        self.allowed: dict[str, tuple[float, float]] = {}
+        self.allowed: dict[str, tuple[float, float, float]] = {}
         self.unheard: set[str] = set()
         # When the last sample was taken, by both clocks; whether an offset may follow it, and how
         # late it was, s.
         self.estimated = (-math.inf, -math.inf)
         self.usable, self.late = False, 0.0
+        # Whether the control is connected and enables offsets; whether it has been away since it
+        # took one over; by how much its acknowledgement is wrong, m; its counter, and what the
+        # service knows: when it said so last, s, and that it was enabled.
+        self.linked, self.enabled, self.away, self.lie = True, True, False, 0.0
+        self.counter, self.told = 0, (-math.inf, False)
 
     def teardown(self) -> None:
         """Leave nothing."""
@@ -176,6 +182,24 @@ class Offsets(RuleBasedStateMachine):
         return Times(self.wall + self.true, self.true - self.booted)
 
     # --- what a service does -----------------------------------------------------------------
+
+    @property
+    def service(self) -> Service:
+        """The file of the service."""
+        model = {"file": "gauge.json", "interval_s": INTERVAL, "offsets": "offsets.toml"}
+        machine: dict[str, Any] = {"model": "gauge", "source": "line"}
+        if self.model.handshake is not None:
+            machine["handshake"] = _SECTION
+        content = {
+            "folder": str(self.folder),
+            "models": {"gauge": model},
+            "machines": {MACHINE: machine},
+            "sources": {"line": {"kind": "csv", "path": "line.csv"}},
+            "ahead_s": 60.0,
+            "behind_s": 5.0,
+            "mqtt": {},
+        }
+        return service_from_data(content, "service.toml", self.folder)
 
     def start(self) -> None:
         """Begin where the store is."""
@@ -192,6 +216,7 @@ class Offsets(RuleBasedStateMachine):
 
     def watch(self) -> None:
         """Look at silences, as a service does every second."""
+        self.answer()
         changed = floors.watch(self.floor, *self.times)
         self.keep(Batch(received=self.received(changed)))
         for one in changed:
@@ -232,28 +257,61 @@ class Offsets(RuleBasedStateMachine):
 
     # --- the control -------------------------------------------------------------------------
 
+    def answer(self) -> None:
+        """What the control writes in each of its cycles."""
+        if self.model.handshake is None or not self.linked:
+            return
+        if self.true - self.told[0] > HANDSHAKE.oldest:
+            # Who returns says the truth: nobody could tell.
+            self.lie = 0.0
+        has = []
+        for name in self.model.layout.controls:
+            value, at = self.control.get(name, (0.0, -math.inf))
+            self.control[name] = value, self.true if self.away else at
+            has.append(value + self.lie)
+        self.counter += 1
+        self.told = self.true, self.enabled
+        floors.answer(
+            self.floor, MACHINE, Answer(self.enabled, self.counter, has), self.times.clock
+        )
+
+    def takes(self, said: Publication) -> bool:
+        """Whether the control takes over what it is sent; after it was away, with a handshake."""
+        if self.model.handshake is None:
+            return True
+        self.away = self.away and not (self.linked and said.handshake == STANDS)
+        return self.linked and not self.away
+
     def receive(self, said: Publication) -> None:
         """Hold what is received against what was received last."""
         if self.model.output is None:
             return
         stage = self.model.output.output
         for name in {*self.control, *said.layout.controls}:
-            rate, largest = self.allowed.get(name, (0.0, 0.0))
-            self.allowed[name] = max(rate, stage.rate), max(largest, stage.largest)
+            rate, largest, step = self.allowed.get(name, (0.0, 0.0, 0.0))
+            self.allowed[name] = (
+                max(rate, stage.rate),
+                max(largest, stage.largest),
+                max(step, stage.resolution),
+            )
+        returned = self.away
+        if not self.takes(said):
+            return
         for name, offset in zip(said.layout.controls, said.offsets.tolist(), strict=True):
             last, at = self.control.get(name, (0.0, -math.inf))
-            rate, largest = self.allowed[name]
+            rate, largest, step = self.allowed[name]
             steps, most = 1.0, max(stage.largest, abs(last))
-            if name in self.unheard:
-                # What a kill left in the store may never have been received.
-                steps, most = 1.5, largest + 0.5 * stage.resolution
-            reach = rate * (self.true - at) + steps * stage.resolution
+            if name in self.unheard or returned:
+                # What a kill left in the store may never have been received; what is acknowledged
+                # lies between two steps.
+                steps, most = 1.5, largest + 0.5 * step
+            reach = rate * (self.true - at) + steps * step
             assert abs(offset - last) <= reach * (1.0 + 1e-6) + 1e-12, (
                 f"{name}: {1e6 * last:.2f} to {1e6 * offset:.2f} um in {self.true - at:.2f} s"
             )
             assert abs(offset) <= most * (1.0 + 1e-6), f"{name}: {1e6 * offset:.2f} um"
             self.control[name] = offset, self.true
-            self.allowed[name] = stage.rate, max(stage.largest, abs(offset))
+            self.allowed[name] = stage.rate, max(stage.largest, abs(offset)), stage.resolution
             self.unheard.discard(name)
         if offset_status_of(said) == int(ua.StatusCodes.Good):
             oldest = self.oldest
@@ -262,14 +320,45 @@ class Offsets(RuleBasedStateMachine):
             age = max(self.late, min(self.true - true, abs(self.times.now - wall)))
             assert self.usable, "good, and the last sample gave no usable estimate"
             assert age <= oldest + 1e-6, f"good, and the last estimate is {age:.1f} s old"
+            if self.model.handshake is not None:
+                at, enabled = self.told
+                assert enabled, "good, and the control is disabled"
+                assert self.true - at <= HANDSHAKE.oldest, "good, and the control is silent"
 
     # --- what may happen ---------------------------------------------------------------------
 
-    @initialize(output=outputs)
-    def begin(self, output: Settings | None) -> None:
+    @initialize(output=outputs, shakes=st.booleans())
+    def begin(self, output: Settings | None, shakes: bool) -> None:
         """A new folder."""
-        self.model = served_with(output, 1.0)
+        self.model = served_with(output, 1.0, HANDSHAKE if shakes else None)
         self.start()
+
+    @rule(linked=st.booleans(), enabled=st.booleans(), clears=st.booleans())
+    def control_leaves(self, linked: bool, enabled: bool, clears: bool) -> None:
+        """The control is disabled or disconnected, or comes back; it may clear its offsets."""
+        if self.model.handshake is None:
+            return
+        self.linked, self.enabled, self.lie = linked, enabled, 0.0
+        self.away = self.away or not (linked and enabled)
+        if clears and self.away:
+            self.control = dict.fromkeys(self.control, (0.0, self.true))
+
+    @rule(
+        linked=st.booleans(),
+        clears=st.booleans(),
+        count=st.sampled_from([3, 15, 60]),
+        value=sizes,
+    )
+    def control_returns(self, linked: bool, clears: bool, count: int, value: float) -> None:
+        """The control follows, is away for a time, and comes back."""
+        for leaves in (False, True, False):
+            self.control_leaves(linked or not leaves, not leaves, leaves and clears)
+            self.samples(count, value, 0.0, SOUND)
+
+    @rule(lie=st.sampled_from([0.0, 50e-6, -3e-6]))
+    def control_lies(self, lie: float) -> None:
+        """The control acknowledges what it has not taken over."""
+        self.lie = 0.0 if self.away else lie
 
     @rule(count=st.integers(1, 30), value=sizes, slope=st.floats(-5.0, 5.0), kind=kinds)
     def samples(self, count: int, value: float, slope: float, kind: int) -> None:
@@ -324,6 +413,7 @@ class Offsets(RuleBasedStateMachine):
         down=st.sampled_from([0.1, 20.0, 500.0, 40_000.0]),
         output=st.none() | outputs.map(lambda found: (found,)),
         gain=st.none() | st.sampled_from([1.0, -2.0]),
+        shakes=st.booleans(),
     )
     def kill(
         self,
@@ -332,6 +422,7 @@ class Offsets(RuleBasedStateMachine):
         down: float,
         output: tuple[Settings | None] | None,
         gain: float | None,
+        shakes: bool,
     ) -> None:
         """A kill at some moment of a sample, and a start with these settings and this model."""
         self.true += INTERVAL
@@ -341,7 +432,10 @@ class Offsets(RuleBasedStateMachine):
         self.true += down
         before = self.model
         gain = before.estimator.gain if gain is None else gain  # type: ignore[attr-defined]
-        self.model = served_with(before.output if output is None else output[0], gain)
+        # A control that is away would not know that nobody asks for its word any more.
+        handshake = HANDSHAKE if shakes or self.away else None
+        self.lie, self.told = 0.0, (-math.inf, False)
+        self.model = served_with(before.output if output is None else output[0], gain, handshake)
         if gain != before.estimator.gain:  # type: ignore[attr-defined]
             self.usable = False
         self.unheard = {"X", "Z"}

@@ -10,7 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
+from asyncua import Client
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
+from thermojoint.live.certificates import own_identity
 from thermojoint.live.service import run
 from thermojoint.live.settings import service_from_data
 
@@ -96,3 +99,20 @@ class Broker:
 
 def message(time_s, readings):
     return json.dumps({"time": time_s, **readings})
+
+
+async def client_of(base, port, name, password):
+    """A client of the service that lives in a folder."""
+    own = own_identity(base / "client", ())
+    client = Client(f"opc.tcp://127.0.0.1:{port}/thermojoint")
+    client.application_uri = "urn:thermojoint:live"
+    await client.set_security(
+        SecurityPolicyBasic256Sha256,
+        own.certificate,
+        own.key,
+        server_certificate=str(base / "state" / "certificate.pem"),
+    )
+    if name is not None:
+        client.set_user(name)
+        client.set_password(password)
+    return client

@@ -10,12 +10,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.floor import Place
+from thermojoint.live.floor import Floor, Place, answer
 from thermojoint.live.former_models import former_of, read_record, roll_back
 from thermojoint.live.residuals import residuals_of
 from thermojoint.live.running import Running
-from thermojoint.live.settings import HttpServer, OpcuaServer
+from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
 
 #: Time for an answer before the service begins anew, s.
 _ANSWER_S = 0.5
@@ -31,12 +32,11 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
         from thermojoint.live.mqtt_session import address_of
         from thermojoint.live.writers.mqtt import write_topics
 
-        out = service.given.mqtt
-        address = address_of(out, "mqtt")
-        log = running.floor.log
-        doors.append(write_topics(running.hub, address, out.topic, out.status_topic, log))
+        address = address_of(service.given.mqtt, "mqtt")
+        topics, controls = service.given.mqtt, _handshakes(service, "mqtt")
+        doors.append(write_topics(running.hub, address, topics, running.floor, controls))
     if service.given.opcua is not None:
-        doors.append(await _opcua_server(running, service.given.opcua))
+        doors += await _opcua_server(running, service.given.opcua)
     if service.given.http is not None:
         doors.append(_http_server(running, service.given.http))
     return doors
@@ -104,8 +104,9 @@ def _state_of(place: Place) -> Array:
     return place.machine.state
 
 
-async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any, Any, None]:
+async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutine[Any, Any, None]]:
     from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
+    from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
 
     def given(arrival: Arrival) -> None:
         """A value that nobody waits for; when all is full it is refused like one too many."""
@@ -117,6 +118,26 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> Coroutine[Any
         for name, place in running.floor.places.items()
     }
     service, log = running.service, running.floor.log
-    entry = Entry(running.accounts, service.folder, log)
+    handshakes = _handshakes(service, "opcua")
+    owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
+    entry = Entry(running.accounts, service.folder, log, owners)
     server, nodes = await open_server(section, entry, running.hub, machines, given)
-    return serve_nodes(server, nodes, running.hub)
+    controls = {name: machines[name][0].controls for name in handshakes}
+    heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
+    return [
+        serve_nodes(server, nodes, running.hub),
+        tell_heartbeat(server, heartbeat, running.hub),
+    ]
+
+
+def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
+    """The machines whose controls answer by a door."""
+    return {
+        name: one.handshake
+        for name, one in service.machines.items()
+        if one.handshake is not None and one.handshake.by == by
+    }
+
+
+def _answer(floor: Floor, machine: str, said: Answer) -> None:
+    answer(floor, machine, said, time.monotonic())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimator.quality import Quality
+from thermojoint.compensation.offsets.handshake import STANDS, Answer, answered
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import (
@@ -17,6 +18,7 @@ from thermojoint.live.machine import (
     Times,
     received_of,
     rest_of,
+    shaken,
     shown,
     silent,
     state_bytes,
@@ -58,6 +60,8 @@ class Place:
         Quality and status as last published.
     mode : str
         What the offsets did then.
+    handshake : str
+        Its state when it was last looked at; empty before.
     rows : list of (ndarray, str)
         Samples since the last checkpoint.
     unkept : list of callable
@@ -74,6 +78,7 @@ class Place:
     fresh: bool = True
     told: tuple[Quality, str] = (Quality.BAD, "no-sample")
     mode: str = ""
+    handshake: str = ""
     rows: list[tuple[Any, str]] = field(default_factory=list)
     unkept: list[Callable[[], None]] = field(default_factory=list)
     waits_since: float = math.inf
@@ -249,15 +254,21 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
     for place in floor.places.values():
         age, output = clock - place.heard, place.served.output
         oldest = math.inf if output is None else output.trust.oldest
-        if age < min(limits.uncertain_s, oldest):
+        changed_hands = _shake(floor, place, now, clock)
+        broken = place.handshake not in ("", STANDS)
+        if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
             continue
         before = place.machine.output
         machine, said = silent(place.served, place.machine, age, Times(now, clock), limits)
         place.machine, after = machine, machine.output
-        moved = said.offset_mode != place.mode or (
-            before is not None
-            and after is not None
-            and not np.array_equal(before.steps, after.steps)
+        moved = (
+            changed_hands
+            or said.offset_mode != place.mode
+            or (
+                before is not None
+                and after is not None
+                and not np.array_equal(before.steps, after.steps)
+            )
         )
         if (said.quality, said.status) != place.told:
             floor.log.say(
@@ -274,6 +285,27 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         place.told, place.mode = (said.quality, said.status), said.offset_mode
         changed.append(said)
     return changed
+
+
+def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
+    """Look at the handshake of a machine; say whether it has changed since the last look."""
+    served, name = place.served, place.machine.name
+    if served.handshake is None:
+        return False
+    place.machine = shaken(served, place.machine, clock)
+    state, before = place.machine.handshake.state, place.handshake
+    place.handshake = state
+    if state == before:
+        return False
+    floor.log.say(now, "handshake", f"{state}, was {before or 'not begun'}", name)
+    return True
+
+
+def answer(floor: Floor, machine: str, said: Answer, clock: float) -> None:
+    """Take what the control of a machine writes, at a time by the service's own clock (s)."""
+    place = floor.places[machine]
+    handshake = answered(place.machine.handshake, said, clock)
+    place.machine = replace(place.machine, handshake=handshake)
 
 
 def checkpoint_of(place: Place) -> Checkpoint:

@@ -48,10 +48,17 @@ class Hub:
     ----------
     newest : dict of str to Publication
         By machine; read it, publish by `publish`.
+    heartbeat : int
+        Counts on while the service looks after its machines: `beat`.
     """
 
     newest: dict[str, Publication] = field(default_factory=dict)
+    heartbeat: int = 0
     _followers: set[Follower] = field(default_factory=set)
+
+    def beat(self) -> None:
+        """Give a sign of life."""
+        self.heartbeat += 1
 
     def publish(self, publications: Sequence[Publication]) -> None:
         """Replace the newest of some machines, and tell those who wait."""

@@ -13,6 +13,14 @@ from estimator.quality import Quality, quality_of
 from estimator.states import as_bytes, completed, from_bytes
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError
+from thermojoint.compensation.offsets.handshake import (
+    STANDS,
+    Handshake,
+    begun,
+    continued_from,
+    judged,
+    sent,
+)
 from thermojoint.compensation.offsets.output import (
     OutputState,
     at_zero,
@@ -20,6 +28,7 @@ from thermojoint.compensation.offsets.output import (
     cycle,
     followed,
     mode_of,
+    moved_to,
     offsets_of,
 )
 from thermojoint.compensation.offsets.output import restored as output_restored
@@ -61,6 +70,8 @@ class Machine:
         Temperature at which it was cold, in the unit of its readings; NaN if not known yet.
     output : OutputState or None
         Of its compensation output.
+    handshake : Handshake
+        With its control; nothing comes of it where the settings have none.
     waiting : Waiting
         What arrived and is in no sample yet.
     said : Publication
@@ -73,6 +84,7 @@ class Machine:
     state: Array
     cold: float
     output: OutputState | None
+    handshake: Handshake
     waiting: Waiting
     said: Publication
     usable: Publication
@@ -101,7 +113,8 @@ def at_rest(name: str, served: Served, now: float) -> Machine:
     )
     output = at_zero(served.output.output) if served.output else None
     start = served.estimator.initial_state()
-    return Machine(name, start, math.nan, output, Waiting(), nothing, nothing)
+    handshake = begun(nothing.offsets, -math.inf)
+    return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
 def taken(
@@ -128,6 +141,7 @@ def taken(
         Of the sample then, s.
     """
     (instant, readings), now = sample, times.now
+    machine = shaken(served, machine, times.clock)
     given = served.intake.usable(readings)
     values, cold = served.intake.convert(given, machine.cold)
     number = machine.said.number + 1
@@ -136,7 +150,7 @@ def taken(
         state, estimate = served.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
         # The sample is kept, so that nobody takes it again; the estimate stays what it was.
-        output = _cycled(served, machine.output, times.clock, None)
+        machine = _cycled(served, machine, times.clock, None)
         nothing = Publication(
             machine=machine.name,
             number=number,
@@ -146,20 +160,21 @@ def taken(
             layout=served.layout,
             displacement=np.full(len(served.layout.axes), np.nan),
             band=np.full(len(served.layout.axes), np.nan),
-            offsets=_offsets(served, output),
+            offsets=_offsets(served, machine.output),
             details=np.full(len(served.layout.details), np.nan),
             readings=told,
             status=REFUSED,
-            offset_mode=_mode(served, output),
+            offset_mode=_mode(served, machine.output),
+            handshake=_handshake(served, machine),
         )
-        return replace(machine, cold=cold, output=output, said=nothing), str(error)
+        return replace(machine, cold=cold, said=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
     trust = served.output.trust if served.output else None
     used = _finite(reached) and trust is not None and usable(trust, age, estimate.band, words)
     target = None
     if used and served.output is not None:
         target = followed(served.output.output, served.layout.axes, reached)
-    output = _cycled(served, machine.output, times.clock, target)
+    machine = _cycled(served, machine, times.clock, target)
     said = Publication(
         machine.name,
         number,
@@ -169,13 +184,15 @@ def taken(
         served.layout,
         reached,
         estimate.band,
-        _offsets(served, output),
+        _offsets(served, machine.output),
         estimate.details,
         told,
         words,
-        _mode(served, output),
+        _mode(served, machine.output),
+        _handshake(served, machine),
     )
-    return Machine(machine.name, state, cold, output, machine.waiting, said, said), ""
+    output, handshake = machine.output, machine.handshake
+    return Machine(machine.name, state, cold, output, handshake, machine.waiting, said, said), ""
 
 
 def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
@@ -185,6 +202,7 @@ def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
         machine.state,
         machine.cold,
         machine.output,
+        machine.handshake,
         waiting,
         machine.said,
         machine.usable,
@@ -206,27 +224,46 @@ def silent(
 ) -> tuple[Machine, Publication]:
     """Return a machine, and what is said of it, some time (s) after its last usable sample.
 
-    The offsets freeze and decay as their settings say; an estimate that is too old moves none.
+    The offsets freeze and decay as their settings say; an estimate that is too old moves none, nor
+    does one without the handshake of the control.
     """
-    output = machine.output
+    machine = shaken(served, machine, times.clock)
     if (
         served.output is not None
-        and output is not None
-        and output.used
-        and age > served.output.trust.oldest
+        and machine.output is not None
+        and machine.output.used
+        and (age > served.output.trust.oldest or _handshake(served, machine) not in ("", STANDS))
     ):
-        output = _cycled(served, output, times.clock, None)
+        machine = _cycled(served, machine, times.clock, None)
     before = shown(machine)
     quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
     said = replace(
         before,
         published=times.now,
         quality=max(before.quality, quality),
-        offsets=_offsets(served, output),
-        offset_mode=_mode(served, output),
+        offsets=_offsets(served, machine.output),
+        offset_mode=_mode(served, machine.output),
+        handshake=_handshake(served, machine),
         status=silenced(before.status, quality) if before.number else before.status,
     )
-    return replace(machine, output=output), said
+    return machine, said
+
+
+def shaken(served: Served, machine: Machine, clock: float) -> Machine:
+    """Return a machine whose handshake counts the time until now, by the service's own clock (s).
+
+    A control that returns goes on from the offsets that it has.
+    """
+    if served.handshake is None or served.output is None or machine.output is None:
+        return machine
+    handshake, output = judged(served.handshake, machine.handshake, clock), machine.output
+    offsets = continued_from(machine.handshake, handshake, served.handshake)
+    if offsets is not None:
+        output = moved_to(served.output.output, output, offsets, clock)
+        handshake = sent(
+            served.handshake, handshake, offsets_of(served.output.output, output), clock
+        )
+    return replace(machine, output=output, handshake=handshake)
 
 
 def held(said: Publication) -> Publication:
@@ -235,12 +272,22 @@ def held(said: Publication) -> Publication:
     return replace(said, quality=max(said.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
-def _cycled(
-    served: Served, output: OutputState | None, time: float, target: Array | None
-) -> OutputState | None:
-    if served.output is None or output is None:
-        return None
-    return cycle(served.output.output, output, time, target)
+def _cycled(served: Served, machine: Machine, clock: float, target: Array | None) -> Machine:
+    """Return a machine after one cycle of its output; a broken handshake moves it to no target."""
+    if served.output is None or machine.output is None:
+        return machine
+    settings, handshake = served.output.output, machine.handshake
+    if _handshake(served, machine) not in ("", STANDS):
+        target = None
+    output = cycle(settings, machine.output, clock, target)
+    if served.handshake is not None:
+        handshake = sent(served.handshake, handshake, offsets_of(settings, output), clock)
+    return replace(machine, output=output, handshake=handshake)
+
+
+def _handshake(served: Served, machine: Machine) -> str:
+    """Return the state of the handshake; empty where there is none."""
+    return "" if served.handshake is None or served.output is None else machine.handshake.state
 
 
 def _offsets(served: Served, output: OutputState | None) -> Array:
@@ -333,11 +380,17 @@ def restored(
         # Earlier stores have it beside the samples.
         received = Received(name, machine.usable.published, json.dumps(rest["output"]))
     output = _output(served, machine, received, times)
-    said = replace(
-        machine.said, offsets=_offsets(served, output), offset_mode=_mode(served, output)
+    handshake = begun(_offsets(served, output), times.clock)
+    machine = replace(
+        machine, output=output, handshake=handshake, waiting=_waiting(rest.get("waiting"))
     )
-    waiting = _waiting(rest.get("waiting"))
-    return replace(machine, output=output, waiting=waiting, said=said), rest.get("at")
+    said = replace(
+        machine.said,
+        offsets=_offsets(served, output),
+        offset_mode=_mode(served, output),
+        handshake=_handshake(served, machine),
+    )
+    return replace(machine, said=said), rest.get("at")
 
 
 def _laid_out(last: Publication, layout: Layout) -> Publication:

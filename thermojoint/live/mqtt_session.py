@@ -24,6 +24,8 @@ from thermojoint.live.settings import MqttAddress
 TIMEOUT_S, KEEPALIVE_S = 10.0, 15
 #: Attempts to connect: the second after this, each later one after twice the time, up to this, s.
 FIRST_S, LONGEST_S = 0.5, 30.0
+#: Messages that may wait where nobody takes them as they come.
+_MOST_WAITING = 1000
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ async def connected(
         will=will,
         timeout=TIMEOUT_S,
         keepalive=KEEPALIVE_S,
-        max_queued_incoming_messages=1,
+        max_queued_incoming_messages=_MOST_WAITING,
     )
     paho = client._client
     if on_message is not None:

@@ -8,6 +8,7 @@ file of users does not know.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -77,6 +78,8 @@ class Door(UserManager):
         Of the clients' certificates.
     log : EventLog
         Receives everybody who is refused.
+    controls : mapping of str to str
+        By machine: the only user who may write its control's side of the handshake.
     peer : str
         Address of the client that logs in now.
     """
@@ -85,6 +88,7 @@ class Door(UserManager):
     asks: bool
     trust: TrustList
     log: EventLog
+    controls: Mapping[str, str]
     peer: str = ""
 
     def get_user(
@@ -123,6 +127,9 @@ class Door(UserManager):
         principal: Principal | None = user.principal
         if user.principal.credential:
             principal = self.accounts.by_credential(user.principal.credential)
+        owner = self.controls.get(machine, user.name)
+        if role == "operator" and is_of_control(node) and owner != user.name:
+            return f"only {owner} writes for the control"
         return "the user was removed" if principal is None else principal.refusal(role, machine)
 
     def before_write(self, event: ServerItemCallback, service: object) -> None:
@@ -140,7 +147,8 @@ class Door(UserManager):
             if why or not isinstance(event.user, Known):
                 self._audit(event.user, one.NodeId, why or "not logged in")
                 raise ServiceError(_DENIED)
-            if machine_of(one.NodeId) is not None:
+            # A control writes in each of its cycles; the event log has what comes of it.
+            if machine_of(one.NodeId) is not None and not is_of_control(one.NodeId):
                 self._audit(event.user, one.NodeId, "")
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
@@ -168,6 +176,11 @@ def machine_of(node: ua.NodeId) -> str | None:
     """Return the machine that a node belongs to (``NAME.Folder.name``); None for all others."""
     text = node.Identifier
     return text.partition(".")[0] if isinstance(text, str) and "." in text else None
+
+
+def is_of_control(node: ua.NodeId) -> bool:
+    """Say whether a node is the control's side of the handshake (``NAME.Control.name``)."""
+    return str(node.Identifier).split(".")[1:2] == ["Control"]
 
 
 def restrict(

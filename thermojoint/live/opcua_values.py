@@ -137,6 +137,7 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     for k, name in enumerate(layout.readings[wanted:]):
         yield Variable("Probe", name, "µm", double, _reading(wanted + k), writable=True)
     yield Variable("", "Status", "", text, lambda said: (said.status, int(_CODES.Good)))
+    yield Variable("", "Handshake", "", text, lambda said: (said.handshake, int(_CODES.Good)))
     yield Variable("", "Quality", "", text, lambda said: (said.quality.word, int(_CODES.Good)))
     yield Variable(
         "", "SampleNumber", "", ua.VariantType.UInt64, lambda said: (said.number, int(_CODES.Good))

@@ -84,6 +84,9 @@ class Publication:
     offset_mode : str
         What the offsets do (`thermojoint.compensation.offsets.output.Mode`); empty where there are
         none, and in the history.
+    handshake : str
+        State of the handshake with the control
+        (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
     """
 
     machine: str
@@ -99,6 +102,7 @@ class Publication:
     readings: Array
     status: str
     offset_mode: str = ""
+    handshake: str = ""
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -146,6 +150,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "band_um": _micrometres(layout.axes, publication.band),
         "offsets_um": _micrometres(layout.controls, publication.offsets),
         "offset_mode": publication.offset_mode or None,
+        "handshake": publication.handshake or None,
         "details": {
             detail_name(channel): _number(_shown(channel, value))
             for channel, value in zip(layout.details, publication.details.tolist(), strict=True)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_name
+from thermojoint.artefacts.units import MICRO
+from thermojoint.compensation.offsets.handshake import HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, read_settings
 from thermojoint.live.publication import Layout
 from thermojoint.live.samples import Rule
-from thermojoint.live.settings import ModelSection, Service
+from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,8 @@ class Served:
         Names of what is published of them.
     output : Settings or None
         Of the compensation output.
+    handshake : HandshakeSettings or None
+        With the control of a machine: `single`.
     """
 
     estimator: Estimator
@@ -57,6 +62,7 @@ class Served:
     rule: Rule
     layout: Layout
     output: Settings | None
+    handshake: HandshakeSettings | None = None
 
 
 def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
@@ -165,5 +171,16 @@ def _opened(
 
 
 def single(models: Mapping[str, Served], service: Service) -> dict[str, Served]:
-    """Return the model of every single machine."""
-    return {name: models[section.model] for name, section in service.machines.items()}
+    """Return the model of every single machine, with the handshake of its control."""
+    return {
+        name: replace(models[section.model], handshake=handshake_of(section.handshake))
+        for name, section in service.machines.items()
+    }
+
+
+def handshake_of(section: HandshakeSection | None) -> HandshakeSettings | None:
+    """Return the limits of a handshake in SI; None without one."""
+    if section is None:
+        return None
+    differs = math.inf if section.differs_um is None else MICRO * section.differs_um
+    return HandshakeSettings(section.heartbeat_s, differs, section.differs_s)

@@ -57,11 +57,25 @@ class ModelSection(Section):
     hold_s: NotNegative = 0.0
 
 
+class HandshakeSection(Section):
+    """``[machines.NAME.handshake]``: no offset follows without the word of the control.
+
+    It answers by OPC UA, as a user who writes, or by MQTT.
+    """
+
+    by: Literal["opcua", "mqtt"]
+    user: str | None = None
+    heartbeat_s: Positive = 5.0
+    differs_um: Positive | None = None
+    differs_s: Positive = 5.0
+
+
 class MachineSection(Section):
     """``[machines.NAME]``: one machine, or with ``count`` NAME-1, NAME-2, ..."""
 
     model: str
     source: str
+    handshake: HandshakeSection | None = None
     count: Annotated[int, Field(ge=1, le=MOST_MACHINES)] | None = None
 
 
@@ -178,6 +192,8 @@ class MqttTopics(MqttAddress):
     """``[mqtt]``: a retained topic for each machine."""
 
     topic: str = "thermojoint/{machine}/displacement"
+    control_topic: str = "thermojoint/{machine}/control"
+    heartbeat_topic: str = "thermojoint/service/heartbeat"
     status_topic: str = "thermojoint/service"
 
 
@@ -264,6 +280,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
             raise unknown_name("model", machine.model, given.models, at)
         if machine.source not in given.sources:
             raise unknown_name("source", machine.source, given.sources, at)
+        _check_handshake(f"{at}.handshake", machine, given)
     machines = dict(_single(given.machines))
     if len(machines) > MOST_MACHINES:
         raise InputError(
@@ -273,6 +290,23 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
     _check_protected(where, given)
     return Service(given, machines)
+
+
+def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> None:
+    """A handshake needs offsets, and the door by which the control answers."""
+    handshake = machine.handshake
+    if handshake is None:
+        return
+    if given.models[machine.model].offsets is None:
+        raise InputError(
+            f"{at}: models.{machine.model} sends no offsets; give it offsets, or leave this out"
+        )
+    if (given.opcua if handshake.by == "opcua" else given.mqtt) is None:
+        raise InputError(f"{at}.by: there is no [{handshake.by}]; add it")
+    if handshake.by == "opcua" and not (given.users or (given.opcua and given.opcua.users)):
+        raise InputError(f"{at}.by: nobody may write; name a file of users")
+    if handshake.by == "mqtt" and handshake.user is not None:
+        raise InputError(f"{at}.user: is for OPC UA; with MQTT the broker says who may publish")
 
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:

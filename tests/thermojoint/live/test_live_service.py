@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from asyncua import Client, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
-from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-from live_parts import Broker, free_port, message, needs_broker, serving, until
+from live_parts import Broker, client_of, free_port, message, needs_broker, serving, until
 
 from benchmarks import live_kills
 from estimator.interface import follow
@@ -401,22 +400,6 @@ def _value(value, at):
     return ua.DataValue(
         ua.Variant(value, ua.VariantType.Double), SourceTimestamp=datetime.fromtimestamp(at, UTC)
     )
-
-
-async def client_of(base, port, name, password):
-    own = own_identity(base / "client", ())
-    client = Client(f"opc.tcp://127.0.0.1:{port}/thermojoint")
-    client.application_uri = "urn:thermojoint:live"
-    await client.set_security(
-        SecurityPolicyBasic256Sha256,
-        own.certificate,
-        own.key,
-        server_certificate=str(base / "state" / "certificate.pem"),
-    )
-    if name is not None:
-        client.set_user(name)
-        client.set_password(password)
-    return client
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,15 @@ def changed(**parts):
     return GOOD | parts
 
 
+OFFSETS = {"m": {"file": "m.json", "offsets": "offsets.toml"}}
+
+
+def shaking(by, user=None, **parts):
+    """A machine with a handshake."""
+    handshake = {"by": by} | ({} if user is None else {"user": user})
+    return {"machines": {"mill": {"model": "m", "source": "s", "handshake": handshake}}, **parts}
+
+
 def test_a_section_with_a_count_is_so_many_machines(tmp_path):
     service = service_from_data(GOOD, "file", tmp_path)
     assert list(service.machines) == ["mill-1", "mill-2", "mill-3"]
@@ -103,6 +112,10 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         ({"mqtt": {"password": {"file": "a", "variable": "B"}}}, "one place"),
         ({"watchdog": {"uncertain_s": 10.0, "bad_s": 5.0}}, "bad_s"),
         ({"machines": {"mill": {"model": "m", "source": "s", "count": 10_001}}}, "10000"),
+        (shaking("mqtt", mqtt={}), "sends no offsets"),
+        (shaking("mqtt", models=OFFSETS), "there is no [mqtt]"),
+        (shaking("opcua", models=OFFSETS, opcua={"security": "none"}), "name a file of users"),
+        (shaking("mqtt", models=OFFSETS, mqtt={}, user="plc"), "the broker says who"),
     ],
 )
 def test_a_mistake_is_one_line(parts, told, tmp_path):

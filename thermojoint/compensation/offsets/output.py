@@ -262,6 +262,20 @@ def restored(
     return OutputState(time, steps, filtered, wanted, 0.0, unusable, frozen, math.nan)
 
 
+def moved_to(
+    settings: OutputSettings, state: OutputState, offsets: Array, time: float
+) -> OutputState:
+    """Return the state that goes on from offsets (m) that a control has, frozen there at a time.
+
+    They are not those that it was sent last; they follow again once estimates have been usable for
+    the time to recover.
+    """
+    steps = np.rint(offsets / settings.resolution).astype(np.int64)
+    return state._replace(
+        steps=steps, frozen=steps, credit=0.0, unusable_since=time, usable_since=math.nan
+    )
+
+
 def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 

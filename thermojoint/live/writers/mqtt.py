@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from collections.abc import Collection, Coroutine
 from contextlib import suppress
+from typing import Any
 
 import aiomqtt
 
+from thermojoint.live.floor import Floor
 from thermojoint.live.hub import Hub
-from thermojoint.live.log_lines import EventLog
 from thermojoint.live.mqtt_session import (
     FIRST_S,
     Address,
@@ -21,6 +23,8 @@ from thermojoint.live.mqtt_session import (
     publish,
 )
 from thermojoint.live.publication import as_json
+from thermojoint.live.settings import MqttTopics
+from thermojoint.live.writers.mqtt_control import attend, beat
 
 #: How long a slow network is waited for before the next machine is published, s.
 _PAUSE_S = 0.01
@@ -29,7 +33,7 @@ _AT_ONCE = 64
 
 
 async def write_topics(
-    hub: Hub, address: Address, topic: str, status_topic: str, log: EventLog
+    hub: Hub, address: Address, topics: MqttTopics, floor: Floor, controls: Collection[str]
 ) -> None:
     """Publish what is new of every machine, for ever; whoever connects later finds the newest.
 
@@ -38,13 +42,14 @@ async def write_topics(
     hub : Hub
     address : Address
         Of the broker.
-    topic : str
-        With ``{machine}`` where its name stands.
-    status_topic : str
-        ``running``, or what the broker says when the service is gone.
-    log : EventLog
-        Told of connections.
+    topics : MqttTopics
+        Settings.
+    floor : Floor
+        The machines; its log notes connections.
+    controls : collection of str
+        The machines whose controls answer here.
     """
+    log, status_topic = floor.log, topics.status_topic
     delay, where = FIRST_S, f"{address.host}:{address.port}"
     will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
     while True:
@@ -53,9 +58,15 @@ async def write_topics(
                 log.say(time.time(), "connected", f"MQTT broker {where}, to publish")
                 await client.publish(status_topic, _status("running"), qos=1, retain=True)
                 delay = FIRST_S
-                watch = asyncio.create_task(lost(client))
+                watch = asyncio.create_task(
+                    _any(
+                        lost(client),
+                        attend(client, topics.control_topic, floor, controls),
+                        beat(client, topics.heartbeat_topic, hub),
+                    )
+                )
                 try:
-                    await _publish(hub, client, topic, watch)
+                    await _publish(hub, client, topics.topic, watch)
                 finally:
                     watch.cancel()
                     await asyncio.gather(watch, return_exceptions=True)
@@ -81,6 +92,20 @@ async def _publish(hub: Hub, client: aiomqtt.Client, topic: str, watch: asyncio.
                 if (k + 1) % _AT_ONCE == 0:
                     while is_behind(client) and not watch.done():
                         await asyncio.sleep(_PAUSE_S)
+
+
+async def _any(*endless: Coroutine[Any, Any, None]) -> None:
+    """Run what has no end; raises what the first raises that ends."""
+    tasks = [asyncio.ensure_future(one) for one in endless]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        results = await asyncio.gather(*tasks, return_exceptions=True)
+    for error in results:
+        if isinstance(error, Exception):
+            raise error
 
 
 async def _say_goodbye(client: aiomqtt.Client, status_topic: str) -> None:

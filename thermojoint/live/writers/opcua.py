@@ -266,11 +266,14 @@ class Entry:
         Of the service: its certificate, and the certificates of clients that were rejected.
     log : EventLog
         Receives those who are refused.
+    controls : mapping of str to str
+        By machine: the only user who may write its control's side of the handshake.
     """
 
     accounts: Accounts
     folder: Path
     log: EventLog
+    controls: Mapping[str, str]
 
 
 async def open_server(
@@ -310,7 +313,7 @@ async def open_server(
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, entry.folder / "rejected")
-    door = Door(entry.accounts, asks, trust, entry.log)
+    door = Door(entry.accounts, asks, trust, entry.log, entry.controls)
     server.iserver.set_user_manager(door)
     restrict(
         server,

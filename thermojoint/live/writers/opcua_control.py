@@ -1,0 +1,92 @@
+"""What a control writes by OPC UA: enable, heartbeat, acknowledged offsets (the handshake).
+
+``NAME.Control.Enable``, ``NAME.Control.Heartbeat`` and ``NAME.Control.Acknowledged.AXIS`` below the
+machine's ThermalDisplacement; and the service's own ``Heartbeat`` beside the machines.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from asyncua import ua
+from asyncua.server import Server
+
+from thermojoint.artefacts.units import MICRO
+from thermojoint.compensation.offsets.handshake import Answer
+from thermojoint.live.hub import Hub
+from thermojoint.live.writers.opcua import NAMESPACE
+
+#: Between two looks at the service's heartbeat, s.
+_BEAT_S = 0.5
+_WRAP = 1 << 32
+
+#: Takes what the control of a machine writes.
+Take = Callable[[str, Answer], None]
+
+
+async def add_controls(
+    server: Server, controls: Mapping[str, tuple[str, ...]], take: Take
+) -> ua.NodeId:
+    """Add the variables that controls write; return that of the service's heartbeat.
+
+    Parameters
+    ----------
+    server : Server
+        Has the machines already.
+    controls : mapping of str to tuple of str
+        By machine: the axes of its control that receive an offset.
+    take : callable
+    """
+    index = await server.get_namespace_index(NAMESPACE)
+    root = server.get_node(ua.NodeId("Machines", index))
+    heartbeat = ua.NodeId("Heartbeat", index)
+    await root.add_variable(heartbeat, f"{index}:Heartbeat", 0, ua.VariantType.UInt32)
+    for machine, axes in controls.items():
+        parent = server.get_node(ua.NodeId(f"{machine}.ThermalDisplacement", index))
+        at = ua.NodeId(f"{machine}.Control", index)
+        folder = await parent.add_folder(at, f"{index}:Control")
+        starts: dict[str, tuple[Any, ua.VariantType]] = {
+            "Enable": (False, ua.VariantType.Boolean),
+            "Heartbeat": (0, ua.VariantType.UInt32),
+            **{f"Acknowledged.{axis}": (math.nan, ua.VariantType.Double) for axis in axes},
+        }
+        for name, start in starts.items():
+            at = ua.NodeId(f"{machine}.Control.{name}", index)
+            node = await folder.add_variable(at, f"{index}:{name}", *start)
+            await node.set_writable()
+            server.iserver.aspace.add_datachange_callback(
+                at, ua.AttributeIds.Value, _told(machine, name, axes, take)
+            )
+    return heartbeat
+
+
+def _told(
+    machine: str, name: str, axes: tuple[str, ...], take: Take
+) -> Callable[[Any, ua.DataValue], Awaitable[None]]:
+    async def told(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
+        # A value that is marked as bad arrives as None.
+        take(machine, answer_of(name, axes, written.Value.Value if written.Value else None))
+
+    return told
+
+
+def answer_of(name: str, axes: tuple[str, ...], value: Any) -> Answer:  # noqa: ANN401
+    """Return what a control says by a value of one of its variables; None for a bad one."""
+    if name == "Enable":
+        return Answer(enabled=bool(value))
+    if name == "Heartbeat":
+        return Answer(heartbeat=value)
+    axis = name.partition(".")[2]
+    said = math.nan if value is None else MICRO * value
+    return Answer(acknowledged=tuple(said if axis == one else math.nan for one in axes))
+
+
+async def tell_heartbeat(server: Server, node: ua.NodeId, hub: Hub) -> None:
+    """Write the service's heartbeat into its variable, for ever."""
+    while True:
+        value = ua.DataValue(ua.Variant(hub.heartbeat % _WRAP, ua.VariantType.UInt32))
+        await server.write_attribute_value(node, value)
+        await asyncio.sleep(_BEAT_S)
