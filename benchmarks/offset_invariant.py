@@ -168,6 +168,8 @@ class Offsets(RuleBasedStateMachine):
         # took one over; by how much its acknowledgement is wrong, m; its counter, and what the
         # service knows: when it said so last, s, and that it was enabled.
         self.linked, self.enabled, self.away, self.lie = True, True, False, 0.0
+        # Whether it has seen since that the service knows: before that it does not enable again.
+        self.seen = False
         self.counter, self.told = 0, (-math.inf, False)
 
     def teardown(self) -> None:
@@ -279,7 +281,9 @@ class Offsets(RuleBasedStateMachine):
         """Whether the control takes over what it is sent; after it was away, with a handshake."""
         if self.model.handshake is None:
             return True
-        self.away = self.away and not (self.linked and said.handshake == STANDS)
+        stands = said.handshake == STANDS
+        self.seen = self.seen or (self.linked and not stands)
+        self.away = self.away and not (self.linked and stands and self.seen)
         return self.linked and not self.away
 
     def receive(self, said: Publication) -> None:
@@ -339,7 +343,8 @@ class Offsets(RuleBasedStateMachine):
         if self.model.handshake is None:
             return
         self.linked, self.enabled, self.lie = linked, enabled, 0.0
-        self.away = self.away or not (linked and enabled)
+        if not (linked and enabled):
+            self.away, self.seen = True, False
         if clears and self.away:
             self.control = dict.fromkeys(self.control, (0.0, self.true))
 
