@@ -351,7 +351,7 @@ class Offsets(RuleBasedStateMachine):
     @rule(
         linked=st.booleans(),
         clears=st.booleans(),
-        count=st.sampled_from([3, 15, 60]),
+        count=st.sampled_from([3, 8, 25]),
         value=sizes,
     )
     def control_returns(self, linked: bool, clears: bool, count: int, value: float) -> None:

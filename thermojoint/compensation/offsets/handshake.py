@@ -153,7 +153,7 @@ def judged(settings: HandshakeSettings, handshake: Handshake, clock: float) -> H
 def continued_from(
     before: Handshake, after: Handshake, settings: HandshakeSettings
 ) -> Array | None:
-    """Return the offsets (m) of a control that has just returned; None: it was not away.
+    """Return the offsets (m) of a control that has just returned, or agrees again; None: neither.
 
     They are those that it acknowledges, within what it was sent since it last agreed, and zero.
 
@@ -163,7 +163,8 @@ def continued_from(
         Before and after `judged`.
     settings : HandshakeSettings
     """
-    if not before.away or after.away or math.isinf(settings.differs):
+    differed = before.away or before.state == DIFFERS
+    if not differed or after.state != STANDS or math.isinf(settings.differs):
         return None
     return np.clip(after.acknowledged, np.minimum(after.low, 0.0), np.maximum(after.high, 0.0))
 
