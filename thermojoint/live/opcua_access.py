@@ -127,8 +127,9 @@ class Door(UserManager):
         principal: Principal | None = user.principal
         if user.principal.credential:
             principal = self.accounts.by_credential(user.principal.credential)
+        # The control's side of the handshake: NAME.Control.name.
         owner = self.controls.get(machine, user.name)
-        if role == "operator" and is_of_control(node) and owner != user.name:
+        if role == "operator" and f"{machine}.Control." in node.Identifier and owner != user.name:
             return f"only {owner} writes for the control"
         return "the user was removed" if principal is None else principal.refusal(role, machine)
 
@@ -147,8 +148,7 @@ class Door(UserManager):
             if why or not isinstance(event.user, Known):
                 self._audit(event.user, one.NodeId, why or "not logged in")
                 raise ServiceError(_DENIED)
-            # A control writes in each of its cycles; the event log has what comes of it.
-            if machine_of(one.NodeId) is not None and not is_of_control(one.NodeId):
+            if machine_of(one.NodeId) is not None:
                 self._audit(event.user, one.NodeId, "")
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
@@ -176,11 +176,6 @@ def machine_of(node: ua.NodeId) -> str | None:
     """Return the machine that a node belongs to (``NAME.Folder.name``); None for all others."""
     text = node.Identifier
     return text.partition(".")[0] if isinstance(text, str) and "." in text else None
-
-
-def is_of_control(node: ua.NodeId) -> bool:
-    """Say whether a node is the control's side of the handshake (``NAME.Control.name``)."""
-    return str(node.Identifier).split(".")[1:2] == ["Control"]
 
 
 def restrict(
