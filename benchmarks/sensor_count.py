@@ -118,7 +118,7 @@ def error(
     model: ReducedMachine, plant: Plant, fit: Fit, names: Sequence[str], ambient: Array
 ) -> Array:
     """Largest error over the day, m, (axes,): the fitted machine, a remainder for these sensors."""
-    fitted = with_sensors(with_factors(model, factors_of(fit.parameters, fit.logarithms)), names)
+    fitted = with_sensors(with_factors(model, factors_of(fit.parameters, fit.coordinates)), names)
     runs = plant.seen(names)
     beside = fit_physics(fitted, runs, [])
     known = Calibrated(CALIBRATED, 2.0, dict.fromkeys(names, (0.0, 100.0)))

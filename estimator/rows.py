@@ -9,6 +9,8 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 
+#: Share of samples that a band promises to cover.
+COVERED = 0.95
 #: E.g. case, estimator, axis, max_abs_error_um; None where a value is unknown.
 Row = Mapping[str, str | float | None]
 
@@ -26,8 +28,8 @@ def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
     Returns
     -------
     dict
-        max_abs_error_um, rms_error_um; with a band band_cover (share of samples inside it) and
-        mean_band_um.
+        max_abs_error_um, rms_error_um; with a band band_cover (share of samples inside it),
+        mean_band_um and interval_score_um (`interval_score`).
     """
     figures = {
         "max_abs_error_um": np.abs(error).max(axis=0) * MEGA,
@@ -36,4 +38,15 @@ def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
     if band is not None:
         figures["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
         figures["mean_band_um"] = band.mean(axis=0) * MEGA
+        figures["interval_score_um"] = interval_score(error, band) * MEGA
     return figures
+
+
+def interval_score(error: Array, band: Array) -> Array:
+    """Return the mean interval score of 95 % bands of half-width `band`, m, shape (axes,).
+
+    The full width, and for every sample outside 2/0.05 times the distance from the band: neither a
+    wide band nor one that misses scores well (Gneiting & Raftery, JASA 102, 2007, Eq. 43).
+    """
+    missed = np.maximum(np.abs(error) - band, 0.0)
+    return np.asarray(np.mean(2.0 * band + 2.0 / (1.0 - COVERED) * missed, axis=0))

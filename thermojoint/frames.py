@@ -144,8 +144,8 @@ def validate(
     -------
     pandas.DataFrame
         A row for every case and axis: ``case``, ``estimator``, ``axis``, ``peak_total_um``,
-        ``max_abs_error_um``, ``rms_error_um``, and of an estimator with a band ``mean_band_um``
-        and ``band_cover``.
+        ``max_abs_error_um``, ``rms_error_um``, and of an estimator with a band ``mean_band_um``,
+        ``band_cover`` and ``interval_score_um``.
 
     Raises
     ------

@@ -4,6 +4,7 @@
 
 A model on a 50/25 mm mesh, plants on 40/20 mm with eleven parameters, sensor offsets and noise
 drawn, each calibrated from its own steps of 0.5, 1 and 2 and once more with a cool-down of 4 h.
+With `--family films` the plants have the case's parameters but uneven films instead.
 Each plant has a file of its own beside the result; stopped in any way, the same command goes on
 from there.
 """
@@ -22,7 +23,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.plants.drawing import Plant, draw_plant
+from benchmarks.plants.drawing import FAMILIES, Plant
 from benchmarks.plants.estimating import ESTIMATORS
 from benchmarks.plants.judging import Machines, judge_plant
 from benchmarks.plants.preparing import difference_from_new_set_up, prepared
@@ -30,13 +31,14 @@ from benchmarks.plants.summary import summary_of, table_of
 from thermojoint.artefacts.files import write_text
 from thermojoint.models.sensors import ROLES
 
-#: Plants that are compared with machines set up anew.
-CHECKED = 3
+#: Plants that are compared with machines set up anew: no case says two films of one surface.
+CHECKED = {"parameters": 3, "films": 0}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what is not finished, then judge all of it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--family", choices=list(FAMILIES), default="parameters")
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("plants.json"))
@@ -46,8 +48,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--case", type=Path, default=Path(str(reference)))
     options = parser.parse_args(arguments)
     case, machines = prepared(options.case)
-    plants = [draw_plant(case, ROLES, options.seed, number) for number in range(options.count)]
-    folder = options.out.with_suffix(f".seed-{options.seed}")
+    drawn = FAMILIES[options.family]
+    plants = [drawn(case, ROLES, options.seed, number) for number in range(options.count)]
+    folder = options.out.with_suffix(f".{options.family}-{options.seed}")
     wanted = tuple(options.estimator or ESTIMATORS)
     found = list(
         track(_judged(machines, plants, wanted, folder, options.workers), "plants", len(plants))
@@ -55,10 +58,11 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [row for one in found for row in one["rows"]]
     checked = {
         str(plant.number): difference_from_new_set_up(options.case, machines.plant, plant)
-        for plant in plants[:CHECKED]
+        for plant in plants[: CHECKED[options.family]]
     }
     summary = summary_of(rows)
     content = {
+        "family": options.family,
         "seed": options.seed,
         "rows": rows,
         "summary": summary,

@@ -23,6 +23,11 @@ FACTORS = {
 }
 #: Sensor offsets, K, either way.
 OFFSET = 0.2
+#: Films of the family with uneven films, W/m2K: outside and at the rear (evenly in the logarithm),
+#: and inside, where the case has none.
+UNEVEN, INSIDE = (2.0, 15.0), (0.0, 5.0)
+#: Outside, rear and inside of its first plants: the case's, and those of docs/joint-aware.md.
+FIRST = ((6.0, 6.0, 0.0), (5.0, 19.0, 3.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +63,32 @@ def draw_plant(case: Case, sensors: Sequence[str], seed: int, number: int) -> Pl
         "film": rng.uniform(*FILM) / film,
     }
     factors |= {name: rng.uniform(*ends) for name, ends in FACTORS.items()}
-    offset = rng.uniform(-OFFSET, OFFSET, size=len(sensors))
+    return _with_sensors(rng, number, factors, len(sensors))
+
+
+def draw_uneven_films(case: Case, sensors: Sequence[str], seed: int, number: int) -> Plant:
+    """Return plant `number` whose films differ from surface to surface; all else is the case's."""
+    rng = np.random.default_rng((seed, number))
+    (film,) = case.convection_W_m2K.values()
+    outside, rear = np.exp(rng.uniform(*np.log(UNEVEN), size=2))
+    inside = rng.uniform(*INSIDE)
+    if number < len(FIRST):
+        outside, rear, inside = FIRST[number]
+    factors = {
+        "film": outside / film,
+        "film rear": rear / outside,
+        "film interior, W/m2K": inside,
+    }
+    return _with_sensors(rng, number, factors, len(sensors))
+
+
+def _with_sensors(
+    rng: np.random.Generator, number: int, factors: dict[str, float], sensors: int
+) -> Plant:
+    offset = rng.uniform(-OFFSET, OFFSET, size=sensors)
     own = int(rng.integers(2**31))
     return Plant(number, {name: float(one) for name, one in factors.items()}, offset, own)
+
+
+#: What the plants of a study differ in.
+FAMILIES = {"parameters": draw_plant, "films": draw_uneven_films}

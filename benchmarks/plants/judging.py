@@ -21,6 +21,7 @@ from benchmarks.plants.responding import (
     answers,
     told,
 )
+from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.reduced.machine import ReducedMachine
@@ -134,6 +135,9 @@ def figures(
                 "band_cover": None if band is None else _share(size[:, k] <= band),
                 "mean_band_width_um": None if band is None else 2e6 * float(band.mean()),
                 "largest_band_width_um": None if band is None else 2e6 * float(band.max()),
+                "interval_score_um": None
+                if band is None
+                else 1e6 * float(interval_score(size[:, k], band)),
             }
         )
     return rows

@@ -16,7 +16,8 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return one row for each calibration, case and estimator.
 
     The error of a plant is its largest along either axis; the band's cover is that of all samples,
-    and its width the mean over a run along the wider axis, then the median over plants.
+    and its width the mean over a run along the wider axis, then the median over plants; likewise
+    the interval score.
 
     Parameters
     ----------
@@ -31,6 +32,7 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             rms=("rms_error_um", "max"),
             cover=("band_cover", "mean"),
             width=("mean_band_width_um", "max"),
+            score=("interval_score_um", "max"),
         )
         .reset_index()
     )
@@ -52,7 +54,9 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "median_rms_um": float(part.rms.median()),
                 "worse_than_linear": int((both.own > both.linear).sum()) if len(both) else None,
                 "band_cover": float(part.cover.mean()) if banded else None,
+                "band_cover_p10": float(part.cover.quantile(0.1)) if banded else None,
                 "band_width_um": float(part.width.median()) if banded else None,
+                "interval_score_um": float(part.score.median()) if banded else None,
             }
         )
     return found
@@ -63,16 +67,17 @@ def table_of(summary: Sequence[dict[str, Any]]) -> Table:
     table = Table(title="largest error along either axis over plants, µm")
     for name in ("calibration", "case", "estimator", "plants", "median", "90 %", "largest"):
         table.add_column(name)
-    for name in ("worse than linear", "in band", "band, µm"):
+    for name in ("worse than linear", "in band", "worst tenth", "band, µm", "interval score"):
         table.add_column(name)
     for row in summary:
         sizes = (f"{row[name]:.2f}" for name in ("median_um", "p90_um", "largest_um"))
         worse = row["worse_than_linear"]
-        cover, width = row["band_cover"], row["band_width_um"]
+        covers = row["band_cover"], row["band_cover_p10"]
+        widths = row["band_width_um"], row["interval_score_um"]
         table.add_row(
             *(row["calibration"], row["case"], row["estimator"], str(row["plants"]), *sizes),
             "–" if worse is None else str(worse),
-            "–" if cover is None else f"{100.0 * cover:.1f} %",
-            "–" if width is None else f"{width:.2f}",
+            *("–" if cover is None else f"{100.0 * cover:.1f} %" for cover in covers),
+            *("–" if width is None else f"{width:.2f}" for width in widths),
         )
     return table

@@ -83,7 +83,7 @@ def make_observer(
     errs = np.sqrt(np.maximum(fit.residual_temperature**2 - fit.noise**2, 0.0))
     whole = np.hypot(own, LASTS * errs)
     noise = replace(noise, sensor=whole, lasting=noise.lasting * whole / own)
-    fitted = with_factors(machine, factors_of(fit.parameters, fit.logarithms))
+    fitted = with_factors(machine, factors_of(fit.parameters, fit.coordinates))
     held = fitted.at_preload
     modes = diagonal_modes(fitted, held)
     system = linear_system(modes, fit.discrepancy, machine.power, machine.step)
@@ -127,9 +127,9 @@ def make_observer(
         sources=machine.source_names,
         calibrated=calibrated,
         factors={
-            parameter.name: (float(np.exp(value)), float(deviation))
+            parameter.name: (parameter.factor(float(value)), float(deviation))
             for parameter, value, deviation in zip(
-                fit.parameters, fit.logarithms, spread, strict=True
+                fit.parameters, fit.coordinates, spread, strict=True
             )
         },
     )

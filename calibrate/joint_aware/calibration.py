@@ -193,8 +193,8 @@ def report(fit: Fit) -> dict[str, object]:
     -------
     dict
         parameters: factor on the case's value, standard deviation of its logarithm before and
-        after; directions: singular value and main parameters (|weight| > 0.3), with those
-        determined by the data (`DECIDED`); residuals.
+        after, all in W/m2K where the name says so; directions: singular value and main parameters
+        (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals.
     """
     after = np.sqrt(np.diag(fit.covariance))
     singular, directions = fit.directions
@@ -202,12 +202,12 @@ def report(fit: Fit) -> dict[str, object]:
         "parameters": [
             {
                 "parameter": parameter.name,
-                "factor": float(np.exp(value)),
+                "factor": parameter.factor(float(value)),
                 "prior_std": parameter.spread,
                 "std": float(deviation),
             }
             for parameter, value, deviation in zip(
-                fit.parameters, fit.logarithms, after, strict=True
+                fit.parameters, fit.coordinates, after, strict=True
             )
         ],
         "directions": [

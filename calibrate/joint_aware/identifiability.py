@@ -95,9 +95,9 @@ def profiles(
 ) -> list[Profile]:
     """Return the profile of every fitted parameter."""
     problem = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
-    at_fit = fit.logarithms / fit.spread
+    at_fit = fit.coordinates / fit.spread
     # Correct the coarse march by its difference from the machine's own march.
-    defect = fit.residuals - residuals(problem, fit.parameters, fit.logarithms)
+    defect = fit.residuals - residuals(problem, fit.parameters, fit.coordinates)
     deviation = np.sqrt(np.diag(fit.covariance)) / fit.spread
 
     def at(scaled: Array) -> Array:
@@ -105,7 +105,7 @@ def profiles(
         return np.concatenate([whitened, scaled])
 
     whole = np.vstack([fit.jacobian, np.eye(at_fit.size)])
-    least = at(at_fit)
+    least, bounds = at(at_fit), [parameter.least for parameter in fit.parameters]
     curves = []
     for k, parameter in enumerate(fit.parameters):
         others = np.arange(at_fit.size) != k
@@ -113,18 +113,19 @@ def profiles(
         values, costs = [], []
         for point in inquiry.points:
             scaled = at_fit.copy()
-            scaled[k] += point * deviation[k]
+            scaled[k] = max(scaled[k] + point * deviation[k], parameter.least)
             # Follow the valley by the tangent, then by Newton's method with a frozen tangent.
             scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
             now = at(scaled)
             for _ in range(inquiry.improved):
                 trial = scaled.copy()
                 trial[others] -= improve @ now
+                trial = np.maximum(trial, bounds)
                 after = at(trial)
                 if after @ after >= now @ now:
                     break
                 scaled, now = trial, after
-            values.append(float(np.exp(fit.spread[k] * scaled[k])))
+            values.append(parameter.factor(float(fit.spread[k] * scaled[k])))
             costs.append(0.5 * float(now @ now - least @ least))
         curves.append(Profile(parameter.name, np.array(values), np.array(costs)))
     return curves
@@ -139,7 +140,7 @@ class FurtherRun:
     name : str
         Name of the run; "none" for the present knowledge.
     deviation : ndarray, shape (k,)
-        Standard deviation of the logarithms of the factors.
+        Standard deviation of the parameters' coordinates.
     day : ndarray, shape (axes,)
         Standard deviation of the displacement in the day, root mean square, m.
     """
@@ -185,7 +186,7 @@ def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> R
     """A run that has not been made, simulated by the fitted machine."""
     step = length / len(heat)
     inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
-    physics = physics_with(machine, factors_of(fit.parameters, fit.logarithms))
+    physics = physics_with(machine, factors_of(fit.parameters, fit.coordinates))
     times = np.linspace(step, length, SIGMAS.samples)
     nothing = np.zeros((times.size, 0))
     run = Run(inputs, times, nothing, nothing, step)
@@ -202,11 +203,11 @@ def _heated(machine: ReducedMachine, fit: Fit, heat: float, on: float, off: floa
 
 def _steps(fit: Fit) -> Array:
     """Logarithms next to the fit, one parameter changed in each row, (k, k)."""
-    return np.asarray(fit.logarithms + SEARCH.difference * np.diag(fit.spread))
+    return np.asarray(fit.coordinates + SEARCH.difference * np.diag(fit.spread))
 
 
 def _jacobian(problem: Problem, fit: Fit) -> Array:
-    here = residuals(problem, fit.parameters, fit.logarithms)
+    here = residuals(problem, fit.parameters, fit.coordinates)
     beside = [residuals(problem, fit.parameters, at) for at in _steps(fit)]
     return (np.column_stack(beside) - here[:, None]) / SEARCH.difference
 
@@ -216,10 +217,10 @@ def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit
     known = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
     planned = make_problem(machine, [day])
 
-    def moved(logarithms: Array) -> Array:
-        gains = fit_linear(known, *errors(known, fit.parameters, logarithms)).discrepancy
-        _, physics = errors(planned, fit.parameters, logarithms)
+    def moved(coordinates: Array) -> Array:
+        gains = fit_linear(known, *errors(known, fit.parameters, coordinates)).discrepancy
+        _, physics = errors(planned, fit.parameters, coordinates)
         return np.asarray(planned.states @ gains.displacement.T - physics)
 
-    here = moved(fit.logarithms)
+    here = moved(fit.coordinates)
     return np.stack([(moved(at) - here) / SEARCH.difference for at in _steps(fit)], axis=2)

@@ -64,6 +64,8 @@ class Sigmas:
 
 #: The defaults.
 SIGMAS = Sigmas()
+#: Beginnings of the names of parameters that turn the modes.
+TURNING = ("film", "conduction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +209,7 @@ def sampled(values: Array, run: Run) -> Array:
 
 
 def errors(
-    problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array
+    problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array
 ) -> tuple[Array, Array]:
     """Return runs minus machine: temperature (k, p), displacement (k, axes).
 
@@ -217,7 +219,7 @@ def errors(
         The runs.
     parameters : tuple of Parameter
         Parameters that differ from the case.
-    logarithms : ndarray, shape (parameters,)
+    coordinates : ndarray, shape (parameters,)
         Of their factors.
 
     Raises
@@ -225,7 +227,7 @@ def errors(
     ConvergenceError
         The machine cannot be marched through the runs.
     """
-    physics = physics_with(problem.machine, factors_of(parameters, logarithms))
+    physics = physics_with(problem.machine, factors_of(parameters, coordinates))
     temperature, displacement = [], []
     for run in problem.runs:
         sensed, moved = simulate_known(physics, run.inputs, run.length)
@@ -240,22 +242,22 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     The modes assume the joint of the case, whatever its parameters: a march does not depend on this
     assumption, and so they are recomputed for a changed convection or conduction only.
     """
-    by = {"film": 1.0, "conduction": 1.0, "capacity": 1.0} | factors
-    rates, basis = _basis(machine, by["film"], by["conduction"])
+    capacity = factors.get("capacity", 1.0)
+    turning = {name: value for name, value in factors.items() if name.startswith(TURNING)}
+    rates, basis = _basis(machine, tuple(turning.items()))
     other = with_factors(machine, factors)
-    modes = on_basis(other, rates / by["capacity"], basis / math.sqrt(by["capacity"]))
+    modes = on_basis(other, rates / capacity, basis / math.sqrt(capacity))
     return make_physics(modes, other.joints, machine.at_preload)
 
 
 @lru_cache(maxsize=4)
-def _basis(machine: ReducedMachine, convection: float, conduction: float) -> tuple[Array, Array]:
-    other = with_factors(machine, {"film": convection, "conduction": conduction})
-    return diagonal_basis(other, machine.at_preload)
+def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> tuple[Array, Array]:
+    return diagonal_basis(with_factors(machine, dict(turning)), machine.at_preload)
 
 
-def residuals(problem: Problem, parameters: tuple[Parameter, ...], logarithms: Array) -> Array:
+def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array) -> Array:
     """Return everything that neither parameters nor linear part explain, in units of sigma."""
-    temperature, displacement = errors(problem, parameters, logarithms)
+    temperature, displacement = errors(problem, parameters, coordinates)
     return np.concatenate(
         [
             *(

@@ -49,7 +49,8 @@ class Drawing:
     Attributes
     ----------
     draws, seed : int
-        Drawn machines; the seed of them and of the histories.
+        Least number of drawn machines, one for each parameter if there are more; the seed of them
+        and of the histories.
     duration, step : float
         Length of the random history and steps, s.
     beyond : float
@@ -59,10 +60,10 @@ class Drawing:
         fraction of the assumed model error.
     floor : float
         Fraction of the largest mean square below which all errors count the same in the band.
-    share_left : float
-        A fit assumes larger model errors than it needs to (`misfit`), so that persistent errors do
-        not bias the parameters: the errors of machines drawn from its posterior are this fraction
-        of the band's share.
+    assumed : float
+        A fit assumes model errors this many times larger than it needs to (`misfit`), so that
+        persistent errors do not bias the parameters. The machines are drawn as if it assumed them
+        as they are: what the data decide is known better, what only the prior decides is not.
     rough : float
         Tolerated residual of an error's approximation, relative to its largest value.
     """
@@ -74,7 +75,7 @@ class Drawing:
     beyond: float = 1.5
     least_share: float = 0.1
     floor: float = 1e-4
-    share_left: float = 0.5
+    assumed: float = 2.0
     rough: float = 0.02
 
 
@@ -121,14 +122,18 @@ def open_band(
     ]
     problem = make_problem(slow, [coarser(run, SEARCH.steps) for run in runs])
     errors_of_draws: list[Array] = []
-    while len(errors_of_draws) < drawing.draws:
+    for along in _directions(rng, max(drawing.draws, fit.spread.size), fit.spread.size):
         try:
-            drawn = _draw(rng, problem, fit, drawing.least_share)
+            drawn = _draw(rng, problem, fit, along, drawing)
             errors_of_draws.append(
                 np.vstack([_errors(slow, drawn, observer, history) for history in histories])
             )
         except ConvergenceError:
             continue
+    if not errors_of_draws:
+        raise ConvergenceError(
+            "band: no machine like the calibrated one can be marched; check the case"
+        )
     every = np.array(errors_of_draws).transpose(2, 0, 1)
     features = np.vstack([history.features for history in histories])
     ends = np.cumsum([len(history.heat) for history in histories])[:-1]
@@ -136,15 +141,14 @@ def open_band(
         [[_explained(features, error, ends, drawing) for error in axis] for axis in every]
     )
     # With few draws the variance is uncertain: use Student's quantile in place of the normal one.
-    weights *= float(student.ppf(0.975, drawing.draws)) / WIDTH
+    weights *= float(student.ppf(0.975, len(errors_of_draws))) / WIDTH
     said = np.mean((weights @ features.T) ** 2, axis=1)
     squares = np.vstack([history.squares for history in histories])
     return replace(
         model.band,
         history=_history(observer, slow, day),
-        open=drawing.share_left * weights,
-        square=drawing.share_left**2
-        * np.array(
+        open=weights,
+        square=np.array(
             [_left(squares, *axis, drawing.floor) for axis in zip(said, every, strict=True)]
         ),
     )
@@ -190,14 +194,23 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
     return np.asarray(np.mean(np.square(differences), axis=0))
 
 
-def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: float) -> _Drawn:
+def _directions(rng: np.random.Generator, draws: int, size: int) -> Array:
+    """Return draws (draws, size) of a standard normal distribution whose covariance is exact."""
+    drawn = rng.normal(size=(draws, size))
+    left, _, right = np.linalg.svd(drawn, full_matrices=False)
+    return np.asarray(np.sqrt(draws) * (left @ right))
+
+
+def _draw(
+    rng: np.random.Generator, problem: Problem, fit: Fit, along: Array, drawing: Drawing
+) -> _Drawn:
     singular, directions = fit.directions
-    along = rng.normal(size=singular.size) / np.sqrt(1.0 + singular**2)
-    logarithms = fit.logarithms + fit.spread * (along @ directions)
+    told = along / np.sqrt(1.0 + (drawing.assumed * singular) ** 2)
+    coordinates = fit.coordinates + fit.spread * (told @ directions)
     # Discrepancy and offsets compensate the effect of the parameters in the runs.
     moved = [
         fit_linear(problem, *errors(problem, fit.parameters, at))
-        for at in (logarithms, fit.logarithms)
+        for at in (coordinates, fit.coordinates)
     ]
     sensed = [np.column_stack([fitted.discrepancy.temperature, fitted.offset]) for fitted in moved]
     constant = np.column_stack([problem.states, np.ones(len(problem.states))])
@@ -209,16 +222,17 @@ def _draw(rng: np.random.Generator, problem: Problem, fit: Fit, least_share: flo
         - moved[1].discrepancy.displacement
     )
     sigmas = problem.sigmas
+    sensed_sigma = sigmas.discrepancy_temperature / drawing.assumed
     for row in temperature:
-        tau = _size(row[:-1], sigmas.discrepancy_temperature, least_share)
+        tau = _size(row[:-1], sigmas.discrepancy_temperature, drawing.least_share)
         shape = np.append(tau * problem.shape, sigmas.offset)
-        row += _unknown(rng, constant, shape, sigmas.discrepancy_temperature)
+        row += _unknown(rng, constant, shape, sensed_sigma)
+    moved_sigma = sigmas.discrepancy_displacement / drawing.assumed
     for row in displacement:
-        tau = _size(row, sigmas.discrepancy_displacement, least_share)
-        shape = tau * problem.shape
-        row += _unknown(rng, problem.states, shape, sigmas.discrepancy_displacement)
+        tau = _size(row, sigmas.discrepancy_displacement, drawing.least_share)
+        row += _unknown(rng, problem.states, tau * problem.shape, moved_sigma)
     return _Drawn(
-        factors_of(fit.parameters, logarithms),
+        factors_of(fit.parameters, coordinates),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),
         temperature[:, -1],
     )

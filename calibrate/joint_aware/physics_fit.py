@@ -104,12 +104,12 @@ class Fit:
     ----------
     parameters : tuple of Parameter
         In the order of the arrays below.
-    logarithms : ndarray, shape (k,)
-        Of the factors.
+    coordinates : ndarray, shape (k,)
+        Of the parameters: logarithms of factors, or films in W/(m2 K) (`Parameter.factor`).
     residuals : ndarray, shape (n,)
         Of `misfit.residuals` there.
     jacobian : ndarray, shape (n, k)
-        Of the residuals by the logarithms in units of their priors.
+        Of the residuals by the coordinates in units of their priors.
     discrepancy : Discrepancy
         Fitted at these parameters.
     offset, noise : ndarray, shape (p,)
@@ -125,7 +125,7 @@ class Fit:
     """
 
     parameters: tuple[Parameter, ...]
-    logarithms: Array
+    coordinates: Array
     residuals: Array
     jacobian: Array
     discrepancy: Discrepancy
@@ -138,7 +138,7 @@ class Fit:
 
     @property
     def spread(self) -> Array:
-        """Prior standard deviations of the logarithms, (k,)."""
+        """Prior standard deviations of the coordinates, (k,)."""
         return np.array([parameter.spread for parameter in self.parameters])
 
     @property
@@ -152,7 +152,7 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the logarithms after the calibration, (k, k)."""
+        """Covariance of the coordinates after the calibration, (k, k)."""
         singular, directions = self.directions
         inverse = directions.T @ (directions / (1.0 + singular**2)[:, None])
         return np.asarray(self.spread[:, None] * inverse * self.spread)
@@ -220,7 +220,9 @@ def fit_physics(
 
 def _starts(parameters: tuple[Parameter, ...], search: Search) -> list[Array]:
     drawn = np.random.default_rng(search.seed).normal(size=(search.starts, len(parameters)))
-    drawn = np.clip(drawn, -search.furthest, search.furthest)
+    # A search begins inside its bounds.
+    least = [max(-search.furthest, parameter.least) for parameter in parameters]
+    drawn = np.clip(drawn, least, search.furthest)
     return [np.zeros(len(parameters)), *drawn]
 
 
@@ -228,8 +230,8 @@ def _defect(
     whole: Problem, problem: Problem, parameters: tuple[Parameter, ...], scaled: Array
 ) -> Array:
     """Difference between the residuals at full and at coarse time resolution."""
-    logarithms = scaled * [parameter.spread for parameter in parameters]
-    return residuals(whole, parameters, logarithms) - residuals(problem, parameters, logarithms)
+    coordinates = scaled * [parameter.spread for parameter in parameters]
+    return residuals(whole, parameters, coordinates) - residuals(problem, parameters, coordinates)
 
 
 def _search(
@@ -254,12 +256,21 @@ def _search(
             first.append(penalty)
         return np.concatenate([penalty, scaled])
 
+    def slope(scaled: Array) -> Array:
+        here = residuals(problem, parameters, spread * scaled)
+        beside = [
+            residuals(problem, parameters, spread * at)
+            for at in scaled + search.difference * np.eye(spread.size)
+        ]
+        own = (np.column_stack(beside) - here[:, None]) / search.difference
+        return np.vstack([own, np.eye(spread.size)])
+
     return least_squares(
         of,
         start,
-        diff_step=search.difference,
-        x_scale=1.0,
-        bounds=(-3.0, 3.0),
+        slope,
+        method="dogbox",
+        bounds=([parameter.least for parameter in parameters], 3.0),
         xtol=search.close,
         ftol=search.close,
         gtol=1e-8,
@@ -279,12 +290,12 @@ def _fit(
     starts: tuple[Start, ...],
     evaluations: int,
 ) -> Fit:
-    logarithms = np.array([parameter.spread for parameter in parameters]) * scaled
-    linear = fit_linear(problem, *errors(problem, parameters, logarithms))
+    coordinates = np.array([parameter.spread for parameter in parameters]) * scaled
+    linear = fit_linear(problem, *errors(problem, parameters, coordinates))
     return Fit(
         parameters=parameters,
-        logarithms=logarithms,
-        residuals=residuals(problem, parameters, logarithms),
+        coordinates=coordinates,
+        residuals=residuals(problem, parameters, coordinates),
         jacobian=jacobian,
         discrepancy=linear.discrepancy,
         offset=linear.offset,

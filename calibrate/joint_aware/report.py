@@ -23,23 +23,47 @@ from thermojoint.reduced.parameters import NEW_CONDENSATION
 AGREE = 0.5
 
 
-def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
-    """Return `report` with the results that need further marches.
+def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
+    """Return `report` with what further runs would tell.
 
     Returns
     -------
     dict
-        Content of `report`; offsets_K and noise_K of the sensors; prediction_only: parameters
+        Content of `report`; further_runs: standard deviation of every parameter and of the
+        displacement in a day, um, root mean square, without and with each.
+    """
+    machine, fit = calibrated.machine, calibrated.fit
+    names = [parameter.name for parameter in fit.parameters]
+    return report(fit) | {
+        "further_runs": [
+            {
+                "run": further_run.name,
+                "std": dict(zip(names, further_run.deviation.tolist(), strict=True)),
+                "day_std_um": dict(
+                    zip(machine.axes, (1e6 * further_run.day).tolist(), strict=True)
+                ),
+            }
+            for further_run in further_runs(machine, calibrated.runs, fit)
+        ]
+    }
+
+
+def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
+    """Return `short_report` with the results that need most marches.
+
+    Returns
+    -------
+    dict
+        Content of `short_report`; offsets_K and noise_K of the sensors; prediction_only: parameters
         determined by the prior; starts: cost above the best and distance from the fit, in standard
         deviations, of every search; profiles: factor and cost above the fit of each point;
-        further_runs: standard deviation of every parameter and of the displacement in a day, um,
-        root mean square, without and with each; condensation: which parameters reuse one.
+        condensation: which parameters reuse one.
     """
     machine, runs, fit = calibrated.machine, calibrated.runs, calibrated.fit
     sensors = calibrated.model.sensors
     after = np.sqrt(np.diag(fit.covariance))
     names = [parameter.name for parameter in fit.parameters]
-    return report(fit) | {
+    return short_report(calibrated) | {
         "offsets_K": dict(zip(sensors, fit.offset.tolist(), strict=True)),
         "noise_K": dict(zip(sensors, fit.noise.tolist(), strict=True)),
         "prediction_only": [
@@ -56,16 +80,6 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
             }
             for profile in profiles(machine, runs, fit)
         ],
-        "further_runs": [
-            {
-                "run": further_run.name,
-                "std": dict(zip(names, further_run.deviation.tolist(), strict=True)),
-                "day_std_um": dict(
-                    zip(machine.axes, (1e6 * further_run.day).tolist(), strict=True)
-                ),
-            }
-            for further_run in further_runs(machine, runs, fit)
-        ],
         "condensation": {"reuse_one": names, "need_a_new_one": list(NEW_CONDENSATION)},
     }
 
@@ -78,7 +92,7 @@ def _starts(fit: Fit) -> list[dict[str, Any]]:
     return [
         {
             "cost_above_best": start.cost - best,
-            "distance": float(np.linalg.norm(known @ (start.reached - fit.logarithms))),
+            "distance": float(np.linalg.norm(known @ (start.reached - fit.coordinates))),
             "agrees": bool(start.cost - best <= AGREE),
         }
         for start in fit.starts

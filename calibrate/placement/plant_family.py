@@ -120,11 +120,11 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
     spread = turn * np.sqrt(np.maximum(values, 0.0))
     readings, displacement = [], []
     for drawn in rng.normal(size=(drawing.plants, values.size)):
-        logarithms = spread @ drawn
-        plant = with_factors(slow, factors_of(fit.parameters, logarithms))
+        coordinates = spread @ drawn
+        plant = with_factors(slow, factors_of(fit.parameters, coordinates))
         try:
             temperature, moved = _answers(plant, day)
-            beside = fit_linear(problem, *errors(problem, fit.parameters, logarithms)).discrepancy
+            beside = fit_linear(problem, *errors(problem, fit.parameters, coordinates)).discrepancy
         except ConvergenceError:
             continue
         readings.append(temperature + states @ beside.temperature.T - nominal[0])
@@ -181,7 +181,7 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
 
     They span the fields that every source at its power, the ambient and flows across the joint
     cause after the times of `PAST`: (M / time + K + H) T = input. The machine's 300 modes resolve
-    seconds everywhere; here minutes are enough.
+    seconds everywhere; here minutes are enough, and all surfaces share one film.
 
     Parameters
     ----------
@@ -213,6 +213,7 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
         sources=basis.T @ machine.sources,
         ambient=basis.T @ machine.ambient,
         jump=machine.jump @ basis,
+        films=(),
         sensors=machine.sensors @ basis,
         elastic=replace(
             elastic,

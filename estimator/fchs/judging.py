@@ -71,7 +71,7 @@ class Judged:
     rows : list of dict
         For each estimator ("none", "linear": δ_L alone, the baselines, "fchs": δ, observers) and
         axis: estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
-        peak_nonlinear_um; for observers also band_cover and mean_band_um.
+        peak_nonlinear_um; for observers also band_cover, mean_band_um and interval_score_um.
     vectors : list of dict
         estimator, max_abs_error_um: largest length of the error vector.
     errors : dict

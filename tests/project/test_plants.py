@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from benchmarks.plants.drawing import OFFSET, draw_plant
+from benchmarks.plants.drawing import FAMILIES, OFFSET, draw_plant
 from benchmarks.plants.driving import DAY, LEVELS, drives
 from benchmarks.plants.estimating import Errors
 from benchmarks.plants.judging import figures
@@ -52,6 +52,15 @@ def test_a_plant_is_drawn_within_its_ranges_and_is_the_same_again(case):
     assert draw_plant(case, ROLES, 2, 7).factors != again.factors
 
 
+def test_the_first_plants_with_uneven_films_are_those_of_the_page(case):
+    even, uneven, other = (FAMILIES["films"](case, ROLES, 2, number).factors for number in range(3))
+    assert even == pytest.approx({"film": 1.0, "film rear": 1.0, "film interior, W/m2K": 0.0})
+    assert 6.0 * uneven["film"] == pytest.approx(5.0)
+    assert 6.0 * uneven["film"] * uneven["film rear"] == pytest.approx(19.0)
+    assert 0.3 < other["film"] < 2.5
+    assert 0.0 <= other["film interior, W/m2K"] <= 5.0
+
+
 def test_a_day_has_levels_within_their_range_and_an_ambient_of_three_kelvin():
     day = drives(2.0, 5)["day"]
     assert day.heat.size == DAY / 2.0
@@ -86,7 +95,7 @@ def test_the_summary_takes_the_larger_axis_and_counts_who_is_worse_than_linear(d
         {
             **{"plant": plant, "calibration": "steps", "case": "day", "estimator": estimator},
             **{"axis": axis, "max_abs_error_um": error, "rms_error_um": error},
-            **{"band_cover": cover, "mean_band_width_um": cover},
+            **{"band_cover": cover, "mean_band_width_um": cover, "interval_score_um": cover},
         }
         for plant, estimator, errors, cover in (
             (0, "joint-aware", (1.0, 3.0), 0.9),
@@ -115,3 +124,5 @@ def test_a_warm_start_is_judged_from_when_it_has_settled():
     assert row["max_abs_error_um"] == pytest.approx(2.0)
     assert row["band_cover"] == pytest.approx(0.75)
     assert row["mean_band_width_um"] == pytest.approx(3.0)
+    # One sample of four is half a micrometre outside.
+    assert row["interval_score_um"] == pytest.approx(3.0 + 40.0 * 0.5 / 4.0)

@@ -74,15 +74,15 @@ def _fitted(
     machine: Case, read: Mapping[str, xr.Dataset], out: Path, report_file: Path | None
 ) -> None:
     """Calibrate the machine, write the model and its report, and print the parameters."""
-    from calibrate.joint_aware.calibration import calibrate_joint_aware, report
-    from calibrate.joint_aware.report import whole_report
+    from calibrate.joint_aware.calibration import calibrate_joint_aware
+    from calibrate.joint_aware.report import short_report, whole_report
     from estimator.joint_aware.model_file import write_observer
     from thermojoint import console
     from thermojoint.cli import results
 
     with console.working("calibrating"):
         calibrated = calibrate_joint_aware(machine, read)
-        content = whole_report(calibrated) if report_file else report(calibrated.fit)
+        content = whole_report(calibrated) if report_file else short_report(calibrated)
     write_observer(calibrated.model, out)
     arguments.write_json(report_file, content)
     results.show_physics(console.out(report_file), content)

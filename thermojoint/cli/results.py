@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from thermojoint.console import number, numeric, titled
+from thermojoint.reduced.parameters import shown
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
 #: An axis with less than this fraction of the largest band does not move.
 STILL = 1e-6
+#: A further run that leaves more than this part of the uncertainty is not worth its hours.
+ENOUGH = 0.8
 
 
 def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
@@ -86,18 +90,43 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
     """Print the machine's fitted parameters, and the combinations that the data determine."""
     table = Table("parameter", *numeric("factor on the case", "uncertainty", "before"))
     for parameter in report["parameters"]:
-        table.add_row(
-            parameter["parameter"],
-            number(parameter["factor"], 3),
-            f"{100.0 * parameter['std']:.1f} %",
-            f"{100.0 * parameter['prior_std']:.1f} %",
-        )
+        name = parameter["parameter"]
+        value, after = shown(name, parameter["factor"], parameter["std"])
+        before = shown(name, 0.0, parameter["prior_std"])[1]
+        table.add_row(name, value, after, before)
     titled(console, "The machine's physics", table)
     known = Table(*numeric("singular value"), "decided by", "direction")
     for direction in report["directions"]:
         parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in direction["of"].items())
         known.add_row(number(direction["singular_value"], 3), direction["decided_by"], parts)
     titled(console, "What the responses determine (in units of the priors)", known)
+    console.print(further_run_line(report["further_runs"]))
+
+
+def further_run_line(further_runs: Sequence[Mapping[str, Any]]) -> str:
+    """Return which further run tells most, and what it gains in a day.
+
+    Parameters
+    ----------
+    further_runs : sequence of mapping
+        As `calibrate.joint_aware.report.short_report` has them; the first is none.
+    """
+
+    def deviation(further: Mapping[str, Any]) -> float:
+        return float(np.linalg.norm(list(further["day_std_um"].values())))
+
+    def told(further: Mapping[str, Any]) -> str:
+        return " / ".join(f"{value:.2f}" for value in further["day_std_um"].values())
+
+    present, *others = further_runs
+    best = min(others, key=deviation)
+    axes = ", ".join(present["day_std_um"])
+    now = f"Uncertainty of a day with known heat: {told(present)} µm along {axes}"
+    if deviation(best) > ENOUGH * deviation(present):
+        return f"{now}; no further run would tell much more."
+    return (
+        f"{now}; with one more run, a {best['run']}, {told(best)} µm: record it, calibrate again."
+    )
 
 
 def show_results(console: Console, response: xr.Dataset) -> None:

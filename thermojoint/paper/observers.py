@@ -30,6 +30,7 @@ from meshes.structure import Probe
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.processes import process_pool
 from thermojoint.reduced.machine import reduce_machine
+from thermojoint.reduced.parameters import ABSOLUTE, shown
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -144,8 +145,9 @@ def _calibrated(
 
 def fitted_text(observer: JointAware) -> str:
     """Return the calibrated parameters of the machine, one per line."""
-    lines = [
-        f"{name:<18} {factor:.3f} of the case's value, uncertain by {100.0 * spread:.0f} %"
-        for name, (factor, spread) in observer.model.factors.items()
-    ]
+    lines = []
+    for name, (factor, spread) in observer.model.factors.items():
+        value, uncertain = shown(name, factor, spread)
+        of = "" if name.endswith(ABSOLUTE) else " of the case's value"
+        lines.append(f"{name:<20} {value}{of}, uncertain by {uncertain}")
     return "\n".join(lines)

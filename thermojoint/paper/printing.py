@@ -50,6 +50,7 @@ _ERRORS = (
     ("nonlinear peak", "peak_nonlinear_um", 1.0, ""),
     ("band", "mean_band_um", 1.0, ""),
     ("inside the band", "band_cover", 100.0, " %"),
+    ("interval score", "interval_score_um", 1.0, ""),
 )
 
 

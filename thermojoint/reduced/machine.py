@@ -24,6 +24,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.films import Film, films_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,8 @@ class ReducedMachine:
         Heat of each source at heat input 1, W.
     step : float
         Longest time step, s.
+    films : tuple of Film
+        Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
     """
 
     capacity: Array
@@ -89,6 +92,7 @@ class ReducedMachine:
     source_names: tuple[str, ...]
     power: Array
     step: float
+    films: tuple[Film, ...] = ()
 
     @property
     def laws(self) -> list[tuple[JointLaw, int]]:
@@ -159,6 +163,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         setup.spaces.heat,
         materials,
         ThermalLoads(case.convection_W_m2K, heat_sources(case, setup.structure)),
+        setup.joints,
     )
     basis = setup.modes.basis
     rows = [list(setup.probes).index(name) for name in sensors]
@@ -182,6 +187,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         source_names=tuple(case.sources),
         power=np.array([source_power(source) for source in case.sources.values()]),
         step=case.march.step_s,
+        films=films_of(case, setup),
     )
 
 

@@ -1,10 +1,12 @@
 """Uncertain parameters of a machine, their priors, and the machine with other values.
 
-Every parameter is a factor on what the case says; its logarithm has a normal prior. All of them
-reuse one condensation:
+Every parameter is a factor on what the case says; its logarithm has a normal prior. The film of a
+surface that has none in the case is not a factor but W/(m2 K), with half a normal distribution as
+prior: a film cannot be negative, and most likely there is none. All of them reuse one condensation:
 
-- conduction, capacity, film: K, M and H are scaled on the same modes, which are turned again. The
-  modes are those of the nominal machine; docs/joint-aware.md shows what that costs.
+- conduction, capacity, film: K, M and H are scaled on the same modes, which are turned again, and
+  so is the part of H of every surface. The modes are those of the nominal machine;
+  docs/joint-aware.md shows what that costs.
 - heat: the columns of the sources.
 - expansion: thermal gap and probe rows.
 - modulus: compliance falls, the reference springs rise (they follow the modulus); the thermal gap
@@ -14,11 +16,12 @@ reuse one condensation:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import ClassVar
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.films import Film
 from thermojoint.reduced.machine import Joint, ReducedMachine
 
 
@@ -36,6 +39,31 @@ class Parameter:
 
     name: str
     spread: float
+    #: Lower bound of a coordinate, in units of `spread`.
+    least: ClassVar[float] = -3.0
+
+    def factor(self, coordinate: float) -> float:
+        """Return the factor of a coordinate, its logarithm."""
+        return math.exp(coordinate)
+
+
+@dataclass(frozen=True)
+class AddedFilm(Parameter):
+    """The film of a surface that has none in the case.
+
+    Attributes
+    ----------
+    name : str
+        Of the film.
+    spread : float
+        Of the normal distribution whose upper half is the prior, W/(m2 K).
+    """
+
+    least: ClassVar[float] = 0.0
+
+    def factor(self, coordinate: float) -> float:
+        """Return the film of a coordinate, W/(m2 K)."""
+        return max(coordinate, 0.0)
 
 
 #: In this order everywhere.
@@ -52,6 +80,12 @@ PARAMETERS = (
     Parameter("expansion", 0.04),
     Parameter("modulus", 0.06),
 )
+
+#: Spread of the factor of one surface's film beside the common one, and of a film that the case
+#: does not have, W/(m2 K): enclosed air, or an outside that was left out.
+OF_SURFACE, ADDED = 0.7, 3.0
+#: End of the name of a parameter that is no factor.
+ABSOLUTE = ", W/m2K"
 
 #: What is no parameter here, as it changes the modes or the condensed stiffness as a whole.
 NEW_CONDENSATION = (
@@ -79,19 +113,39 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
         absent |= {"friction", "tangential ratio"}
     if not machine.convection.any():
         absent.add("film")
-    return tuple(parameter for parameter in PARAMETERS if parameter.name not in absent)
+    own = (parameter for parameter in PARAMETERS if parameter.name not in absent)
+    return (*own, *(film_parameter(film) for film in machine.films))
+
+
+def film_parameter(film: Film) -> Parameter:
+    """Return the parameter of a surface's film."""
+    if film.nominal:
+        return Parameter(f"film {film.surface}", OF_SURFACE)
+    return AddedFilm(f"film {film.surface}{ABSOLUTE}", ADDED)
+
+
+def shown(name: str, factor: float, deviation: float) -> tuple[str, str]:
+    """Return the texts of a parameter's factor and of its standard deviation."""
+    if name.endswith(ABSOLUTE):
+        return f"{factor:.2f}", f"{deviation:.2f}"
+    return f"{factor:.3f}", f"{100.0 * deviation:.1f} %"
 
 
 def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedMachine:
-    """Return the machine with parameters multiplied by `factors` (name to factor, positive)."""
+    """Return the machine with `factors` (name to `Parameter.factor`) on its parameters."""
     by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
     elastic = machine.elastic
+    convection, ambient = by["film"] * machine.convection, by["film"] * machine.ambient
+    for film in machine.films:
+        more = by.get(film_parameter(film).name, film.nominal) - film.nominal
+        more *= by["film"] if film.nominal else 1.0
+        convection, ambient = convection + more * film.convection, ambient + more * film.ambient
     return replace(
         machine,
         capacity=by["capacity"] * machine.capacity,
         conduction=by["conduction"] * machine.conduction,
-        convection=by["film"] * machine.convection,
-        ambient=by["film"] * machine.ambient,
+        convection=convection,
+        ambient=ambient,
         sources=by["heat"] * machine.sources,
         elastic=replace(
             elastic,
@@ -105,11 +159,11 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
     )
 
 
-def factors_of(parameters: tuple[Parameter, ...], logarithms: Array) -> dict[str, float]:
-    """Return the factors (by name) of the logarithms, shape (parameters,)."""
+def factors_of(parameters: tuple[Parameter, ...], coordinates: Array) -> dict[str, float]:
+    """Return the factors (by name) of coordinates, shape (parameters,); see `Parameter.factor`."""
     return {
-        parameter.name: float(value)
-        for parameter, value in zip(parameters, np.exp(logarithms), strict=True)
+        parameter.name: parameter.factor(float(value))
+        for parameter, value in zip(parameters, coordinates, strict=True)
     }
 
 

@@ -83,11 +83,17 @@ def test_a_model_of_an_unknown_kind_is_refused(calibrated, tmp_path):
         read_observer(tmp_path / "model.h5")
 
 
+FITTED = ("heat", "film", "film interior, W/m2K")
+
+
 def test_the_report_says_what_became_of_every_parameter(machine, responses):
-    found = calibrate_linear_joint(machine, responses, fitted=["film", "heat"], effort=QUICK)
+    found = calibrate_linear_joint(machine, responses, fitted=FITTED, effort=QUICK)
     lines = fitted_text(JointAware(found.model)).splitlines()
-    assert [line.split()[0] for line in lines] == ["heat", "film"]
-    assert all("of the case's value, uncertain by" in line for line in lines)
+    assert [line.split()[0] for line in lines] == ["heat", "film", "film"]
+    absolute = [line for line in lines if "W/m2K" in line]
+    assert len(absolute) == 1
+    assert all("of the case's value" in line for line in lines if line not in absolute)
+    assert all("uncertain by" in line for line in lines)
 
 
 def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):

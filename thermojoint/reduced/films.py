@@ -1,0 +1,107 @@
+"""Convection coefficients of single surfaces: parts of a machine's convection, on its modes.
+
+A real machine has no even film: draughts, fans and enclosed air differ from surface to surface.
+Every named surface that convects has a factor of its own beside the common one. A named surface
+without convection may have a little that the case does not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from fesim.case.schema import Case
+from fesim.setup.machine import Setup
+from fesim.solid.heat import convection_matrix
+from thermojoint.artefacts.arrays import Array
+
+#: Largest number of surfaces with a film of their own; smaller ones share the common factor.
+MOST = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Convection of a surface.
+
+    Attributes
+    ----------
+    surface : str
+        Its name.
+    nominal : float
+        Its factor in the case: 1, or 0 where the case has no convection.
+    convection : ndarray, shape (r, r)
+        V^T H V at factor 1, W/K: at the case's coefficient, or at 1 W/(m2 K) where it has none.
+    ambient : ndarray, shape (r,)
+        V^T h likewise, W/K.
+    """
+
+    surface: str
+    nominal: float
+    convection: Array
+    ambient: Array
+
+
+def films_of(case: Case, setup: Setup) -> tuple[Film, ...]:
+    """Return the films of single surfaces on the modes of a set-up, the largest first.
+
+    The surfaces that convect are divided among those of them that have a name of their own. The
+    part with the largest heat loss has no film here: its factor is the common one.
+    """
+    assert setup.modes is not None  # reduce_machine needs them
+    basis = setup.modes.basis
+    ones = np.ones(basis.shape[0])
+    parts = [(name, 1.0, matrix) for name, matrix in _divided(case, setup).items()]
+    parts.sort(key=lambda part: -float(part[2].sum()))
+    parts = parts[1:] + [(name, 0.0, matrix) for name, matrix in _without_film(case, setup).items()]
+    return tuple(
+        Film(name, nominal, basis.T @ (matrix @ basis), basis.T @ (matrix @ ones))
+        for name, nominal, matrix in parts[:MOST]
+    )
+
+
+def _divided(case: Case, setup: Setup) -> dict[str, csr_array]:
+    """Convection matrix of every part of the surfaces that convect, W/K."""
+    surfaces = setup.structure.surfaces
+    parts: dict[str, csr_array] = {}
+    for whole, coefficient in case.convection_W_m2K.items():
+        if not coefficient:
+            continue
+        rest, own = coefficient * _matrix(setup, whole), surfaces[whole]
+        taken: list[str] = []
+        for name in sorted(surfaces, key=lambda name: surfaces[name].size):
+            inside = np.isin(surfaces[name], own).all() and surfaces[name].size < own.size
+            if inside and not _overlaps(setup, name, taken):
+                taken.append(name)
+                parts[name] = coefficient * _matrix(setup, name)
+                rest = rest - parts[name]
+        parts[whole] = csr_array(rest)
+    return {name: matrix for name, matrix in parts.items() if matrix.sum() > 0.0}
+
+
+def _without_film(case: Case, setup: Setup) -> dict[str, csr_array]:
+    """Convection matrix at 1 W/(m2 K) of the free surfaces to which the case gives no film."""
+    surfaces, supports = setup.structure.surfaces, case.supports
+    taken = [
+        *(name for name, coefficient in case.convection_W_m2K.items() if coefficient),
+        *case.radiation,
+        *(name for cavity in case.cavities.values() for name in cavity.surfaces),
+        *(*supports.fixed, *supports.symmetry, *supports.springs),
+        *(side for sides in setup.structure.joints.values() for side in sides),
+    ]
+    found: list[str] = []
+    for name in sorted(surfaces, key=lambda name: -surfaces[name].size):
+        if not _overlaps(setup, name, [*taken, *found]):
+            found.append(name)
+    return {name: _matrix(setup, name) for name in found}
+
+
+def _matrix(setup: Setup, name: str) -> csr_array:
+    return convection_matrix(setup.structure, setup.spaces.heat, name, setup.joints)
+
+
+def _overlaps(setup: Setup, name: str, others: Sequence[str]) -> bool:
+    surfaces = setup.structure.surfaces
+    return any(np.isin(surfaces[name], surfaces[other]).any() for other in others)
