@@ -71,18 +71,9 @@ def judge_responses(
     sensors: Callable[[xr.Dataset], Sequence[str]],
     conditions: Conditions,
 ) -> Figures:
-    """Judge estimators that use the same readings by responses.
+    """Validate estimators that use the same readings by responses, starting at rest.
 
-    Parameters
-    ----------
-    estimators : sequence of Estimator
-        Start at rest.
-    responses : mapping
-        Name to response.
-    samples, sensors : callable
-        For a response: the estimators' samples, and the probes they come from.
-    conditions : Conditions
-        The noise.
+    `samples` and `sensors` return the samples of a response, and the probes they come from.
     """
     rows: list[Row] = []
     for name, response in responses.items():

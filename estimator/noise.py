@@ -75,18 +75,7 @@ def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
 def with_noise(
     response: xr.Dataset, probes: Sequence[str], peak_to_peak: float, seed: int
 ) -> xr.Dataset:
-    """Return the response with noise on the temperatures that an estimator reads.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A response; it is not modified.
-    probes : sequence of str
-        Names of the probes to use.
-    peak_to_peak : float
-        Of each channel, K (`sensor_noise`).
-    seed : int
-        The same seed gives the same noise.
+    """Return a response with noise on the temperatures of some probes, K peak to peak.
 
     Raises
     ------

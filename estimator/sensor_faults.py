@@ -236,21 +236,7 @@ class Verdict(NamedTuple):
 def judge_sample(
     watch: Watch, sample: Sample, explain: Explain, channels: Channels, rules: Thresholds
 ) -> Verdict:
-    """Judge which readings of a sample are to be used.
-
-    Parameters
-    ----------
-    watch : Watch
-        Memory of the previous sample.
-    sample : Sample
-        The readings and their predictions.
-    explain : callable
-        As `Explain`; called only where it matters.
-    channels : Channels
-        Prior knowledge of the channels.
-    rules : Thresholds
-        Thresholds of distrust.
-    """
+    """Judge which readings of a sample are to be used."""
     time, readings, predicted = sample
     present = np.isfinite(readings)
     seen = Watch(*np.array(watch))

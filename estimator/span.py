@@ -83,16 +83,7 @@ def status_of(
 ) -> Status:
     """Return the status of an estimate with respect to the calibrated range.
 
-    Parameters
-    ----------
-    span : Span
-        Calibrated ranges.
-    elapsed : float
-        Time since the run began, s.
-    values : mapping
-        Channel to its value, K.
-    heat : float, optional
-        Heat input, if the estimator knows it.
+    `elapsed` is the time since the start of the run, s; `values` map channels to temperatures, K.
     """
     status = Status.OK
     if elapsed > (1.0 + SLACK) * span.duration_s:

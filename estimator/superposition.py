@@ -14,17 +14,10 @@ if TYPE_CHECKING:
 
 
 def superposed(reference: xr.Dataset, response: xr.Dataset, variable: str) -> np.ndarray:
-    """Return the linear response to the heat of `response`, by superposition of `reference`.
+    """Return a variable's linear response to the heat of `response`, superposed from `reference`.
 
     Duhamel's sum over the changes of the heat input, whose values are constant over the interval
     that ends at their sample. The reference is the response to one step at time 0.
-
-    Parameters
-    ----------
-    reference, response : xarray.Dataset
-        Responses; the reference is at least as long.
-    variable : str
-        "temperature" or "displacement".
 
     Returns
     -------

@@ -44,13 +44,6 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     Cells of second order keep their curved geometry; if all of them are straight, the mesh becomes
     one of first order: it has the same shape and costs less.
 
-    Parameters
-    ----------
-    raw : meshio.Mesh
-        Content of the file, coordinates in m.
-    path : Path
-        The file, for the error messages.
-
     Returns
     -------
     mesh : skfem.Mesh

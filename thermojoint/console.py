@@ -123,12 +123,9 @@ def _bars() -> Iterator[Report]:
 
 @contextmanager
 def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Report]:
-    """Give a function as `progress_bars`, for a log file: one line on standard error per interval.
+    """Give a function as `progress_bars`, for a log file: lines on standard error.
 
-    Parameters
-    ----------
-    first_s, every_s : float
-        Time until the first line, and between further ones, s.
+    The first comes after `first_s` seconds, further ones every `every_s` seconds.
     """
     begun, reached = monotonic(), dict[str, tuple[int, int]]()
     ended = Event()

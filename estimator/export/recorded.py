@@ -51,16 +51,7 @@ def recorded(
 ) -> Recorded:
     """Return at most `MOST` samples with the estimates, starting from the initial state.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        Of any kind.
-    samples : iterable of sequences
-        Time, s, and a value of each channel.
-    interval : float
-        Of the first sample, s.
-    origin : str
-        Where they come from.
+    Samples are time, s, and a value of each channel; the first has the given interval, s.
 
     Raises
     ------
@@ -120,14 +111,9 @@ def check_answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
 
 
 def duty_cycle(ranges: Sequence[tuple[float, float]], interval: float) -> Array:
-    """Return a day of samples (n, 1 + channels): an intermittent load in the calibrated range.
+    """Return a day of samples (n, 1 + channels): an intermittent load in the calibrated ranges.
 
-    Parameters
-    ----------
-    ranges : sequence of tuple
-        Least and largest value of every channel, in the order of a sample.
-    interval : float
-        Nominal, s.
+    The nominal interval is in s.
     """
     steps = [interval] * EVEN
     elapsed, gap = EVEN * interval, False

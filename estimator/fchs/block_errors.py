@@ -43,19 +43,13 @@ def block_errors(
     roles: Mapping[str, str] | None = None,
     noise: Mapping[str, np.ndarray] | None = None,
 ) -> list[Row]:
-    """Return the largest errors with true signals in place of estimated ones.
+    """Return the largest errors with true signals in place of estimated ones; see `validate`.
 
     Rows, by ``driven_by``: "temperatures" (the estimator as it is), "true heat" (Q for Q̂ in blocks
     2 and 3), "true deviations" (∂T from the superposed reference for blocks 4 to 7), "both".
     Errors are relative to the superposed reference (linear), the displacement minus that
     (nonlinear) and the displacement (total). With "both", the remaining linear error is that of Eq.
     8, and the remaining nonlinear error that of the source model and Eq. 18.
-
-    Parameters
-    ----------
-    case, response, model, reference, roles, noise
-        As in `estimator.fchs.judging.validate`; the noise stays on the temperatures wherever
-        they are used.
 
     Returns
     -------

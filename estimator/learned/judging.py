@@ -17,14 +17,7 @@ from thermojoint.artefacts.units import MEGA
 def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array, Array, list[str]]:
     """Return estimate and band, (k, axes) m, and status for every sample of a run.
 
-    Parameters
-    ----------
-    estimator : Learned
-        Starts from its initial state.
-    log : Log
-        One run; displacements are used only where they are read.
-    every : float, optional
-        Interval of the displacement readings, s, the first one at the start; default none.
+    With `every` (s) displacements are read at this interval, the first one at the start.
     """
     samples = samples_of(estimator.model.columns, [log])
     if every is not None:

@@ -59,14 +59,7 @@ class Filtered(NamedTuple):
 
 
 def contents(estimator: Learned, interval: float) -> Contents:
-    """Return the program contents of a learned estimator.
-
-    Parameters
-    ----------
-    estimator : Learned
-        Its model gives every coefficient.
-    interval : float
-        Nominal, s; other intervals are accepted.
+    """Return the program contents of a learned estimator; the nominal interval is in s.
 
     Raises
     ------

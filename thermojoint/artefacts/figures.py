@@ -15,15 +15,7 @@ SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#77
 
 
 def stacked_panels(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `count` panels one above the other with a common axis below.
-
-    Parameters
-    ----------
-    count : int
-        Number of panels.
-    width, height : float
-        Size of the figure, inches.
-    """
+    """Return a figure of `count` panels one above the other with a common axis below; inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")

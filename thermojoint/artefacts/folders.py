@@ -70,11 +70,6 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Until then the old folder remains, even if the process is killed. Files in the old folder that
     this program did not write are carried over.
 
-    Parameters
-    ----------
-    path : Path
-        The final name; missing parent folders are created.
-
     Yields
     ------
     Path

@@ -68,14 +68,7 @@ REQUIRED = ("heat_input", "temperature", "displacement")
 
 
 def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
-    """Return `response` if it follows the schema.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        Variables and dimensions as in `VARIABLES`; coordinate ``time`` in s, strictly increasing.
-    where : str
-        Name of the file or source, for error messages.
+    """Return a response if it agrees with `VARIABLES` and its ``time`` (s) increases strictly.
 
     Raises
     ------

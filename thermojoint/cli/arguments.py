@@ -178,30 +178,14 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def only_for(what: str, given: Mapping[str, object]) -> None:
-    """Refuse options that apply to something else.
-
-    Parameters
-    ----------
-    what : str
-        What they apply to.
-    given : mapping
-        Option to its value, None or False if it was not given.
-    """
+    """Refuse given options (neither None nor False) that only apply to something else, `what`."""
     for option, value in given.items():
         if value is not None and value is not False:
             raise InputError(f"{option}: goes with {what}; leave it out")
 
 
 def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
-    """Refuse options that a kind of model does not take.
-
-    Parameters
-    ----------
-    what : str
-        A kind of model, e.g. "a learned model".
-    given : mapping
-        Option to its value, None or False if it was not given, and whether it is taken.
-    """
+    """Refuse given options (value, whether it is taken) that a kind of model does not take."""
     for option, (value, taken) in given.items():
         if value is not None and value is not False and not taken:
             raise InputError(f"{option}: not for {what}; leave it out")

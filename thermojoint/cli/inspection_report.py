@@ -12,6 +12,7 @@ from rich.table import Table
 
 from meshes.inspection import Inspection
 from thermojoint.artefacts.settings.toml import as_key, as_text
+from thermojoint.artefacts.templates import templates_of
 
 _ANY_WIDTH = 100_000
 Row = tuple[str, ...]
@@ -50,25 +51,6 @@ def show(console: Console, name: str, inspection: Inspection) -> None:
         console.print("nothing looks wrong")
 
 
-#: Lines of a draft for each joint, to be edited.
-_JOINT = (
-    "preload_MPa = 1.0         # pressure at the start",
-    "# along = 9               # contact elements along its longer side: 5 to 15 by its shape",
-    "# across = 3              # and along its shorter side: 5",
-    "roughness_um = 1.0        # ground surfaces; turned or milled ones have more",
-    "asperity_slope = 0.15",
-    "hardness_GPa = 2.0        # of the softer side: 0.0098 x its hardness HB",
-    "friction_coefficient = 0.2",
-    "# A joint that starts open, with air in it, in place of the preload:",
-    "# preload_MPa = 0.0",
-    "# initial_opening_um = 20.0",
-    "# reference_pressure_MPa = 1.0",
-    "# gap = { gas_conductivity_W_mK = 0.026, temperature_jump_um = 0.4 }",
-    '# conductance = { law = "fixed", value_W_m2K = 5000.0 }',
-    '# conductance = { law = "table", file = "conductance.csv" }',
-)
-
-
 def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> str:
     """Return the text of a file `case` with all names of `mesh`, to be completed.
 
@@ -76,91 +58,17 @@ def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> 
     """
     relative = os.path.relpath(mesh.parent.resolve() / mesh.name, case.parent.resolve())
     sides = {side for name in inspection.joints for side in (f"{name}.a", f"{name}.b")}
-    free = [name for name in inspection.surfaces if name not in sides]
-    place = next(iter(inspection.probes), None)
-    lines = [
-        'title = "..."',
-        "",
-        "[structure]",
-        'kind = "mesh"',
-        f"file = {as_text(Path(relative).as_posix())}",
-        *([f'unit = "{unit}"'] if unit != "m" else []),
-        "",
-        "[materials.cast_iron]",
-        "conductivity_W_mK = 47.0",
-        "density_kg_m3 = 7200.0",
-        "heat_capacity_J_kgK = 500.0",
-        "youngs_modulus_GPa = 104.0",
-        "poisson_ratio = 0.27",
-        "expansion_1_K = 13.7e-6",
-        "",
-        "[bodies]",
-        *(f'{as_key(name)} = "cast_iron"' for name in inspection.bodies),
-        *(line for name in inspection.joints for line in ("", f"[joints.{as_key(name)}]", *_JOINT)),
-        *([] if inspection.joints else ["", "[joints]"]),
-        "",
-        "# A rigid wall before a surface, for a joint to press on; give it a material in [bodies].",
-        "# [walls.wall]",
-        f'# faces = "..."          # one of: {", ".join(free)}',
-        "",
-        "[supports]",
-        f"fixed = []                # one of: {', '.join(free)}",
-        "",
-        "[convection_W_m2K]",
-        *(f"{as_key(name)} = 6.0" for name in free),
-        "",
-        "[sources.heat]",
-        f'surface = "..."           # one of: {", ".join(free)}; or body = "..."',
-        "reference_power_W = 100.0",
-        '# profile = { expression = "exp(-z_mm / 20)" } # spreads the same heat unevenly',
-        "",
-        '# Warm at the start; or expression_K = "20 - 0.05 * z_mm", or the file of a table.',
-        "# [initial_temperature]",
-        "# rise_K = 0.0",
-        "",
-        '# What depends on temperature needs thermal = "full" in [march]:',
-        "# [radiation]",
-        f"# {as_key(next(iter(free), 'SURFACE'))} = {{ emissivity = 0.8, ambient_degC = 20.0 }}",
-        "# [cavities.air]         # enclosed",
-        f"# surfaces = [{as_text(next(iter(free), 'SURFACE'))}]",
-        "# film_W_m2K = 3.0",
-        "# [materials.cast_iron.conductivity_factor] # or expansion_factor",
-        "# rise_K = [0.0, 100.0]",
-        "# factor = [1.0, 0.95]",
-        "",
-        "# Forces: a surface with force_N or pressure_MPa, or acceleration_m_s2 of bodies.",
-        "# [loads.gravity]",
-        "# acceleration_m_s2 = [0.0, 0.0, -9.81]",
-        "",
-        "# A bolt: each end a surface, or a disc around a point of a body.",
-        "# [bolts.b1]",
-        '# head = { surface = "..." }',
-        '# thread = { position_mm = [0.0, 0.0, 0.0], diameter_mm = 12.0, body = "..." }',
-        "# force_kN = 20.0          # after all bolts are tight",
-        "# diameter_mm = 12.0",
-        '# material = "cast_iron"',
-        "",
-        "[heat_input]",
-        'kind = "step"',
-        "level = 1.0",
-        "",
-        "[march]",
-        "step_s = 5.0",
-        "duration_min = 30.0",
-        "",
-        "[displacement]",
-        f"point = {as_text(place or 'P')}",
-        "",
-        f"[probes.{as_key('P')}]",
-        "position_mm = [0.0, 0.0, 0.0]",
-        "",
-        "# What supports and joints bear, and stresses at probes, in the response:",
-        "# [output]",
-        "# forces = true",
-        f"# stress_probes = [{as_text('P')}]",
-        "",
-    ]
-    return "\n".join(lines)
+    template = templates_of("thermojoint.cli").get_template("draft.toml.j2")
+    return template.render(
+        file=as_text(Path(relative).as_posix()),
+        unit=unit,
+        bodies=map(as_key, inspection.bodies),
+        joints=[as_key(name) for name in inspection.joints],
+        free=[name for name in inspection.surfaces if name not in sides],
+        point=as_text(next(iter(inspection.probes), "P")),
+        key=as_key,
+        text=as_text,
+    )
 
 
 def _print(console: Console, header: Row, rows: Sequence[Row]) -> None:

@@ -149,11 +149,6 @@ class LearnedFrom:
 
         Compared by the error on the worst held-out block. A kind that is better on some
         displacements only may be so by chance.
-
-        Parameters
-        ----------
-        own : str
-            The requested kind.
         """
         if own not in self.worst_um:
             return own
@@ -234,13 +229,7 @@ class LearnedModel(Described):
         }
 
     def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
-        """Return the new names of columns for reading a log like the learning log.
-
-        Parameters
-        ----------
-        columns : sequence of str
-            Required columns; the clock is always included.
-        """
+        """Return the new names of the required columns and the clock for reading a log."""
         return {
             theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
         }

@@ -157,15 +157,10 @@ def step_response(
 def step_response_gradient(
     t: np.ndarray | float, K: float, a: float, alpha: float, r: float, r0: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step response and its derivatives by K, a, alpha and r.
+    """Return the `step_response` and its derivatives by K, a, alpha and r.
 
     The derivative by r jumps at r = r0, where the heat enters; there the mean of both sides is
     returned.
-
-    Parameters
-    ----------
-    t, K, a, alpha, r, r0
-        As in `step_response`.
 
     Returns
     -------

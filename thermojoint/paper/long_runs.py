@@ -71,15 +71,7 @@ class LongRuns:
 
 
 def random_day(minutes: float, seed: int) -> dict[str, tuple[Array, Array]]:
-    """Return times (s) and values of a day's ``heat_input`` and ``ambient_degC``.
-
-    Parameters
-    ----------
-    minutes : float
-        Length of the day.
-    seed : int
-        The same seed gives the same day.
-    """
+    """Return times (s) and values of a day's ``heat_input`` and ``ambient_degC``."""
     rng = np.random.default_rng(seed)
     end, now = 60.0 * minutes, 0.0
     times: list[float] = []
@@ -114,18 +106,8 @@ def driven(
 ) -> Case:
     """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that uses them.
 
-    Parameters
-    ----------
-    case : Case
-        The machine; its time step is not changed.
-    histories : mapping
-        ``heat_input``, and ``ambient_degC`` where the ambient moves, to times (s) and values.
-    minutes : float
-        Length of the run.
-    name : str
-        Name of the run.
-    folder : Path
-        Folder for the histories.
+    `histories` maps ``heat_input``, and ``ambient_degC`` if it changes, to times (s) and values.
+    The time step is not changed; the length of the run is in min.
     """
     files = {column: folder / f"{name}-{column}.csv" for column in histories}
     for column, (times, values) in histories.items():

@@ -42,15 +42,10 @@ KINDS = {"kalman-linear": calibrate_linear_joint, "joint-aware": calibrate_machi
 
 
 def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
-    """Return the machine of a case on the mesh of its observers.
+    """Return the machine of a case with the sensors and on the mesh of its observers.
 
-    Parameters
-    ----------
-    case : Case
-        The machine. The milling machine is remeshed with elements `COARSER` times as large; a mesh
-        from a file is used unchanged.
-    sensors : mapping of str to Probe
-        Sensors of the observer.
+    The milling machine is remeshed with elements `COARSER` times as large; a mesh from a file is
+    used unchanged.
     """
     structure = case.structure
     if isinstance(structure, MillingMachineSection):
@@ -89,21 +84,8 @@ def observers_beside(
     """Calibrate the observers of a machine in separate processes while the caller continues.
 
     Yields a function that waits for the observers and returns them. There are none for a machine
-    with held temperatures or temperature-dependent properties.
-
-    Parameters
-    ----------
-    case : Case
-        The machine.
-    sensors : mapping of str to Probe
-        Sensors that they read.
-    responses : mapping
-        Name to response for the calibration.
-    folder : Path
-        For the models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their
-        parameters, ``joint_aware.json`` and ``kalman_linear.json``.
-    effort : Effort
-        Effort of the calibration.
+    with held temperatures or temperature-dependent properties. The models ``joint_aware.h5`` and
+    ``kalman_linear.h5`` and the reports on their parameters (``.json``) are written to `folder`.
 
     Raises
     ------

@@ -221,16 +221,9 @@ def covered_areas(response: xr.Dataset) -> dict[str, float]:
 
 
 def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
-    """Return the fraction of the final change of pressure that is reached at a time.
+    """Return the fraction of the final change of pressure that is reached at a time, s.
 
     The paper's elements under compression reach 75 % within one minute (section 5.3.2).
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        Simulated response to a step; its last sample is taken as the steady state.
-    at_s : float
-        The time, s.
 
     Raises
     ------

@@ -38,18 +38,10 @@ def check_film(path: Path) -> None:
 
 
 def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
-    """Write one frame for each scene to `path`, whole or not at all.
+    """Write one frame for each scene to `path` (MP4, GIF), whole or not at all.
 
-    Camera, window and colour scale are the same for all scenes.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        In time, all of the same panels and surfaces.
-    path : Path
-        MP4 or GIF (`check_film`).
-    report : callable
-        Called with (frames done, frames in all).
+    Camera, window and colour scale are the same for all scenes, which have the same panels and
+    surfaces. `report` is called with (frames done, frames in all).
 
     Raises
     ------

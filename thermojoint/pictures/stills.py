@@ -43,16 +43,7 @@ class Sheet:
 def write_pictures(
     pictures: Mapping[Path, Scene], pyvista: bool = True, height: int = HEIGHT
 ) -> dict[Path, str]:
-    """Write each scene to its file; every file exists afterwards.
-
-    Parameters
-    ----------
-    pictures : mapping
-        PNG file to scene.
-    pyvista : bool
-        Try pyvista first.
-    height : int
-        Of the panels, pixels.
+    """Write each scene to its PNG file, with pyvista if possible; panels `height` pixels high.
 
     Returns
     -------

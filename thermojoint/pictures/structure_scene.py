@@ -35,22 +35,9 @@ def structure_scene(
     mirror: Mirror | None = None,
     caption: str = "",
 ) -> Scene:
-    """Structure with its joints, heat sources and named points.
+    """Structure with its joints, heat sources (surfaces) and named points.
 
-    Parameters
-    ----------
-    structure : Structure
-        The structure.
-    sources : sequence of str
-        Surfaces where heat enters.
-    points : sequence of Marker
-        Points and sensors to name.
-    up : (float, float, float)
-        Upward direction.
-    mirror : Mirror, optional
-        Symmetry plane of a half model: the first view looks onto it.
-    caption : str
-        Above the picture.
+    With the symmetry plane of a half model the first view is towards this plane.
     """
     colours = {side: _SIDE_COLOUR for sides in structure.joints.values() for side in sides}
     colours = dict.fromkeys(sources, _SOURCE_COLOUR) | colours

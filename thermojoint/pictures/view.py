@@ -119,22 +119,10 @@ def draw_film(
     count: int | None = None,
     up: Up | None = None,
 ) -> None:
-    """Simulate a case, or the case of a response, and write its fields in time as a film.
+    """Simulate a case, or the case of a response, and write its fields as a film (MP4, GIF).
 
-    Parameters
-    ----------
-    source : Path
-        A case (TOML) or a response (.nc).
-    show : Show, optional
-        One of `FIELDS`; default all fields of the case, side by side.
-    out : Path
-        MP4 or GIF.
-    report : callable
-        Progress.
-    count : int, optional
-        Frames, evenly spaced in time from rest to the end, no more than steps; default `FRAMES`.
-    up : Up, optional
-        As in `draw`.
+    `show` is one of `FIELDS`; default all fields of the case, side by side. `count` frames, by
+    default `FRAMES`, are evenly spaced in time from rest to the end; at most one per step.
 
     Raises
     ------
@@ -185,18 +173,7 @@ def film_scenes(
 ) -> list[Scene]:
     """Simulate a case and return scenes at `count` times from rest to the end.
 
-    Parameters
-    ----------
-    shows : tuple of Show
-        Fields of the panels.
-    case : Case
-        Case to simulate.
-    report : callable
-        Progress.
-    count : int
-        Two or more; fewer if the simulation has fewer steps.
-    up : Up, optional
-        As in `draw`.
+    There are fewer scenes if the simulation has fewer steps.
     """
     setup = _set_up(case, report)
     stage = _stage(case, setup, up)
@@ -231,16 +208,7 @@ def whole_structure(
 ) -> Scene:
     """Structure with the points of the displacement and the sensors.
 
-    Parameters
-    ----------
-    case : Case
-        Its displacement, source, supports and symmetry are shown.
-    structure : Structure
-        As built from the case.
-    sensors : mapping, optional
-        Role to position, m; default the temperature probes of the case.
-    up : Up, optional
-        As in `draw`.
+    `sensors` maps roles to positions, m; default the temperature probes of the case.
     """
     ends = [case.displacement.point, case.displacement.relative_to]
     at = {name: structure.probes[name].position for name in case.probes}

@@ -54,12 +54,7 @@ PRESSURE = Quantity("pressure", "MPa", 1e-6, "balance of the rod")
 def at_opening(opening: float, wall: float) -> tuple[float, float, float]:
     """Return the residual of the balance (m), the pressure (Pa) and the end's temperature (K).
 
-    Parameters
-    ----------
-    opening : float
-        Opening relative to the cold state, m: closing is negative.
-    wall : float
-        T2 relative to the temperature of the rod's other end, K.
+    The opening (m) is relative to the cold state, the wall's temperature (K) to the rod's foot.
     """
     touching = np.sqrt(2.0) * ROUGHNESS * erfcinv(2e-6)
     apart = touching + CLEARANCE + opening

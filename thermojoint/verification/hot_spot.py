@@ -44,12 +44,8 @@ CORE = 0.6
 def quarter_plate(half_width: float, around: int) -> Structure:
     """Mesh a quarter of the plate, one element thick, with bodies "hot" and "cold".
 
-    Parameters
-    ----------
-    half_width : float
-        Half of the plate's width, m.
-    around : int
-        Elements around an eighth of the circle. All elements are about as long as wide.
+    `around` elements divide an eighth of the circle; all elements are about as long as wide. The
+    half-width is in m.
     """
     line = np.linspace(0.0, 1.0, around + 1)
     side = 0.25 * np.pi / around

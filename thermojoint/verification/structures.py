@@ -109,14 +109,7 @@ def two_bars(left: Mesh, right: Mesh) -> Structure:
 def facing_sides(mesh: Mesh, axis: int, place: float) -> dict[str, NDArray[np.int64]]:
     """Return the facets "joint.a" and "joint.b" of two bodies that meet in a plane.
 
-    Parameters
-    ----------
-    mesh : skfem.Mesh
-        Both bodies; they share no node.
-    axis : int
-        Normal of the plane: 0, 1 or 2. Side a belongs to the body at the lower coordinates.
-    place : float
-        Coordinate of the plane along this axis, m.
+    The plane is normal to an axis (0, 1, 2) at a coordinate, m; side a is at lower coordinates.
     """
     facets = mesh.boundary_facets()
     at = mesh.p[axis, mesh.facets[:, facets]].mean(axis=0)

@@ -147,16 +147,7 @@ def clock_of(
 ) -> tuple[Clock | None, str]:
     """Return the clock of a table, and the mistake in a column that is named like one.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the columns.
-    rows : sequence of sequences of str
-        First rows, at least one.
-    decimal : str
-        Decimal sign.
-    chosen : sequence of int
-        Columns chosen by the user as the clock; others are ignored.
+    `rows` are the first rows, at least one; `chosen` are the columns that the user calls the clock.
 
     Notes
     -----

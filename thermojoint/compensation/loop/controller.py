@@ -83,17 +83,9 @@ def control(
 ) -> tuple[ControllerState, float]:
     """Return the state after a sample, and the power of the heater, W.
 
-    Anti-windup: at a limit of the heater the integral only changes towards the inside.
+    Inputs are the estimated displacement, m, and the estimated disturbing heat, W.
 
-    Parameters
-    ----------
-    controller : Controller
-    state : ControllerState
-        State after the previous sample.
-    displacement : float
-        Estimated, m.
-    disturbing : float
-        Estimated disturbing heat, W.
+    Anti-windup: at a limit of the heater the integral only changes towards the inside.
     """
     step = controller.interval
     error = controller.sign * (controller.setpoint - displacement)

@@ -25,11 +25,7 @@ _STEP, _POINTS = 7200.0, 1500
 def bode_figure(design: Design, delay: float) -> Figure:
     """Return gain and phase of the open loop, and the disturbance response, free and controlled.
 
-    Parameters
-    ----------
-    design : Design
-    delay : float
-        Of the estimates on their way, s.
+    The delay of the estimates is in s.
     """
     responses, tuned = design.responses, design.tuned
     loop = open_loop(responses, tuned.controller, delay)

@@ -117,15 +117,7 @@ def feed_forward_gain(model: ObserverModel, channels: Channels, horizon: float) 
 
 
 def tune(responses: Responses, start: Controller, required: Requirements) -> Tuned:
-    """Return the fastest controller that meets the requirements.
-
-    Parameters
-    ----------
-    responses : Responses
-        Of the model.
-    start : Controller
-        Sign, limits and feed-forward gain are used; the other settings are computed.
-    required : Requirements
+    """Return the fastest controller with sign, limits and feed-forward gain of `start`.
 
     Raises
     ------

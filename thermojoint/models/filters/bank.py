@@ -254,15 +254,10 @@ def summed(banks: list[Bank]) -> Bank:
 def leaking(bank: Bank, rate: float) -> Bank:
     """Return `bank` times s/(s + rate): the response to a constant input decays.
 
+    The rate is in 1/s; the bank has no double poles.
+
     The leak remains a separate stage. By partial fractions it would be one more pole, and residues
     of a nearby pole would nearly cancel.
-
-    Parameters
-    ----------
-    bank : Bank
-        Without double poles.
-    rate : float
-        1/s, positive.
     """
     if bank._has_double().any():
         raise InputError("a bank with double poles cannot leak")

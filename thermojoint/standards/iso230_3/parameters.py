@@ -106,12 +106,6 @@ def unsettled(record: Record, period: Period) -> dict[str, float]:
     """Return the range over the last 60 min relative to that over the first 60 min, by channel.
 
     Small for a test that has reached a steady state; left out if the first range is zero.
-
-    Parameters
-    ----------
-    record : Record
-    period : Period
-        60 min or longer.
     """
     length = min(FIRST, period.length)
     first = Period(period.begin, period.begin + length)

@@ -148,13 +148,6 @@ def _celsius(log: Log, name: str) -> Array:
 def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
     """Return the record with the displacements of the same run at a second point.
 
-    Parameters
-    ----------
-    record, second : Record
-        Read at the same times.
-    suffix : str
-        Suffix of the names of the second point's channels.
-
     Raises
     ------
     InputError
