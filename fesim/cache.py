@@ -1,10 +1,10 @@
 """Disk cache of condensations, keyed by a digest of everything they depend on.
 
-An entry is one file, called after a digest of its ingredients: the case without loads and joint
-laws, the content of its mesh, this program's source and the numerical libraries' versions. What
-follows from other ingredients has another name, so that nothing stale is ever found. An entry is
-written whole or not at all and never changed, so that any number of processes may read and write
-at once. Reading checks it (zip files carry checksums); a damaged one counts as missing.
+An entry is one file, named after a digest of everything it depends on: the case without loads and
+joint laws, the content of its mesh, this program's source and the numerical libraries' versions.
+Entries therefore never become stale. An entry is written completely or not at all and never
+changed, so that any number of processes may read and write at once. Reading checks it (zip files
+contain checksums); a damaged entry counts as missing.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 from thermojoint.artefacts.own_folder import user_cache
 from thermojoint.artefacts.source import source_digest
 
-#: Folder of the entries; ``off`` for none. Default: where this system keeps users' caches.
+#: Folder of the entries; ``off`` for none. Default: the system's folder for users' caches.
 VARIABLE = "THERMOJOINT_CACHE"
 
-#: A file that a killed process was writing stays at most this long, s.
+#: A file that a killed process was writing is deleted after this time, s.
 ABANDONED = 86_400.0
 
-#: When all entries together are larger, those go that were not used for the longest time, bytes.
+#: If all entries together are larger, the least recently used ones are deleted, bytes.
 LIMIT = 10_000_000_000
 
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "meshio")
 _SOURCES = ("thermojoint.artefacts", "meshes", "fesim")
 
-#: What entries are called: other files in the folder are left alone.
+#: Names of entries; other files in the folder are left alone.
 _NAME = 64 * "[0-9a-f]"
 
 T = TypeVar("T")
@@ -53,11 +53,11 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str 
     kind : type
         The dataclass.
     key : str or None
-        Says all that it follows from, but for the program; None if nothing is to be kept.
+        Digest of everything it depends on except the program; None for no caching.
     make : callable
-        Makes it.
+        Computes it.
     also : str, optional
-        What it follows from besides.
+        Further dependencies.
     """
     if key is None:
         return make()
@@ -73,7 +73,7 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str 
 
 
 def folder() -> Path | None:
-    """Return the folder of the entries, or None if nothing is to be kept."""
+    """Return the folder of the entries, or None if there is no cache."""
     given = os.environ.get(VARIABLE, "")
     if given.lower() == "off":
         return None
@@ -92,14 +92,14 @@ def load(key: str) -> Arrays | None:
     except DAMAGED_ARCHIVE:
         return None
     with suppress(OSError):
-        os.utime(path)  # It is the one used last.
+        os.utime(path)  # It is the most recently used one.
     return arrays
 
 
 def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
-    """Keep arrays under a key, where there is a place for them.
+    """Store arrays under a key.
 
-    A folder that cannot be written, or a full disk, costs the next run its time and nothing else.
+    If the folder is not writable or the disk is full, the next run computes them again.
     """
     place = folder()
     if place is None:
@@ -113,7 +113,7 @@ def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
 
 @cache
 def program() -> str:
-    """Return a digest of what computes: this program's source, and its libraries' versions."""
+    """Return a digest of this program's source and its libraries' versions."""
     digest = hashlib.sha256()
     for name in _LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
@@ -133,7 +133,7 @@ def _trim(place: Path) -> None:
                 path.unlink()
     entries = []
     for path in place.glob(f"{_NAME}.npz"):
-        with suppress(OSError):  # another process may take it away
+        with suppress(OSError):  # another process may delete it
             status = path.stat()
             entries.append((status.st_mtime, status.st_size, path))
     size = sum(entry[1] for entry in entries)

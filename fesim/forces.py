@@ -19,21 +19,21 @@ from thermojoint.artefacts.errors import ConvergenceError
 #: Names of the stresses of a point, and of its principal stresses.
 COMPONENT_NAMES = tuple("".join(DIRECTIONS[i] for i in pair) for pair in COMPONENTS)
 ORDER_NAMES = ("first", "second", "third")
-#: Forces below this in all count as none, N: their balance is relative to it.
+#: The balance of forces whose sum is below this is relative to it, N.
 NO_FORCE = 1e-3
-#: A bolt that pushes by more than this part of its force at the start has come loose.
+#: A bolt that pushes by more than this fraction of its initial force has come loose.
 LOOSE = 1e-6
 
 Coords = dict[str, np.ndarray | list[str]]
 
 
 def outputs_of(setup: Setup, step: Step) -> Array:
-    """Return forces of the bolts (b,), then the mechanical outputs (o,) that the case asks for.
+    """Return forces of the bolts (b,), then the mechanical outputs (o,) that the case requests.
 
     Parameters
     ----------
     setup : Setup
-        What marches.
+        Set-up of the case.
     step : Step
         With its temperature.
 
@@ -65,19 +65,19 @@ def _check_tight(setup: Setup, step: Step, pulls: Array) -> None:
         time = setup.machine.thermal.step * step.state.index
         raise ConvergenceError(
             f"t = {time:g} s: bolt {setup.bolts.names[loose[0]]!r} has come loose: it would have "
-            "to push; raise its force_kN, or look at what slackens it"
+            "to push; raise its force_kN, or check what loosens it"
         )
 
 
 def mechanical_values(
     case: Case, setup: Setup, steps: Sequence[Step], outputs: Array
 ) -> tuple[dict[str, np.ndarray], Coords]:
-    """Return what the response says of forces and stresses, and its coordinates.
+    """Return forces and stresses for the response, and their coordinates.
 
     Parameters
     ----------
     case, setup
-        What was marched.
+        The case and its set-up.
     steps : sequence of Step
         n of them.
     outputs : ndarray, shape (n, b + o)
@@ -93,7 +93,7 @@ def mechanical_values(
     count = 3 * len(supports)
     reaction = outputs[:, :count].reshape(len(steps), -1, 3)
     if case.output.forces:
-        # A bolt pulls at one end as at the other: in all it does nothing.
+        # The forces of a bolt on its two ends cancel.
         loads = len(case.loads)
         factors = np.array([load_factors(setup.machine, step.inputs)[:loads] for step in steps])
         acting = setup.forces[:, :loads]
@@ -119,7 +119,7 @@ def mechanical_values(
 
 
 def force_balance(reaction: Array, load: Array) -> Array:
-    """Return (supports + loads) over their sizes, shape (n,): zero in equilibrium.
+    """Return the norm of (supports + loads) over the sum of norms, shape (n,); 0 in equilibrium.
 
     Parameters
     ----------

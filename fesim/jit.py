@@ -1,12 +1,13 @@
 """Just-in-time compilation by Numba with a persistent cache.
 
-Left to itself, Numba keeps machine code beside the source or in the user's home, and fails where
-neither can be written: an installation of somebody else's, a service account. Here it goes into a
-folder of the user's own, because it is executed when it is read back. Where there is none, every
-process compiles for itself. A ``NUMBA_CACHE_DIR`` that is set goes before.
+By default Numba stores machine code beside the source or in the user's home, and fails where
+neither is writable: a read-only installation, a service account. Here it goes into a folder that
+belongs to the user alone, because it is executed when it is loaded. Without such a folder every
+process compiles for itself. ``NUMBA_CACHE_DIR``, if set, takes precedence.
 
-What is kept names the classes of its arguments, and cannot be read once one of them has moved to
-another module. So every source has a folder of its own, and one that nobody used for long goes.
+Cached code refers to the classes of its arguments and cannot be loaded after one of them has moved
+to another module. Every version of the source therefore has its own folder; folders that have not
+been used for long are deleted.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from thermojoint.artefacts.source import source_digest
 
 P = ParamSpec("P")
 R = TypeVar("R")
-#: Machine code of a source that nobody used for so long is dropped, s.
+#: Machine code that has not been used for this time is deleted, s.
 UNUSED = 30 * 86_400.0
 _NAME = "machine-code"
 #: Numba's settings, which have no types.
@@ -36,7 +37,7 @@ _CONFIG: Any = numba.config
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function` as machine code, made at its first call; it divides as NumPy does."""
+    """Return a function that is compiled at its first call; it divides as NumPy does."""
     with _kept_in(_folder(function.__module__.partition(".")[0])):
         try:
             made = numba.njit(error_model="numpy", cache=True)(function)
@@ -59,7 +60,7 @@ def _folder(package: str) -> Path | None:
 
 
 def _source(package: str) -> str:
-    """Digest of a package, and of this one, whose classes it may use."""
+    """Digest of the source of a package, and of this one, whose classes it may use."""
     packages = sorted({package, __name__.partition(".")[0]})
     return hashlib.sha256("".join(map(source_digest, packages)).encode()).hexdigest()[:16]
 
@@ -73,7 +74,7 @@ def _drop_unused(place: Path) -> None:
 
 @contextmanager
 def _kept_in(folder: Path | None) -> Iterator[None]:
-    """Have Numba keep in `folder` what is declared here, and nothing else."""
+    """Let Numba store the functions declared in the block in `folder`."""
     before = _CONFIG.CACHE_DIR
     _CONFIG.CACHE_DIR = str(folder) if folder else before
     try:

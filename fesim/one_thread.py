@@ -11,16 +11,16 @@ from threadpoolctl import ThreadpoolController
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let the libraries of linear algebra use one thread: a march is many small dense products."""
+    """Let the libraries of linear algebra use one thread, for a march of small dense products."""
     with _controller().limit(limits=1):
         yield
 
 
 @contextmanager
 def one_dense_thread() -> Iterator[None]:
-    """Let NumPy's own library, OpenBLAS, use one thread, and leave a sparse solver's as they are.
+    """Let OpenBLAS, NumPy's library, use one thread; a sparse solver's threads are unchanged.
 
-    Its threads wait busily, and take the processor from the sparse factors between two products.
+    Its threads wait actively between two products, and compete with the sparse solver's.
     """
     with _controller().select(internal_api="openblas").limit(limits=1):
         yield

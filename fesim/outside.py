@@ -13,7 +13,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 class Triangles(NamedTuple):
-    """Triangles, and what each corner or each of them is.
+    """Triangles, with the unknown of each corner or the contact element of each triangle.
 
     Attributes
     ----------
@@ -22,8 +22,8 @@ class Triangles(NamedTuple):
     corners : ndarray of int, shape (t, 3)
         Of each triangle.
     of : ndarray of int
-        Of the outside, for each corner: the unknown of `Setup.spaces.heat`. Of the joints, for each
-        triangle: the contact element.
+        Outside: the unknown of `Setup.spaces.heat` at each corner. In the joints: the contact
+        element of each triangle.
     """
 
     points: Array
@@ -32,7 +32,7 @@ class Triangles(NamedTuple):
 
 
 def outside_of(setup: Setup) -> Triangles:
-    """Return all boundary faces of a machine, those in its joints included."""
+    """Return all boundary faces of a machine, including those in its joints."""
     mesh = setup.structure.mesh
     used, corners = np.unique(boundary_faces(mesh, mesh.boundary_facets()), return_inverse=True)
     faces = corners.reshape(-1, len(mesh.elem.refdom.facets[0]))

@@ -22,13 +22,7 @@ from fesim.march.stepping import Advance, iterated, march_along, staggered
 from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.bolts import first_forces
-from fesim.setup.loads import (
-    forces_between,
-    heat_history,
-    input_layout,
-    input_table,
-    source_power,
-)
+from fesim.setup.loads import MarchInputs, march_inputs, source_power
 from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
@@ -58,7 +52,7 @@ class Simulation(Described):
     response : xarray.Dataset
         See `thermojoint.artefacts.response`.
     state : State
-        At the end; `simulate` goes on from it with identical results.
+        At the end; `simulate` continues from it with identical results.
     """
 
     response: xr.Dataset
@@ -93,12 +87,11 @@ def simulate(
     Parameters
     ----------
     case : Case or path
-        What to run, or its file.
+        The case, or its file.
     setup : Setup, optional
-        The case's structure condensed already, for several heat inputs on one structure; default
-        `set_up(case)`. Its heat input is not used.
+        The condensed structure, for several heat inputs on one structure; default `set_up(case)`.
     start : State, optional
-        A saved state to go on from; default the preload, and the case's initial temperatures.
+        A saved state to continue from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
         Called with every step, e.g. to write snapshots.
     progress : callable, optional
@@ -109,7 +102,7 @@ def simulate(
     InputError
         The case does not fit the structure.
     ConvergenceError
-        A step did not converge, or pressed a joint beyond what its law describes.
+        A step did not converge, or a pressure is beyond the range of the joint's law.
     """
     if not isinstance(case, Case):
         case = read_case(case)
@@ -119,9 +112,9 @@ def simulate(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
-    table = input_table(case)
+    inputs = march_inputs(case)
     _check_forces(case, ready)
-    (at_zero,) = table(np.zeros(1))
+    (at_zero,) = inputs.at(np.zeros(1))
     first = start if start is not None else initial_state(ready.machine, at_zero)
     if first.model != ready.machine.thermal.model:
         raise InputError(
@@ -135,18 +128,17 @@ def simulate(
             "than two steps before the end; make march.duration_min longer"
         )
     ends = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
-    driven = table(ends)
     parts = []
     if start is None:
         parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))
     state, done = first, 0
-    advance, between = COUPLINGS[case.march.coupling], forces_between(case, ends)
-    marching = march_along(ready.machine, driven, advance, first, between)
+    advance, between = COUPLINGS[case.march.coupling], inputs.reversed_forces(ends)
+    marching = march_along(ready.machine, inputs.at(ends), advance, first, between)
     with one_thread():
         for track in marching:
             _check_pressures(ready, track)
             state = track.step(-1).state
-            # The temperature field is the one large thing in a step: keep the probes only.
+            # The temperature field is the only large part of a step: store the probes only.
             parts.append(_kept(ready, track))
             for at in range(len(track)):
                 done += 1
@@ -154,7 +146,7 @@ def simulate(
                     on_step(track.step(at))
                 if progress is not None:
                     progress(done, count)
-    return Simulation(_response(case, ready, _joined(parts)), state)
+    return Simulation(_response(case, ready, inputs, _joined(parts)), state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +196,7 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     where : str
         For error messages.
     otherwise : str
-        What to say, and to do, where there is no case.
+        End of the message if there is no case: the consequence, and what to do.
 
     Raises
     ------
@@ -214,7 +206,7 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     try:
         data = json.loads(response.attrs["case"])
     except (KeyError, ValueError, TypeError):
-        raise InputError(f"{where}: holds no case, {otherwise}") from None
+        raise InputError(f"{where}: contains no case, {otherwise}") from None
     return case_from_data(data, f"{where}, case", Path())
 
 
@@ -225,8 +217,7 @@ def _check_forces(case: Case, ready: Setup) -> None:
     forces = first_forces(case)
     if not np.array_equal(forces, assembly.factors[-1 - len(forces) : -1]):
         raise InputError(
-            "bolts: the structure was set up with its bolts tightened to other forces; set it up "
-            "for this case"
+            "bolts: the structure was set up with other bolt forces; set it up for this case"
         )
 
 
@@ -240,19 +231,20 @@ def _check_pressures(ready: Setup, track: Track) -> None:
             f"joint {name!r}: the pressure passes {1e-6 * limit[element]:.4g} MPa, half of its "
             f"hardness, within {ready.machine.thermal.step * track.index[step]:g} s: the surfaces "
             "yield as a whole, which no joint law describes; check preload_MPa, hardness_GPa and "
-            "what presses the joint"
+            "the loads"
         )
 
 
-def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
+def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) -> xr.Dataset:
     machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
     times = machine.thermal.step * track.index
-    inputs, layout = track.inputs, input_layout(case)
+    layout = inputs.layout
+    powers = track.inputs[:, layout.source_columns]
     values = {
-        "heat_input": _heat_input(case, times, inputs[:, layout.source_columns]),
-        "source_power": inputs[:, layout.source_columns],
-        "ambient": inputs[:, layout.ambient],
+        "heat_input": _heat_input(case, inputs, times, powers),
+        "source_power": powers,
+        "ambient": track.inputs[:, layout.ambient],
         "temperature": course.probes,
         "displacement": track.displacement,
         "probe_position": np.array([probe.position for probe in setup.probes.values()]),
@@ -273,7 +265,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
         "heat_balance": track.heat_balance,
     }
     if case.loads:
-        values["load_factor"] = inputs[:, layout.count : layout.count + len(case.loads)]
+        values["load_factor"] = track.inputs[:, layout.count : layout.count + len(case.loads)]
     if machine.variable is not None:
         values["secant_residual"] = track.secant_residual
     coords: dict[str, np.ndarray | list[str]] = {
@@ -313,7 +305,7 @@ def _response(case: Case, setup: Setup, course: _Course) -> xr.Dataset:
 
 @cache
 def _versions() -> str:
-    """Read once: it takes a tenth of a short march."""
+    """Versions as JSON; cached, since reading them takes a tenth of a short march."""
     names = ("thermojoint", "scikit-fem", "numpy", "scipy")
     return json.dumps({name: version(name) for name in names})
 
@@ -325,12 +317,13 @@ def _reference_power(case: Case) -> float:
     return sum(source_power(source) for source in case.sources.values())
 
 
-def _heat_input(case: Case, times: np.ndarray, powers: np.ndarray) -> np.ndarray:
-    """Return the case's heat input; of sources with their own ones the mean weighted by power."""
+def _heat_input(
+    case: Case, inputs: MarchInputs, times: np.ndarray, powers: np.ndarray
+) -> np.ndarray:
+    """Return the case's heat input; if sources have their own, the mean weighted by power."""
     own = [source for source in case.sources.values() if source.heat_input is not None]
     if case.heat_input is not None and not own:
-        # Not from the powers: 590 W x 1.5 / 590 W is 1.5 but for rounding.
-        history = heat_history(case.heat_input)
-        return np.where(times > 0.0, entering_in_steps(history, case.march.step_s, times), 0.0)
-    total = sum(source_power(source) for source in case.sources.values())
+        # Not from the powers: 590 W x 1.5 / 590 W is 1.5 except for rounding.
+        return np.where(times > 0.0, entering_in_steps(inputs.heat, inputs.step, times), 0.0)
+    total = sum(power for power, _ in inputs.sources)
     return powers.sum(axis=1) / total if total else np.zeros(len(times))

@@ -1,7 +1,7 @@
 """Field snapshots for ParaView and pyvista: VTU files for each time and a PVD index of them.
 
 Each snapshot has two parts: the structure with temperature, displacement and stress, and, if there
-are joints, their faces with what happens at the contact elements. VTU knows no units: they stand in
+are joints, their faces with the state of the contact elements. VTU has no units: they are part of
 the names.
 """
 
@@ -36,21 +36,21 @@ def snapshot_writer(setup: Setup, folder: Path, times_s: Sequence[float]) -> Cal
 
     A step is due if it is the first at or after a requested time. The index lists the snapshots of
     this writer and is rewritten after each of them: a march that is continued from a saved state
-    needs a folder of its own.
+    needs its own folder.
 
     Parameters
     ----------
     setup : Setup
-        What marches.
+        Set-up of the case.
     folder : Path
-        Where ``snapshots.pvd`` and the VTU files go; made if it is missing.
+        Folder of ``snapshots.pvd`` and the VTU files; created if it is missing.
     times_s : sequence of float
         Requested times, s (case key ``output.snapshots_s``); 0 gives the first step.
 
     Returns
     -------
     callable
-        Fits ``on_step`` of `fesim.simulate.simulate`.
+        For ``on_step`` of `fesim.simulate.simulate`.
 
     Raises
     ------
@@ -91,8 +91,8 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
 
     Point data ``temperature_K`` (above the initial ambient), ``displacement_m``, ``von_mises_Pa``
     and ``principal_stress_Pa`` (the largest first); cell data ``body``, the number of the body in
-    the order of ``structure.bodies``. Points are the mesh's nodes; behind them stand, once more,
-    those that bodies share, so that each body has its own stress there: the mean over its cells.
+    the order of ``structure.bodies``. Points are the mesh's nodes, followed by copies of those that
+    bodies share, so that each body has its own stress there: the mean over its cells.
     """
     spaces, structure = setup.spaces, setup.structure
     temperature = setup.nodal_temperature(step.state)
@@ -126,13 +126,13 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
 
 
 def points_of_bodies(structure: Structure) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return points of which none is shared by two bodies, and the cells between them.
+    """Return points of which no two bodies share one, and the points of each cell.
 
     Returns
     -------
     tuple of ndarray of int, shapes (points,) and (corners, cells)
-        The node that each point is at: first every node, then those of a body that another body
-        before it has as well; and the points at the corners of each cell.
+        The node of each point: first every node, then, body by body, those that an earlier body
+        also has; and the points at the corners of each cell.
     """
     corners = structure.mesh.t.astype(np.int64)
     count = int(corners.max()) + 1
@@ -150,7 +150,7 @@ def points_of_bodies(structure: Structure) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def point_means(corners: NDArray[np.int64], values: Array) -> Array:
-    """Return the mean at each point of what its cells say of it.
+    """Return the mean of the values of all cells at each point.
 
     Parameters
     ----------
@@ -169,14 +169,14 @@ def point_means(corners: NDArray[np.int64], values: Array) -> Array:
 
 
 def joint_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
-    """Side a of all joints with the contact quantities of one step; there is a joint or more.
+    """Side a of all joints, at least one, with the contact quantities of one step.
 
     Cell data ``contact`` (number of the contact element, from 1, as in the response),
     ``pressure_Pa``, ``conductance_W_m2K``, ``heat_flux_W_m2`` (from side a to side b),
     ``opening_m`` and ``slip_m`` (along, across).
     """
     firsts = np.cumsum([0, *(len(joint.area) for joint in setup.joints)])
-    # Cells of one block have as many corners as each other.
+    # All cells of a block have the same number of corners.
     pieces = sorted(
         (
             (first + int(element), corners)

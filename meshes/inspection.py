@@ -205,11 +205,10 @@ def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     corners : ndarray of int, shape (k, n)
         Nodes of each cell; cells that share a node are one piece.
     """
-    nodes, at = np.unique(corners, return_inverse=True)
-    cells = corners.shape[1]
-    edges = (np.tile(np.arange(cells), len(corners)), cells + at.ravel())
-    graph = coo_array((np.ones(corners.size), edges), shape=(cells + nodes.size,) * 2)
-    # Every node belongs to a cell, so each piece has cells.
+    cells, nodes = corners.shape[1], int(corners.max()) + 1
+    edges = (np.tile(np.arange(cells), len(corners)), cells + corners.ravel())
+    graph = coo_array((np.ones(corners.size), edges), shape=(cells + nodes,) * 2)
+    # Cells come first in the graph, so theirs are the first labels.
     return connected_components(graph.tocsr(), directed=False)[1][:cells]
 
 

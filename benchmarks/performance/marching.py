@@ -24,7 +24,7 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import Advance, march_along, plainly_staggered, staggered
 from fesim.march.track import Track, joined
-from fesim.setup.loads import input_table
+from fesim.setup.loads import march_inputs
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import COUPLINGS, simulate
 from thermojoint.artefacts.arrays import Array
@@ -83,7 +83,7 @@ def ensemble(case: Case) -> list[Case]:
 
 def driven(case: Case) -> Array:
     """Inputs of a case at time zero and at the end of every step."""
-    return input_table(case)(case.march.step_s * np.arange(step_count(case.march) + 1.0))
+    return march_inputs(case).at(case.march.step_s * np.arange(step_count(case.march) + 1.0))
 
 
 def ensemble_rows(case: Case, setup: Setup) -> Iterator[Row]:

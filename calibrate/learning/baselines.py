@@ -19,12 +19,7 @@ from thermojoint.artefacts.arrays import Array
 
 def linear(blocks: Blocks, index: list[int]) -> Fitted:
     """Return ordinary least squares on the features of an index."""
-    return _penalised(blocks, index, (1e-9,))
-
-
-def ridge(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
-    """Return ridge on the standardised features of an index, its penalty chosen by blocks."""
-    return _penalised(blocks, index, penalties)
+    return ridge(blocks, index, (1e-9,))
 
 
 def autoregressive_tau(
@@ -55,8 +50,11 @@ def autoregressive_tau(
     return float(np.clip(-interval / np.log(max(pole, 1e-6)), interval, slowest))
 
 
-def _penalised(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
-    """Return the fit whose penalty has the smallest held-out error, for each displacement."""
+def ridge(blocks: Blocks, index: list[int], penalties: tuple[float, ...]) -> Fitted:
+    """Return ridge on the standardised features of an index.
+
+    Each displacement has the penalty with the smallest error on held-out blocks.
+    """
     n = blocks.features
     at = np.array(index, dtype=np.int64)
     spread = np.sqrt(np.maximum(np.diag(blocks.whole.centred) / blocks.whole.count, 1e-18))

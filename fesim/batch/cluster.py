@@ -116,7 +116,7 @@ class DaskCrew:
         except PackageNotFoundError:
             theirs = "not installed"
         except OSError:
-            return  # It has left already; if not, it is asked again.
+            return  # It has probably left; otherwise it is asked again.
         self._versions[address] = theirs
         if theirs == OWN_VERSION:
             return
@@ -145,12 +145,12 @@ def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> 
     InputError
         The scheduler does not respond, or the cluster has another version of this program.
     """
-    # What it has to say about a lost connection is said in one line, not in three tracebacks.
+    # A lost connection is reported in one line, not in three tracebacks.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no Dask scheduler answers there") from error
+        raise InputError(f"--scheduler {address}: no Dask scheduler responds there") from error
     with client:
         crew = DaskCrew(client, tell)
         try:

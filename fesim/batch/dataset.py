@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 #: Status of a case, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
 
-#: Time steps in a chunk at most: where steps of different lengths stand on one axis, most of it is
-#: empty, and an empty chunk takes no room.
+#: Most time steps in a chunk: an axis for steps of different lengths is mostly empty, and an empty
+#: chunk takes no space.
 CHUNK = 4096
 
 #: Variables recorded together with others that have an additional dimension.
@@ -229,20 +229,13 @@ def _coordinate(
     values: Labels,
     attrs: dict[str, Any] | None = None,
 ) -> None:
-    kept = values if values.dtype.kind != "U" else values.astype(f"<U{max(1, _width(values))}")
-    chunks = tuple(max(size, 1) for size in kept.shape)
-    attributes = _attributes(dims, attrs or {})
     array = group.create_array(
         name,
-        shape=kept.shape,
-        chunks=chunks,
-        dtype=kept.dtype.str,
+        shape=values.shape,
+        chunks=tuple(max(size, 1) for size in values.shape),
+        dtype=values.dtype.str,
         fill_value=None,
-        attributes=attributes,
+        attributes=_attributes(dims, attrs or {}),
     )
-    if kept.size:
-        array[...] = kept
-
-
-def _width(texts: Labels) -> int:
-    return max((len(text) for text in texts.tolist()), default=1)
+    if values.size:
+        array[...] = values

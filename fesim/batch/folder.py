@@ -1,16 +1,8 @@
 """Results folder of a batch: lock, records of finished cases, summary tables.
 
-::
-
-    FOLDER/
-      responses/ID.nc      one response per case, written atomically; none in studies of
-      displacements records/ID.json      its outcome; written last, so a record means that
-      everything is there dataset.zarr         all responses in one labelled dataset
-      (fesim.batch.dataset) summary.csv          a row for each case of the study, and the same as
-      summary.parquet journal.jsonl        when which worker got, finished or lost a case lock
-      locked by the process that writes here
-
-Only the main process writes. The lock of a killed process is released.
+docs/batch.md lists its content. Only the main process writes, every file atomically. The record of
+a case is written last, so that a record means that everything else is there. The lock of a killed
+process is released.
 """
 
 from __future__ import annotations
@@ -49,8 +41,7 @@ _UNFINISHED = (
 )
 
 
-#: What a batch writes anew; its other files have names that nobody else gives. Before any of them
-#: there is the lock.
+#: Files that a batch rewrites. The lock is created before any of them.
 _REPLACED = ("dataset.zarr", "summary.csv", "summary.parquet")
 
 
@@ -134,7 +125,7 @@ def read_records(folder: Path, study: Study) -> dict[str, Record]:
 
 
 def write_response_bytes(folder: Path, outcome: Outcome) -> None:
-    """Write a finished case's response, whole or not at all."""
+    """Write a finished case's response, completely or not at all."""
     with whole_file(response_path(folder, outcome.id)) as part:
         part.write_bytes(outcome.encoded)
 
@@ -154,25 +145,23 @@ def note(folder: Path, event: str, case: str, worker: str, detail: str = "") -> 
 
 def summary(study: Study, records: Mapping[str, Record]) -> pd.DataFrame:
     """Return a row for each case of the study: varied values, outcome, figures."""
-    rows = []
+    rows, numbers = [], [*FIGURES, "seconds", "setup_seconds"]
     for case in study.cases:
         record = records.get(case.id, {"status": "pending", "reason": ""})
         values = {path: plain(case.values[path]) for path in study.paths}
-        told = {"id": case.id, "status": record["status"], "reason": record["reason"]}
-        names = [*FIGURES, "seconds", "setup_seconds"]
-        rows.append(told | values | {name: record.get(name) for name in names})
+        outcome = {"id": case.id, "status": record["status"], "reason": record["reason"]}
+        rows.append(outcome | values | {name: record.get(name) for name in numbers})
     table = pd.DataFrame(rows)
     for path in study.paths:
         kinds = {type(value) for value in table[path]}
         if len(kinds) > 1 and not kinds <= {int, float}:
             table[path] = table[path].map(str)
-    numbers = [*FIGURES, "seconds", "setup_seconds"]
     table[numbers] = table[numbers].astype(float)
     return table.astype(dict.fromkeys(COUNTS, "Int64"))
 
 
 def write_summary(folder: Path, table: pd.DataFrame) -> None:
-    """Write the summary as CSV and as Parquet, each whole or not at all."""
+    """Write the summary as CSV and as Parquet, each completely or not at all."""
     with whole_file(folder / "summary.csv") as part:
         table.to_csv(part, index=False)
     with whole_file(folder / "summary.parquet") as part:

@@ -12,7 +12,7 @@ from meshes.milling_machine import MillingMachineDimensions
 
 
 def known_paths(case: Case) -> set[str]:
-    """Return every path of a case, those of defaults and of whole sections included.
+    """Return every path of a case, including those of defaults and of whole sections.
 
     Entries of lists are numbered from 0, e.g. ``candidates.0.spacing_mm``.
     """

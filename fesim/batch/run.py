@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 #: A case that has lost this many workers is abandoned: it is the probable cause.
 MOST_LOSSES = 3
-#: The tables are written again after this many seconds, not after every case, and so seldom that
-#: writing them takes no more than a twentieth of the time: with 100 000 rows it takes seconds.
+#: The tables are rewritten after this many seconds, and after this many times the time that writing
+#: them takes: with 100 000 rows that is seconds.
 TABLE_INTERVAL, TABLE_SHARE = 10.0, 20.0
 #: Longest wait for reports before a stop is noticed, s.
 TICK = 0.2
@@ -148,7 +148,7 @@ class _Keeper:
             unrecorded = case.id not in self.records and path.is_file()
             lost = self._status(case) == "done" and stored[case.id] != "done"
             if lost and not path.is_file():
-                # Only its displacement was kept, and the dataset is another one now.
+                # Only its displacement was stored, and the dataset has been recreated.
                 del self.records[case.id]
             elif unrecorded or lost:
                 self._take_in(case, path)

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
-from fesim.setup.loads import thermal_inputs
+from fesim.setup.loads import march_inputs
 from fesim.setup.parts import make_parts
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
@@ -177,7 +177,7 @@ def read_study(path: Path) -> Study:
     Raises
     ------
     InputError
-        The study or its case is missing or no TOML, a key or a path is unknown, or a case of it is
+        The study or its case is missing or not TOML, a key or a path is unknown, or a case of it is
         refused.
     """
     path = Path(path)
@@ -206,7 +206,7 @@ def read_study(path: Path) -> Study:
                 case_id(case, digest), condensation_key(case, digest), values, case
             )
             if load not in loads:
-                thermal_inputs(case)
+                march_inputs(case)
             if study_case.key not in shapes:
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 Figures = dict[str, float]
 
 #: A contact element with less than this share of its preload is open. Not zero: the pressure of
-#: rough surfaces fades without end.
+#: rough surfaces decays but never vanishes.
 OPEN_BELOW = 1e-3
 #: A contact element whose slip changes by more than this in a step, m, slides. Not zero: without
-#: friction an element at rest creeps by less than the gap equations are solved to.
+#: friction an element at rest creeps within the tolerance of the gap equations.
 SLIDES_ABOVE = 1e-12
 
 #: Column to its description; the columns of every summary, in this order.
@@ -59,7 +59,7 @@ def is_open(
     pressure : ndarray, shape (time, contact)
         Of a simulated response, Pa.
     preload : ndarray, shape (contact,), optional
-        Pa; default the first row, which it is unless the run went on from a saved state.
+        Pa; default the first row, unless the run was continued from a saved state.
     """
     return pressure < OPEN_BELOW * (pressure[0] if preload is None else preload)
 

@@ -33,7 +33,7 @@ PASSING = (UnreadableError, MemoryError, OSError)
 LASTING = (InputError, ConvergenceError, ArithmeticError, np.linalg.LinAlgError)
 
 #: A process works on one case at a time, however many threads a Dask worker has: the direct
-#: solver's factors are not to be used by two.
+#: solver's factors must not be used by two threads.
 _ONE_AT_A_TIME = Lock()
 
 
@@ -71,7 +71,7 @@ class Outcome:
     reason : str
         One line; empty if it is done.
     seconds, setup_seconds : float
-        For the march with all around it, and for the condensation (0 if it was at hand), s.
+        Time of the simulation without the condensation, and of the condensation (0 if cached), s.
     figures : dict
         See `fesim.batch.summary`.
     response : xarray.Dataset or None
@@ -136,14 +136,14 @@ def run(task: Task) -> Outcome:
 def _files_as_read(task: Task, case: Case) -> Iterator[None]:
     """Refuse a case whose files have changed since its id was computed, before or after its run.
 
-    A file that is edited meanwhile, or an older copy on another machine, would else give a result
-    under the id of other input.
+    Otherwise a file that is edited meanwhile, or an older copy on another machine, would give a
+    result under the id of other input.
     """
     _compare(case_id(case), task.id)
     try:
         yield
     finally:
-        # After an error too: a file that somebody is just writing may be its reason.
+        # After an error, too: a file that is being written may be its cause.
         _compare(case_id(case), task.id)
 
 
@@ -165,9 +165,9 @@ def _condensation(shared: _Shared) -> tuple[Setup, float]:
 
 @lru_cache(maxsize=KEPT)
 def _condensed(shared: _Shared) -> Setup:
-    """The one place where a batch condenses; a Setup never changes, so it may be kept."""
+    """The only place where a batch condenses; a Setup is immutable, so it may be cached."""
     setup = set_up(shared.case)
-    # What is kept must be what the key says, whatever becomes of the mesh file later.
+    # The mesh file may have changed: the set-up must be the one that the key identifies.
     _compare(condensation_key(shared.case), shared.key)
     return setup
 

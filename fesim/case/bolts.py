@@ -31,9 +31,9 @@ class BoltEndSection(Section):
 class BoltSection(Section):
     """``[bolts.NAME]``: a bolt of the meshed part, tightened to ``force_kN`` before any load.
 
-    It is a spring of its ``diameter_mm``, its length and its material's modulus, or one of
-    ``stiffness_N_um``; it expands as its material. ``file`` is a CSV with ``time_s,factor``: what
-    the force would be, of ``force_kN``, if its ends did not move.
+    Its stiffness follows from ``diameter_mm``, its length and its material's modulus, or is
+    ``stiffness_N_um``; it expands like its material. ``file`` is a CSV with ``time_s,factor``: the
+    force relative to ``force_kN`` if its ends did not move.
     """
 
     head: BoltEndSection

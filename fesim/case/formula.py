@@ -1,8 +1,8 @@
 """Formulas of position in a case file, e.g. ``sqrt(x_m**2 + y_m**2) + z_m``.
 
 A case file must never run code: a formula is parsed, every part of it is looked up in the lists
-below, and arrays are computed from the parts. Nothing is compiled or handed to ``eval``, as the
-libraries for expressions do in the end (numexpr, asteval, sympy).
+below, and arrays are computed from the parts. Nothing is compiled or passed to ``eval``, unlike in
+the libraries for expressions (numexpr, asteval, sympy).
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def formula(text: str) -> OfPosition:
         )
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-    # What the parser raises for text that is none, of nothing, or nested without end.
+    # The parser raises these for text that is not an expression, empty, or nested too deeply.
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         raise ValueError(f"{text[:40]!r} is not a formula; write e.g. 5 + 2 * z_mm") from error
     _check(tree, DEEPEST)
@@ -142,7 +142,7 @@ def _parts(node: ast.expr) -> list[ast.expr]:
 def _value(node: ast.expr, points: Array) -> Any:  # noqa: ANN401 - numbers, or arrays of them
     match node:
         case ast.Constant(value=int() | float() as value):
-            # As a floating-point number: integers would grow without end under **.
+            # As a floating-point number: integers would grow without bound under **.
             return np.float64(value)
         case ast.Name(id=name) if name in COORDINATES:
             axis, per_metre = COORDINATES[name]
@@ -155,7 +155,7 @@ def _value(node: ast.expr, points: Array) -> Any:  # noqa: ANN401 - numbers, or 
         case ast.BinOp(left=left, op=op, right=right):
             return _BINARY[type(op)](_value(left, points), _value(right, points))
         case ast.Compare(left=left, ops=[op], comparators=[right]):
-            # As numbers: truth values know no minus.
+            # As numbers: booleans have no minus.
             return 1.0 * _COMPARED[type(op)](_value(left, points), _value(right, points))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return FUNCTIONS[name][0](*(_value(part, points) for part in arguments))

@@ -58,7 +58,7 @@ class History:
 def bent_steps(history: History, step: float) -> NDArray[np.int64]:
     """Return the numbers of the steps within which a history is not linear, in ascending order.
 
-    Step k ends at k times `step` (s); none of them can be told from the values at its ends alone.
+    Step k ends at k times `step` (s); the values at its ends do not determine the history within.
     """
     knots, number = _within_steps(history.times[history.times > 0.0], step)
     before, after = history((number - 1.0) * step), history(number * step)
@@ -68,18 +68,23 @@ def bent_steps(history: History, step: float) -> NDArray[np.int64]:
 
 
 def mean_over_steps(history: History, step: float, ends: Array) -> Array:
-    """Return what a history counts as in steps: its mean where it is not linear within one.
+    """Return the value of a history in each step: its mean where it is not linear within the step.
 
-    In all others it is the value at the end, which implicit Euler takes.
+    In all other steps it is the value at the end, as in the implicit Euler method.
 
     Parameters
     ----------
     history : History
-        What drives a march.
+        Input of a march.
     step : float
         Length of a step, s.
     ends : ndarray, shape (n,)
-        Ends of steps, multiples of `step`, s; zero stands for the start.
+        Ends of steps, multiples of `step`, s; zero is the start.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In the unit of the history.
     """
     found = history(ends)
     bent = np.isin(np.rint(ends / step), bent_steps(history, step))
@@ -89,11 +94,11 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
 
 
 def entering_in_steps(history: History, step: float, ends: Array) -> Array:
-    """Return what a history counts as in steps, so that in the long run nothing of it is lost.
+    """Return the value of a history in each step such that the sum over all steps is exact.
 
-    At the end of a step in which the history is not linear, everything has entered that the history
-    has given since time zero: its mean over the step, less what linear steps before took too much
-    by their values at the end. Arguments as for `mean_over_steps`.
+    After a step in which the history is not linear, the steps have taken exactly its integral since
+    time zero: the value is the mean over the step, less the excess of the linear steps before it,
+    which take the value at their end. Arguments and result as for `mean_over_steps`.
     """
     found = mean_over_steps(history, step, ends)
     number, settled = np.rint(ends / step), bent_steps(history, step)
@@ -107,7 +112,7 @@ def entering_in_steps(history: History, step: float, ends: Array) -> Array:
 def reversals(
     histories: Sequence[History], step: float, ends: Array
 ) -> dict[int, NDArray[np.float64]]:
-    """Return where within a step histories turn back, which the values at its ends do not show.
+    """Return where histories reverse within a step, which the values at its ends do not show.
 
     Parameters
     ----------
@@ -203,7 +208,7 @@ def read_samples(path: Path, column: str) -> tuple[Array, Array]:
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is no CSV, a column is missing or a value is no number.
+        A column is missing, or a value is not a number.
     """
     columns = read_columns(path, ("time_s", column), "history")
     return columns["time_s"], columns[column]

@@ -13,9 +13,8 @@ from fesim.case.schema import Case
 from fesim.solid.linear_solver import default_solver
 from thermojoint.artefacts.errors import UnreadableError
 
-#: What enters only the joint's law (`fesim.setup.machine.with_laws`) or the loads, or is only
-#: recorded.
-#: A key that stands nowhere here belongs to the condensation: a new one splits cases at worst.
+#: Keys that enter only the joint's law (`fesim.setup.machine.with_laws`) or the loads, or are only
+#: recorded. All other keys are part of the condensation, new ones included.
 _LAW = {
     "preload_MPa",
     "reference_pressure_MPa",
@@ -32,7 +31,7 @@ _LAW = {
 }
 _MARCH = {"duration_min", "coupling"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
-#: What enters the heat equation only, sections and keys of materials.
+#: Sections, and keys of materials, that enter the heat equation only.
 _HEAT = {
     "convection_W_m2K",
     "convection_factor",
@@ -80,8 +79,8 @@ def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
     Parameters
     ----------
     data : dict
-        As `Case.model_dump` gives it, whole or in part; order counts. Every path in it counts by
-        what is in the file.
+        From `Case.model_dump`, whole or in part; the order matters. A path enters by the content of
+        its file.
     digest : callable
         As for `case_id`.
 
@@ -90,7 +89,7 @@ def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
     UnreadableError
         A file cannot be read.
     """
-    # A path is the only value of a case that JSON does not know.
+    # A path is the only kind of value of a case that JSON does not have.
     text = json.dumps(data | {"version": _VERSION}, default=digest)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -16,7 +16,7 @@ from thermojoint.artefacts.settings.section import (
     Section,
 )
 
-#: More contact elements than this in one joint are a slip: the dense matrices of the joint would
+#: More contact elements than this in one joint are a mistake: the dense matrices of the joint would
 #: not fit into any memory.
 MOST_CONTACTS = 4_000
 
@@ -120,8 +120,8 @@ class JointSection(Section):
             )
         if self.initial_opening_um != "mesh" and self.initial_opening_um < 0.0:
             raise ValueError(
-                "initial_opening_um is negative: the joint starts interpenetrated; give 0 or "
-                "more, or a preload_MPa"
+                "initial_opening_um is negative: the sides would overlap; give 0 or more, or a "
+                "preload_MPa"
             )
         return self
 

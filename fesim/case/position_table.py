@@ -32,7 +32,7 @@ def read_position_table(path: Path, column: str) -> OfPosition:
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is no such CSV, a value is not finite, or its points are no grid.
+        A column is missing, a value is not finite, or the points are not a grid.
     """
     columns = read_columns(path, (column,), "table", COLUMNS)
     axes = [(number, name) for number, name in enumerate(COLUMNS) if name in columns]

@@ -37,7 +37,7 @@ from thermojoint.artefacts.settings.section import (
     Section,
 )
 
-#: More steps than this in one run are a slip: the response would not fit into any memory.
+#: More steps than this in one run are a mistake: the response would not fit into any memory.
 MOST_STEPS = 10_000_000
 #: A time may lie after a step by this fraction of the step and still be that step.
 TIME_SLACK = 1e-6
@@ -77,9 +77,9 @@ class SupportsSection(Section):
 
 
 class LoadSection(Section):
-    """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies, as gravity is one.
+    """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies such as gravity.
 
-    ``force_N`` is that of the whole structure, spread evenly over its surface. A load is constant
+    ``force_N`` acts on the whole structure, spread evenly over its surface. A load is constant
     from the start, or multiplied by the ``factor`` of a CSV with ``time_s,factor``.
     """
 
@@ -124,7 +124,7 @@ class MarchSection(Section):
 
 
 def step_count(march: MarchSection) -> int:
-    """Steps of a whole march: its last one ends at, or first after, the duration."""
+    """Number of steps of a march: the last is the first that ends at or after the duration."""
     return first_step_at(60.0 * march.duration_min, march.step_s)
 
 
@@ -200,8 +200,8 @@ class Case(Described, Section):
         Parameters
         ----------
         **changes
-            Key of the case to what it says now: a section, or a dictionary that is merged into the
-            present one. One of another ``kind`` takes the place of the present one.
+            New value of each key: a section, or a dictionary that is merged into the present
+            section. A section of another ``kind`` replaces the present one.
 
         Raises
         ------
@@ -258,8 +258,8 @@ class Case(Described, Section):
                 taken.append(surface)
         if self.bolts and (growing := growth_sections(self)):
             raise ValueError(
-                f"{growing[0]}: bolts are condensed with bodies of constant expansion; leave out "
-                "either of them"
+                f"{growing[0]}: bolts need bodies of constant expansion; leave out the factor or "
+                "the bolts"
             )
         return self
 
@@ -310,8 +310,8 @@ def not_reducible(case: Case) -> str | None:
     if not sections or case.march.thermal == "full":
         return None
     return (
-        f"{sections[0]}: modes are those of constant properties and films to the ambient, and "
-        'temperatures of nodes are not among them; take thermal = "full" in [march]'
+        f"{sections[0]}: the reduced thermal model has constant properties and convects to the "
+        'ambient only; set thermal = "full" in [march]'
     )
 
 
@@ -326,8 +326,8 @@ def read_case(path: Path | str) -> Case:
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, or a value is out of range:
-        every mistake has a line.
+        The file is missing or not TOML, a key is unknown or missing, or a value is out of range:
+        one line for every mistake.
     """
     return read_settings(Case, Path(path), "case")
 
@@ -352,7 +352,7 @@ def case_from_data(data: dict[str, Any], where: str, folder: Path) -> Case:
     Raises
     ------
     InputError
-        A key is unknown or missing, or a value is out of range: every mistake has a line.
+        A key is unknown or missing, or a value is out of range: one line for every mistake.
     """
     return settings_from(Case, data, where, folder)
 

@@ -75,8 +75,8 @@ class ConductanceTable:
                 raise InputError(f"conductance table: {what} must rise strictly; sort the rows")
         if self.pressures.size < 2 or not (self.pressures > 0.0).all():
             raise InputError(
-                "conductance table: needs two pressures or more, all above 0; below the first one "
-                "it goes on by itself"
+                "conductance table: needs two pressures or more, all above 0; it is extrapolated "
+                "below the first"
             )
         if not (np.isfinite(self.values).all() and (self.values > 0.0).all()):
             raise InputError("conductance table: conductance_W_m2K must be above 0; fix the rows")

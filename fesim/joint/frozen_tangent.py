@@ -236,9 +236,9 @@ def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
     frozen.place[:] = -1
     for k in range(size):
         frozen.place[frozen.rows[k]] = k
-    matrix = np.empty((size, size))
+    matrix = frozen.inverse[: size * size].reshape(size, size)
     lacking_system(block.springs, block.compliance, frozen.tangent, frozen.rows, matrix)
-    frozen.inverse[: size * size] = np.linalg.inv(matrix).ravel()
+    matrix[:] = np.linalg.inv(matrix)
     frozen.slot[:] = -1
     frozen.element[:] = -1
     frozen.about[MADE], frozen.about[ROWS] = 1, size
@@ -316,7 +316,7 @@ def _changed(
 def _keep_columns(
     frozen: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
 ) -> None:
-    """See to it that each of the contact elements has its columns of the inverse in a slot."""
+    """Store the columns of the inverse of these contact elements in slots, if they are not yet."""
     springs, columns = block.springs, block.columns
     count = frozen.slot.size
     needed = frozen.scratch.needed[:count]

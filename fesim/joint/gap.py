@@ -110,7 +110,7 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
     Raises
     ------
     ConvergenceError
-        A body hangs on the joint alone, which cannot hold it.
+        A body is constrained by the joint alone, and not sufficiently.
     """
     tangent = np.eye(springs.size) - force_compliance * (reference - springs)
     try:
@@ -120,7 +120,7 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
     return GapProblem(springs, exchange @ force_compliance, exchange, law)
 
 
-# A step too far ends in infinities, which are never accepted.
+# Too long a step ends in infinities, which are never accepted.
 @np.errstate(over="ignore", invalid="ignore")
 def solve_gap(
     problem: GapProblem,

@@ -167,7 +167,7 @@ class JointLaw:
         if self.preload > 0.0 and abs(at_rest - self.preload) > 1e-9 * self.preload:
             raise InputError(
                 f"joint law: the pressure at opening zero is {at_rest:g} Pa, the preload "
-                f"{self.preload:g} Pa; make them one in the normal law"
+                f"{self.preload:g} Pa; make them equal in the normal law"
             )
 
     @property

@@ -96,8 +96,8 @@ def relax(
         if np.abs(gap).max() > ADRIFT:
             raise loose(f"the joint moves by more than {ADRIFT:g} m")
     raise ConvergenceError(
-        f"gap equations: the joint comes to no rest: it still moves by {moved:.1e} m in a viscous "
-        f"step after {MAX_STEPS} of them; lower friction_coefficient"
+        f"gap equations: the joint does not come to rest: it still moves by {moved:.1e} m in a "
+        f"viscous step after {MAX_STEPS} of them; lower friction_coefficient"
     )
 
 

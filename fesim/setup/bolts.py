@@ -14,10 +14,10 @@ from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 
-#: A disc is as many rings of equal area, and points on each: the means of fields of second order
+#: Rings of equal area that represent a disc, and points on each: means of fields of second order
 #: over it are exact.
 RINGS, AROUND = 3, 8
-#: Ends nearer to each other than this, of the structure's size, are one place.
+#: Ends closer to each other than this fraction of the structure's size coincide.
 APART = 1e-6
 
 
@@ -27,14 +27,14 @@ def bolts_of(case: Case, structure: Structure) -> list[Bolt]:
     Raises
     ------
     InputError
-        A bolt names a surface, body or material that is not there, an end lies in no cell, or its
-        ends are one place.
+        A bolt names a surface, body or material that does not exist, an end lies in no cell, or
+        its ends coincide.
     """
     return [_bolt(case, structure, name, bolt) for name, bolt in case.bolts.items()]
 
 
 def tightening(case: Case) -> list[History]:
-    """Return the force that each bolt is given in time, N: what it has if its ends stay."""
+    """Return the history of each bolt's force, N: the force if its ends did not move."""
 
     def given(bolt: BoltSection) -> History:
         factor = step_history(1.0) if bolt.file is None else read_history(bolt.file, "factor")
@@ -71,8 +71,8 @@ def _bolt(case: Case, structure: Structure, name: str, section: BoltSection) -> 
     distance = float(np.linalg.norm(anchors[0] - anchors[1]))
     if distance < APART * size:
         raise InputError(
-            f"{where}: head and thread are one place, around {shown_point(anchors[0])} m; a bolt "
-            "needs a length between them"
+            f"{where}: head and thread coincide, around {shown_point(anchors[0])} m; move "
+            "one of them"
         )
     axis = (anchors[0] - anchors[1]) / distance
     head, thread = (_patch(structure, e, axis, f"{where}.{n}") for n, e in _ends(section))
@@ -117,7 +117,7 @@ def _surface_patch(structure: Structure, name: str, where: str) -> Patch:
 
 
 def _disc(structure: Structure, end: BoltEndSection, axis: Array, where: str) -> Patch:
-    """Points of a disc across the axis that lie in the body, each for as large a part of it."""
+    """Points of a disc perpendicular to the axis that lie in the body, with equal weights."""
     cells = structure.body(end.body or "", f"{where}.body")
     centre = _anchor(structure, end, where)
     across = np.linalg.svd(axis[None, :])[2][1:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array, kron, vstack
 
 from fesim.case.schema import Case
 from fesim.setup.elastic import reference_springs
@@ -21,7 +21,6 @@ from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
-from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
 
@@ -95,8 +94,12 @@ def discretised(case: Case, parts: Parts) -> Discretised:
 
 
 def relative_rows(whole: Discretised) -> csr_array:
-    """Rows of the displacement probes, then of the bolts' stretch."""
-    probes = _relative_rows(whole.case, whole.parts.structure, whole.spaces)
+    """Rows of the displacement probe along x, y and z, then of the bolts' stretch."""
+    structure, names = whole.parts.structure, measured_points(whole.case)
+    points = {name: structure.probes[name] for name in names}
+    rows = probe_rows(whole.spaces.displacement, structure, points)
+    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
+    probes = kron(relative, np.eye(len(DIRECTIONS)), format="csr")
     return csr_array(vstack([probes, whole.stretch]))
 
 
@@ -105,22 +108,3 @@ def load_forces(whole: Discretised) -> Array:
     structure, loads = whole.parts.structure, mechanical_loads(whole.case, whole.parts.structure)
     acting = nodal_forces(structure, whole.spaces, whole.materials, loads)
     return np.hstack([acting, -whole.stretch.toarray().T])
-
-
-def _relative_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
-    names = measured_points(case)
-    rows = probe_rows(
-        spaces.displacement, structure, {name: structure.probes[name] for name in names}
-    )
-    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
-    at = relative.tocoo()
-    shape = (1, spaces.displacement_size)
-    return csr_array(
-        vstack(
-            [
-                csr_array((at.data, (np.zeros(at.nnz, dtype=int), 3 * at.col + i)), shape=shape)
-                for i in range(len(DIRECTIONS))
-            ],
-            format="csr",
-        )
-    )

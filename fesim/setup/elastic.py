@@ -1,4 +1,4 @@
-"""Elastic structure of a case, factorised as a whole if needed again, else piece by piece."""
+"""Elastic structure of a case, factorised as a whole if needed repeatedly, else piece by piece."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ElasticStructure:
         )
 
     def one_by_one(self) -> Iterator[Substructure]:
-        """Each piece factorised when it is its turn; nobody keeps it."""
+        """Yield the pieces, each factorised in its turn and not stored."""
         return substructures(self.pieces(), self.joints.gap, self.springs, self.solver)
 
     def condense(self, each: Iterable[Substructure], probes: csr_array) -> TieCondensation:
@@ -112,7 +112,7 @@ def reference_springs(
     """Reference springs (3 m,) as stiff as the softer body is behind a contact element, Pa/m.
 
     They do not depend on the joint's law, so that one condensation serves every law. Their modulus
-    is the harmonic mean of the two: beside much stiffer ones all that gives way would be rounding.
+    is the harmonic mean of the two: with much stiffer springs, rounding would hide the compliance.
     """
     modulus = by_cell(structure, {name: m.youngs_modulus for name, m in materials.items()})
     each = [

@@ -22,7 +22,8 @@ from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import InputError, UnreadableError, shown_point
 
 WHERE = "initial_temperature"
-#: A node may lie this part of a body's size outside of the snapshot's: the next node's value holds.
+#: A node may lie outside the snapshot's body by this fraction of its size: it gets the temperature
+#: of the nearest node.
 BESIDE = 0.02
 
 
@@ -65,12 +66,12 @@ def initial_temperature(case: Case, structure: Structure, basis: CellBasis) -> A
 
 
 def read_initial_temperature(case: Case) -> OfPosition | Snapshot | None:
-    """Return what a case says of its first temperatures.
+    """Return the initial temperatures of a case: a function of position, or a snapshot.
 
     Raises
     ------
     InputError
-        The file is missing, or neither a table nor a snapshot.
+        The file is missing, or is neither a table nor a snapshot.
     """
     section = case.initial_temperature
     if section is None:
@@ -93,7 +94,7 @@ def read_snapshot(path: Path) -> Snapshot:
     UnreadableError
         The file is missing or damaged.
     InputError
-        It is no such snapshot.
+        It is not a snapshot of a structure.
     """
     if not path.is_file():
         raise UnreadableError(f"{path}: no such file; give the structure's snapshot (VTU) or a CSV")

@@ -89,7 +89,7 @@ def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.flo
     Raises
     ------
     InputError
-        The mesh has the sides of a joint in each other.
+        The sides of a joint overlap in the mesh.
     """
     given = section.initial_opening_um
     if given is None:
@@ -98,11 +98,11 @@ def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.flo
         return np.full(len(joint.area), 1e-6 * given)
     apart = (joint.points_b - joint.points_a).T
     separation = element_means(joint, (apart * joint.normal[joint.element]).sum(axis=1))
-    # Coordinates of a mesh file are good to about this part of the size of what they describe.
+    # Coordinates of a mesh file are accurate to about this fraction of its size.
     if separation.min() < -1e-6 * np.sqrt(joint.area.sum()):
         raise InputError(
-            f"joints.{joint.name}: its sides are {-1e6 * separation.min():.4g} um in each other in "
-            "the mesh: it starts interpenetrated; correct the mesh, or give initial_opening_um"
+            f"joints.{joint.name}: its sides overlap by {-1e6 * separation.min():.4g} um in the "
+            "mesh; correct the mesh, or give initial_opening_um"
         )
     return np.maximum(separation, 0.0)
 
@@ -117,7 +117,7 @@ def law_of(
     Parameters
     ----------
     section : JointSection
-        What the case says of it.
+        Of the case.
     conductivity : ndarray, shape (m,)
         Harmonic conductivity at its contact elements, W/(m K).
     opening : ndarray, shape (m,), optional
@@ -126,7 +126,7 @@ def law_of(
     Raises
     ------
     InputError
-        Its table of conductances is missing or no such table.
+        Its table of conductances is missing or invalid.
     """
     closed = _closed_law(section)
     stiffness = -float(closed.slope(np.zeros(1))[0])
@@ -170,14 +170,14 @@ def _conductance(
 
 
 def read_conductance_table(path: Path) -> ConductanceTable:
-    """Read a table of conductances: a CSV with a row for every pressure, at every temperature.
+    """Read a table of conductances: a CSV with a row for each pressure at each temperature.
 
     Raises
     ------
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is no such table.
+        A column is missing, or the rows are not such a table.
     """
     columns = read_columns(
         path, ("pressure_MPa", "conductance_W_m2K"), "conductance table", ("rise_K",)

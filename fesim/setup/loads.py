@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fesim.case.history import (
     History,
@@ -33,7 +33,7 @@ from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
 from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
-from thermojoint.artefacts.arrays import OfPosition
+from thermojoint.artefacts.arrays import Array, OfPosition
 
 
 def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
@@ -53,7 +53,7 @@ def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
 
 
 def held_profiles(case: Case) -> dict[str, OfPosition | None]:
-    """Return the factor of position of every held surface; None of those held evenly."""
+    """Return the factor of position of every held surface; None for a uniform temperature."""
     return {
         name: None
         if held.profile is None
@@ -68,13 +68,13 @@ def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
     Raises
     ------
     InputError
-        A load names a surface or a body that is not there.
+        A load names a surface or a body that does not exist.
     """
     loads: list[Load] = []
     for name, load in case.loads.items():
         where = f"loads.{name}"
         if load.acceleration_m_s2 is not None:
-            # A wall stands for something of no size: it has no weight.
+            # A rigid wall has no size and no weight.
             every = tuple(body for body in structure.bodies if body not in case.walls)
             bodies = every if load.bodies is None else tuple(load.bodies)
             for body in bodies:
@@ -112,76 +112,109 @@ def input_layout(case: Case) -> InputLayout:
     return InputLayout(len(case.sources), len(case.held_temperatures))
 
 
-def thermal_inputs(case: Case) -> Callable[[float], NDArray[np.float64]]:
-    """Return the inputs of the march in time, in the order of `input_layout`.
+@dataclass(frozen=True, eq=False)
+class MarchInputs:
+    """Histories of the inputs of a march: thermal ones, then those of loads and bolts.
 
-    Behind them stand the factors of the mechanical loads, then what the bolts are given (N), and
-    with them a 1 (`fesim.solid.bolts.fastened`).
+    Attributes
+    ----------
+    layout : InputLayout
+        Order of the thermal inputs.
+    step : float
+        Length of a step, s.
+    heat : History
+        The case's heat input.
+    sources : list of (float, History)
+        Power at heat input 1, W, and heat input of each source.
+    ambient : History or None
+        °C.
+    held : list of History
+        Of the held surfaces, K.
+    forces : list of History
+        Factors of the loads, forces of the bolts (N), and with bolts a 1
+        (`fesim.solid.bolts.fastened`).
     """
-    table = input_table(case)
-    return lambda time: table(np.array([time]))[0]
 
+    layout: InputLayout
+    step: float
+    heat: History
+    sources: list[tuple[float, History]]
+    ambient: History | None
+    held: list[History]
+    forces: list[History]
 
-def input_table(case: Case) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the inputs of `thermal_inputs` as a function of many times (n,), s: a row for each.
+    def at(self, ends: Array) -> Array:
+        """Return the inputs of the steps that end at `ends` (n,), s: a row for each.
 
-    The times are ends of the case's steps. Heat and ambient count as `entering_in_steps`, held
-    temperatures as `mean_over_steps`, forces as they are at the end.
-    """
-    layout, step = input_layout(case), case.march.step_s
-    sources = [
-        (source_power(source), heat_history(source.heat_input or case.heat_input))
-        for source in case.sources.values()
-    ]
-    ambient = read_history(case.ambient.file, "ambient_degC") if case.ambient else None
-    held = [held_history(section) for section in case.held_temperatures.values()]
-    behind = _force_histories(case)
-
-    def inputs(times: NDArray[np.float64]) -> NDArray[np.float64]:
-        rows = np.zeros((len(times), layout.count + len(behind)))
-        for column, (power, history) in zip(rows.T[layout.source_columns], sources, strict=True):
-            column[:] = power * entering_in_steps(history, step, times)
-        if ambient:
-            found = entering_in_steps(ambient, step, times)
-            rows[:, layout.ambient] = found - ambient(np.zeros(1))
-        for column, history in zip(rows.T[layout.held_columns], held, strict=True):
-            column[:] = mean_over_steps(history, step, times)
-        for column, history in zip(rows.T[layout.count :], behind, strict=True):
-            column[:] = history(times)
+        Heat and ambient by `entering_in_steps`, held temperatures by `mean_over_steps`, forces at
+        the end of the step.
+        """
+        layout, step = self.layout, self.step
+        rows = np.zeros((len(ends), layout.count + len(self.forces)))
+        sources = zip(rows.T[layout.source_columns], self.sources, strict=True)
+        for column, (power, history) in sources:
+            column[:] = power * entering_in_steps(history, step, ends)
+        if self.ambient:
+            found = entering_in_steps(self.ambient, step, ends)
+            rows[:, layout.ambient] = found - self.ambient(np.zeros(1))
+        for column, history in zip(rows.T[layout.held_columns], self.held, strict=True):
+            column[:] = mean_over_steps(history, step, ends)
+        for column, history in zip(rows.T[layout.count :], self.forces, strict=True):
+            column[:] = history(ends)
         return rows
 
-    return inputs
+    def reversed_forces(self, ends: Array) -> dict[int, Array]:
+        """Return the forces where they reverse within a step.
+
+        Parameters
+        ----------
+        ends : ndarray, shape (n,)
+            Ends of steps, s.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (k, l)
+            Index in `ends` to the inputs after the thermal ones, in order of time.
+        """
+        found = reversals(self.forces, self.step, ends)
+        return {
+            at: np.stack([history(times) for history in self.forces], axis=1)
+            for at, times in found.items()
+        }
 
 
-def forces_between(case: Case, ends: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
-    """Return what loads and bolts are where they turn back within a step.
+def march_inputs(case: Case) -> MarchInputs:
+    """Read the histories of a case's inputs.
 
-    Parameters
-    ----------
-    case : Case
-        With its loads and bolts.
-    ends : ndarray, shape (n,)
-        Ends of steps, s.
-
-    Returns
-    -------
-    dict of int to ndarray, shape (k, l)
-        Place in `ends` to what stands behind the thermal inputs of the march, in order of time.
+    Raises
+    ------
+    InputError
+        A file is missing or is not a history.
     """
-    behind = _force_histories(case)
-    found = reversals(behind, case.march.step_s, ends)
-    return {
-        at: np.stack([history(times) for history in behind], axis=1) for at, times in found.items()
-    }
-
-
-def _force_histories(case: Case) -> list[History]:
-    """Inputs after the thermal ones: load factors, bolt forces (N) and a 1 for these."""
+    own = [source.heat_input is not None for source in case.sources.values()]
+    heat = heat_history(None if own and all(own) else case.heat_input)
     factors = [
         step_history(1.0) if load.file is None else read_history(load.file, "factor")
         for load in case.loads.values()
     ]
-    return [*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])]
+    return MarchInputs(
+        layout=input_layout(case),
+        step=case.march.step_s,
+        heat=heat,
+        sources=[
+            (source_power(source), heat_history(source.heat_input) if source.heat_input else heat)
+            for source in case.sources.values()
+        ],
+        ambient=read_history(case.ambient.file, "ambient_degC") if case.ambient else None,
+        held=[held_history(section) for section in case.held_temperatures.values()],
+        forces=[*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])],
+    )
+
+
+def thermal_inputs(case: Case) -> Callable[[float], Array]:
+    """Return the inputs of `march_inputs` as a function of the end of one step, s."""
+    inputs = march_inputs(case)
+    return lambda time: inputs.at(np.array([time]))[0]
 
 
 def heat_history(given: HeatInput | None) -> History:

@@ -76,15 +76,15 @@ class Setup(Described):
     joints : tuple of PairedJoint
         In the order of the contact elements.
     machine : CondensedMachine
-        What marches; its displacement probes are the relative displacement along x, y and z.
+        Its displacement probes are the relative displacement along x, y and z.
     make_field : callable
-        Gives `field`; it is only factorised when somebody asks.
+        Returns `field`, which is factorised at the first call.
     probes : dict of str to Probe
         Temperature probes: those that the case names and its candidates.
     probe_rows : scipy.sparse.csr_array or ndarray, shape (probes, n_heat)
         Their rows, of nodal temperatures or of the reduced model's amplitudes.
     modes : ThermalModes or None
-        The reduced thermal model; None if the march has the full one.
+        The reduced thermal model; None for the full one.
     constraints : Constraints
         Constraints of the bodies.
     forces : ndarray, shape (n, l + b)
@@ -160,7 +160,7 @@ class Setup(Described):
         return np.concatenate([factors[: self.forces.shape[1] - pulls.size], pulls])
 
     def displacement(self, step: Step) -> NDArray[np.float64]:
-        """Displacement at every unknown, shape (n,), m; with bolts from where they are just tight.
+        """Displacement at every unknown, shape (n,), m; relative to the state after tightening.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class Setup(Described):
         return self.field.solve(temperature, remainder, self.forces @ acting)
 
     def deformation(self, step: Step) -> NDArray[np.float64]:
-        """Displacement from the state without any force, shape (n,), m: what stresses come of.
+        """Displacement relative to the force-free state, shape (n,), m: that of the stresses.
 
         Parameters
         ----------
@@ -188,24 +188,24 @@ class Setup(Described):
 
 @dataclass(frozen=True)
 class _Keys:
-    """Under which a condensation is remembered; None where a mesh file has changed meanwhile."""
+    """Keys of a case in the cache; None if a mesh file has changed since it was read."""
 
     heat: str | None
     elasticity: str | None
 
 
 def set_up(case: Case) -> Setup:
-    """Build, check and condense everything a case names.
+    """Build, check and condense the parts of a case.
 
     Parameters
     ----------
     case : Case
-        Its heat input is not used: one set-up serves any number of them.
+        Its heat input is not used: one set-up serves any number of heat inputs.
 
     Raises
     ------
     InputError
-        A name does not exist in the structure, parts do not fit, or nothing holds a body.
+        A name does not exist in the structure, parts do not fit, or a body is not constrained.
     """
     before = thermal_key(case)
     parts = make_parts(case)
@@ -214,7 +214,7 @@ def set_up(case: Case) -> Setup:
 
 
 def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
-    """Condense what was built and checked."""
+    """Condense checked parts."""
     whole = discretised(case, parts)
     condensed, field = _condensed_elasticity(whole, keys)
     forces = load_forces(whole)
@@ -247,8 +247,8 @@ def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
 
 
 def _keys(case: Case, before: str) -> _Keys:
-    """Keys of what is remembered; `before` is the thermal one from before the meshes were read."""
-    # A mesh file that somebody writes just now is not to be taken for the one before.
+    """Keys in the cache; `before` is the thermal key from before the meshes were read."""
+    # A mesh file may have been rewritten since.
     digest = cache(file_digest)
     if thermal_key(case, digest) != before:
         return _Keys(None, None)
@@ -258,14 +258,14 @@ def _keys(case: Case, before: str) -> _Keys:
 def _condensed_elasticity(
     whole: Discretised, keys: _Keys
 ) -> tuple[ElasticCondensation, Callable[[], DisplacementField]]:
-    """Condense the structure; what gives its displacement field is factorised on demand."""
+    """Condense the structure; its displacement field is factorised on demand."""
     case = whole.case
     solid = elastic_structure(
         case, whole.parts.structure, whole.spaces, whole.materials, whole.operators, whole.springs
     )
 
     def condense() -> TieCondensation:
-        # Kept only if loads, outputs or snapshots need them again.
+        # The factors are stored only if loads, outputs or snapshots need them again.
         again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
         pieces = solid.factorised.substructures if again else solid.one_by_one()
         return solid.condense(pieces, relative_rows(whole))
@@ -363,7 +363,7 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     Raises
     ------
     InputError
-        Without the friction of the first case, nothing holds a body.
+        Without the friction of the first case, a body is not constrained.
     """
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)

@@ -38,7 +38,7 @@ def support_names(case: Case) -> list[str]:
 def mechanical_outputs(
     whole: Discretised, field: DisplacementField, forces: Array
 ) -> MechanicalOutputs:
-    """Condense what a case asks for: three rows a support, then six a stress probe.
+    """Condense the outputs that a case requests: three rows per support, six per stress probe.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ def mechanical_outputs(
     rows = reaction_rows(structure, spaces, field, whole.springs, forces, supports)
     if case.output.stress_probes:
         probes = {name: structure.probes[name] for name in case.output.stress_probes}
-        probe_cells(structure, probes)  # a point in no cell, or between bodies that part
+        probe_cells(structure, probes)  # refuses a point in no cell, or on a joint
         around = [cells_around(structure, probe) for probe in probes.values()]
         count = [len(cells) for cells in around]
         points = np.array([probe.position for probe in probes.values()]).T.repeat(count, axis=1)
         stresses = stress_rows(structure, spaces, whole.materials, points, np.concatenate(around))
-        # At a node, the stress of one of its cells would depend on which is found first.
+        # At a node, the stress of a single cell would depend on which one is found first.
         mean = block_diag([np.tile(np.eye(6) / n, n) for n in count], format="csr")
         rows = with_stresses(rows, *(csr_array(mean @ one) for one in stresses))
     return condense_outputs(field, rows, forces)

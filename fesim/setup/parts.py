@@ -13,8 +13,8 @@ from fesim.setup.laws import joint_laws
 from fesim.setup.loads import (
     heat_sources,
     held_profiles,
+    march_inputs,
     mechanical_loads,
-    thermal_inputs,
 )
 from fesim.setup.soundness import check_sound
 from fesim.setup.structure import body_materials, build_structure, candidate_probes, measured_points
@@ -57,19 +57,19 @@ class Parts:
 
 
 def make_parts(case: Case) -> Parts:
-    """Build and check what a case names, short of finite elements: quick, and finds most slips.
+    """Build and check the parts of a case without finite elements: quick, and finds most mistakes.
 
     Raises
     ------
     InputError
-        A name does not exist in the structure, a history is bad, parts do not fit, or nothing
-        holds a body.
+        A name does not exist in the structure, a history is invalid, parts do not fit, or a body
+        is not constrained.
     """
     structure = build_structure(case)
     check_names(case, structure)
     if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
         raise InputError(reason)
-    thermal_inputs(case)  # a bad history is found now, not after the factorisation
+    march_inputs(case)  # an invalid history is found now, not after the factorisation
     joints = paired_joints(case, structure)
     check_sound(case, structure, joints)
     probes = {
@@ -106,7 +106,7 @@ def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
 
 
 def check_names(case: Case, structure: Structure) -> None:
-    """Raise InputError if a support, load or material of the case names what is not there."""
+    """Raise InputError if a support, load or material of the case has an unknown name."""
     body_materials(case, structure)
     for name in case.convection_W_m2K:
         structure.surface(name, "convection_W_m2K")

@@ -28,7 +28,7 @@ def profile_of(section: ProfileSection, where: str, least: float = -math.inf) ->
     Raises
     ------
     InputError
-        The file is no table; or, where the function is used, a value is not finite or too small.
+        The file is not a table. The function raises it for a value that is not finite or too small.
     """
     if section.file is not None:
         return checked(read_position_table(section.file, "factor"), where, least)

@@ -27,12 +27,12 @@ SAME_AMBIENT = 0.5
 
 
 def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
-    """Refuse what every later check would accept and what would falsify the answer.
+    """Refuse a case that every later check would accept but whose results would be wrong.
 
     Parameters
     ----------
     case : Case
-        What is set up.
+        Before its set-up.
     structure : Structure
         Its structure, with all names.
     joints : sequence of PairedJoint
@@ -59,7 +59,7 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a line about whatever may be meant, but hardly is: bodies that touch without a joint.
+    """Return a warning about each pair of bodies that touch without a joint.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def explained_by_size(structure: Structure) -> Iterator[None]:
 
 
 def check_open(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
-    """Refuse a cavity whose walls joints cover all over: there is no air in it."""
+    """Refuse a cavity whose walls are completely covered by joints: it contains no air."""
     for name, cavity in case.cavities.items():
         where = f"cavities.{name}.surfaces"
         whole = sum(area_of(structure, structure.surface(one, where)) for one in cavity.surfaces)
@@ -173,7 +173,7 @@ def check_closed(joint: PairedJoint) -> None:
 
 
 def check_apart(structure: Structure, names: Iterable[str], where: str) -> None:
-    """Refuse surfaces that share facets where what they say of a facet would add up."""
+    """Refuse surfaces that share facets: there the effects of both would be added."""
     for surface, other in combinations(names, 2):
         shared = np.intersect1d(structure.surface(surface, where), structure.surface(other, where))
         if shared.size:

@@ -18,7 +18,7 @@ from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings.toml import as_key
 
-#: More possible sensors than this are a slip of a unit.
+#: More possible sensors than this are probably a mistake of the unit.
 MOST_CANDIDATES = 100_000
 
 
@@ -109,7 +109,7 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
 def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
     """Possible sensors: lattice points of each ``[[candidates]]`` box that lie in its body.
 
-    A candidate is called after its position in mm, e.g. ``s575_700_150``.
+    A candidate is named after its position in mm, e.g. ``s575_700_150``.
     """
     probes: dict[str, Probe] = {}
     for section in case.candidates:
@@ -150,6 +150,6 @@ def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def measured_points(case: Case) -> list[str]:
-    """Return the point whose displacement is recorded and the one it is measured from, if any."""
+    """Return the point whose displacement is recorded, and its reference point if there is one."""
     point, origin = case.displacement.point, case.displacement.relative_to
     return [point] if origin is None else [point, origin]

@@ -26,7 +26,7 @@ from meshes.structure import Structure
 
 
 def factor_of(section: FactorSection) -> TemperatureFactor:
-    """Return the factor that a section says."""
+    """Return the factor of a section."""
     return TemperatureFactor(np.array(section.rise_K), np.array(section.factor))
 
 
@@ -62,7 +62,7 @@ def variable_heat(
     joints: Sequence[PairedJoint],
     heat: HeatOperators,
 ) -> VariableHeat | None:
-    """Return what the constant operators `heat` lack, or None if nothing depends on temperature."""
+    """Return the terms that the constant operators `heat` lack; None if there are none."""
     terms = []
     for body, factor in _conductivity_factors(case, materials).items():
         own = {name: m.conductivity if name == body else 0.0 for name, m in materials.items()}
@@ -84,7 +84,7 @@ def variable_heat(
 
 
 def growth(case: Case, structure: Structure, basis: CellBasis) -> ThermalGrowth | None:
-    """Return how bodies grow whose expansion depends on temperature; None if none does."""
+    """Return the temperature-dependent expansion of the bodies; None if it is constant."""
     unknowns = {
         name: np.unique(basis.element_dofs[:, cells]) for name, cells in structure.bodies.items()
     }

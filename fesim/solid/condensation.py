@@ -27,7 +27,7 @@ from fesim.solid.substructures import (
 )
 from thermojoint.artefacts.arrays import Array
 
-#: The unknowns of the full model: nodal temperatures.
+#: `ThermalCondensation.model` of nodal temperatures.
 FULL = "full"
 
 

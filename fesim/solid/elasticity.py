@@ -19,6 +19,7 @@ from fesim.solid.heat import by_cell, convection_form, surface_basis
 from fesim.solid.linear_solver import symmetric, upper_triangle
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
+from meshes.inspection import pieces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
@@ -158,7 +159,8 @@ def elastic_pieces(
         points = np.ascontiguousarray(spaces.displacement.doflocs[:, nodes].T)
         return ElasticPiece(unknowns, points, stiffness, load, free[unknowns])
 
-    return map(piece, _connected_cells(spaces.displacement.element_dofs))
+    label = pieces(spaces.displacement.element_dofs)
+    return (piece(np.flatnonzero(label == number)) for number in range(label.max() + 1))
 
 
 def in_rows(block: csr_array, rows: NDArray[np.int64], count: int) -> csr_array:
@@ -205,17 +207,6 @@ def _assembled(
     entries = np.stack([places.sums(load) for load in loads], axis=1)[:, :, None]
     load = bsr_array((entries, places.indices, places.indptr), shape=(size, shape[1])).tocsr()
     return upper_triangle(stiffness), csr_array(load)
-
-
-def _connected_cells(dofs: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield the cells of each part of the mesh that shares no node with the others."""
-    cells, nodes = dofs.shape[1], int(dofs.max()) + 1
-    cell = np.tile(np.arange(cells), len(dofs))
-    size = cells + nodes
-    touches = coo_array((np.ones(cell.size), (cell, cells + dofs.ravel())), (size, size))
-    label = connected_components(touches, directed=False)[1][:cells]
-    for number in dict.fromkeys(label.tolist()):
-        yield np.flatnonzero(label == number)
 
 
 def _of_nodes(nodes: NDArray[np.int64]) -> NDArray[np.int64]:

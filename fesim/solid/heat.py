@@ -36,7 +36,7 @@ class HeatSource:
     power : float
         Heat that enters the meshed part at input 1, W.
     surface, body : str or None
-        One of them.
+        Exactly one of them is given.
     weight : callable or None
         Position (3, n), m, to the relative heat density (n,), not negative; the total remains
         `power`. None heats evenly.
@@ -157,14 +157,14 @@ def heat_operators(
     materials : dict
         Body name to its material.
     loads : ThermalLoads
-        What heats and cools it.
+        Convection, sources and prescribed temperatures.
     joints : sequence of PairedJoint
         Joints, whose covered surfaces do not convect.
 
     Raises
     ------
     InputError
-        The weight of a source is nowhere above zero on the mesh.
+        The weight of a source is zero everywhere on the mesh.
     """
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
@@ -215,7 +215,7 @@ def convection_matrix(
     partly = cover.share[cover.facet] < 1.0
     if not partly.any():
         return matrix
-    # The joint takes facets as plane ones: of a curved facet it covers the same share.
+    # The joint treats facets as plane; it covers the same share of a curved one.
     curved = np.ones(len(facets))
     curved[free] = on.dx.sum(axis=1) / cover.area[free]
     weights = (curved[cover.facet] * cover.weights)[partly]

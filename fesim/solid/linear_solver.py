@@ -28,15 +28,15 @@ VARIABLE = "THERMOJOINT_SOLVER"
 #: PARDISO's phases: fill-in reduction, numerical factorisation, substitution.
 ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
 
-#: PARDISO's parameters, counted from 1: what follows is not the default; nested dissection. Without
-#: the first, MKL refines every solution twice, which takes four times as long and serves nobody:
-#: the residual is checked here.
+#: PARDISO's parameters, numbered from 1: use these instead of the defaults; nested dissection. By
+#: default MKL refines every solution twice, which takes four times as long and is not needed: the
+#: residual is checked here.
 PARAMETERS = {1: 1, 2: 2}
 
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
-#: A solution of doubles leaves so much of |A| |x|, however good it is: a body that is a million
-#: times stiffer than what it moves with has large forces that cancel. But never more than this.
+#: A larger residual is accepted if rounding explains it, up to this fraction of |A| |x| and up to
+#: this limit: forces in a body a million times stiffer than its surroundings are large and cancel.
 ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
 
 
@@ -60,7 +60,7 @@ class Factor:
 
 
 def default_solver() -> str:
-    """Return what `VARIABLE` names; without it ``"pardiso"`` if installed, else ``"superlu"``.
+    """Return the solver named by `VARIABLE`, else ``"pardiso"`` if installed, else ``"superlu"``.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def shifted_factors(
 
 
 def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[csr_array], Factor]:
-    """Return what factorises matrices of one pattern."""
+    """Return a function that factorises matrices of one pattern."""
     name = solver or default_solver()
     if name == "pardiso":
         make = _pardiso(upper, what)
@@ -144,7 +144,7 @@ def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[cs
 
     def factor(matrix: csr_array) -> Factor:
         factorised = Factor(matrix, make(matrix), name)
-        # A pivot that is zero but for rounding passes the factorisation; a solve shows it.
+        # The factorisation accepts a pivot that is zero except for rounding; a solve reveals it.
         if not _relative_residual(factorised, factorised.solve(probe), probe) <= RESIDUAL_LIMIT:
             raise singular(what)
         return factorised
@@ -239,18 +239,18 @@ def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Arr
     solver = PyPardisoSolver(mtype=2)
     for number, value in PARAMETERS.items():
         solver.set_iparm(number, value)
-    # Told where MKL is, the next solver does not search the whole installation for it (0.3 s each).
+    # Otherwise each solver searches the whole installation for MKL, which takes 0.3 s.
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
 
     def run(phase: int, matrix: csr_array, right_side: Array) -> Array:
         solver.set_phase(phase)
         try:
-            # The public calls compare the whole matrix with a copy of it, and keep the copy.
+            # The public calls compare the whole matrix with a copy of it, and store the copy.
             return np.asarray(solver._call_pardiso(matrix, right_side))
         except PyPardisoError as error:
             raise singular(what) from error
 
-    # MKL keeps a factorisation until it is told to let go of it.
+    # MKL stores a factorisation until it is released.
     finalize(run, solver.free_memory, everything=True).atexit = False
     run(ANALYSIS, upper, np.zeros(upper.shape[0]))
 

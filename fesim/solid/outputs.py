@@ -8,7 +8,7 @@ once, it needs no displacement field: o = (c_T + y F) T + (c_z + y G^T A) r + (c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +98,7 @@ def stacked(rows: Sequence[OutputRows]) -> OutputRows:
 
 
 class Supports(NamedTuple):
-    """Surfaces that something outside holds.
+    """Supported surfaces.
 
     Attributes
     ----------
@@ -193,10 +193,4 @@ def _on_displacements(rows: csr_array, like: OutputRows) -> OutputRows:
 
 def with_stresses(reactions: OutputRows, moved: csr_array, heated: csr_array) -> OutputRows:
     """Add rows of stresses (`fesim.solid.stress.stress_rows`) below those of reactions."""
-    stresses = _on_displacements(moved, reactions)
-    return stacked(
-        [
-            reactions,
-            OutputRows(moved, heated, stresses.remainder, stresses.loads),
-        ]
-    )
+    return stacked([reactions, replace(_on_displacements(moved, reactions), temperature=heated)])

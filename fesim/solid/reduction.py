@@ -34,18 +34,18 @@ from thermojoint.artefacts.errors import ConvergenceError
 SHIFTS = (20, 28, 40)
 #: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at first.
 CUT = 3e-4
-#: ... and those below this part of the responses themselves always: they are rounding.
+#: Directions below this fraction of the responses are rounding, and always left out.
 ROUNDING = 1e-13
-#: Responses are solved to this part of the largest output at best: what gives off no heat gets very
-#: hot at the slowest shifts, and no tolerance below that can be checked.
+#: Relative accuracy of the full responses: a body that gives off no heat gets very hot at the
+#: slowest shifts, where no smaller tolerance can be checked.
 SOLVED = 1e-9
 #: The transfer is checked at about this many shifts, the march over this many steps, each this many
-#: times the shortest time: errors of real shifts alone would be too small by far.
+#: times the shortest time: real shifts alone would underestimate the error.
 CHECKED, STEPS, STEP = 4, 200, 2.0
 #: Number of steps whose outputs are computed together.
 TOGETHER = 50
-#: Of more drives than twice this, so many random combinations at a time stand for all, until they
-#: bring fewer new directions than half of their number.
+#: Random combinations at a time represent the drives if these are more than twice as many, until
+#: fewer than half of them add a new direction.
 SAMPLE = 64
 
 
@@ -73,7 +73,7 @@ class ReducedHeat:
 
 @dataclass(frozen=True)
 class HeatSystem:
-    """The heat equation to reduce, and what drives it and is read of it.
+    """The heat equation to be reduced, with its inputs and outputs.
 
     Attributes
     ----------
@@ -231,6 +231,6 @@ def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
     rest -= basis @ (basis.T @ rest)
     vectors, sizes, _ = np.linalg.svd(rest, full_matrices=False)
     directions = vectors[:, sizes > max(cut, ROUNDING * float(np.linalg.norm(block)))]
-    # A small direction of a large block holds a little of the basis: one more time for the few.
+    # The rounding of a large block leaves some of the basis in a small direction: project again.
     directions = directions - basis @ (basis.T @ directions)
     return np.asarray(np.linalg.qr(directions)[0])

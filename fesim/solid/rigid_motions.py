@@ -22,15 +22,17 @@ from skfem import Mesh
 
 from fesim.solid.bolts import Bolt
 from fesim.solid.elasticity import DIRECTIONS
+from meshes.inspection import pieces
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: A rigid motion of unit size that moves what could hold it by less than this is not held: normals
-#: that turn by less (rad) are parallel but for the rounding of a mesh file.
+#: A rigid motion of unit size that moves its constraints by less than this is free: normals that
+#: differ by less (rad) are parallel up to the rounding of a mesh file.
 HELD = 1e-5
-#: In a message, a motion is called after the axes and bodies that it leaves by less than this, rad.
+#: In a message, a motion within this angle of coordinate axes, rad, is described by these, and
+#: bodies that move by less than this share are not named.
 NAMED = 0.05
 
 
@@ -117,7 +119,7 @@ class Constraints:
         )
 
     def _slips(self, motion: Array, joints: Sequence[_Between]) -> bool:
-        """Whether no support and no joint resists a motion by more than facets make it seem."""
+        """Whether supports and joints resist a motion only by the apparent stiffness of facets."""
         parts = motion.reshape(-1, 6)
         across = [(joint.sides @ parts, joint) for joint in joints]
         moved = [(shift, joint) for shift, joint in across if np.linalg.norm(shift) > HELD]
@@ -155,19 +157,18 @@ def constraints_of(
     joints : sequence of PairedJoint
         In the order of the contact elements.
     fixed, symmetry, springs
-        As for `fesim.solid.elasticity.elastic_operators`; a spring without stiffness holds nothing.
+        As for `fesim.solid.elasticity.elastic_operators`; zero stiffness constrains nothing.
     bolts : sequence of Bolt
         Each prevents its ends from moving apart.
     """
     mesh = structure.mesh
-    piece = _piece_of_cells(mesh)
+    piece = pieces(mesh.t)
     names = _names(structure, piece)
     low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
     frame = Frame(0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
-    along = {"x": 0, "y": 1, "z": 2}
     held = [
         *((name, (0, 1, 2)) for name in fixed),
-        *((name, (along[direction],)) for name, direction in symmetry.items()),
+        *((name, (DIRECTIONS.index(direction),)) for name, direction in symmetry.items()),
         *(
             (name, tuple(i for i in range(3) if stiffness[i] > 0.0))
             for name, stiffness in springs.items()
@@ -288,7 +289,7 @@ def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array
         return np.empty((0, 6))
     centre = points.mean(axis=0)
     reach = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
-    # A single point, but for rounding, forbids no turning about itself.
+    # Points that coincide up to rounding do not prevent rotation about themselves.
     own = Frame(centre, reach if reach > 1e-9 * frame.length else frame.length)
     _, sizes, local = np.linalg.svd(
         own.rows(points, directions) / np.sqrt(len(points)), full_matrices=False
@@ -301,7 +302,7 @@ def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array
 
 
 def _tie(frame: Frame, bolt: Bolt, piece: NDArray[np.int64], count: int) -> Array:
-    """Unit row (1, 6 p) of how far the ends of a bolt move apart; none if one piece has both."""
+    """Unit row (1, 6 p) of the distance between the ends of a bolt; none if one piece has both."""
     row = np.zeros((count, 6))
     for end, sign in ((bolt.head, 1.0), (bolt.thread, -1.0)):
         moved = frame.rows(end.points.T, np.tile(bolt.axis, (len(end.weights), 1)))
@@ -328,16 +329,6 @@ def _facet_slack(mesh: Mesh, joint: PairedJoint) -> float:
     return float(turn[turn < EDGE].max(initial=0.0)) ** 2 / 8.0
 
 
-def _piece_of_cells(mesh: Mesh) -> NDArray[np.int64]:
-    """Number of the connected piece that each cell belongs to."""
-    cells, nodes = mesh.nelements, mesh.p.shape[1]
-    cell = np.tile(np.arange(cells), len(mesh.t))
-    size = cells + nodes
-    touches = coo_array((np.ones(cell.size), (cell, cells + mesh.t.ravel())), (size, size))
-    label = connected_components(touches, directed=False)[1][:cells]
-    return np.unique(label, return_inverse=True)[1].ravel()
-
-
 def _names(structure: Structure, piece: NDArray[np.int64]) -> tuple[str, ...]:
     names = []
     for number in range(int(piece.max()) + 1):
@@ -360,7 +351,7 @@ def _share(joint: PairedJoint, piece: NDArray[np.int64], count: int) -> Array:
 
 
 def _only(motions: Array, members: Sequence[int]) -> Array:
-    """Motions (6 p, r) in which nothing but some pieces moves."""
+    """Motions (6 p, r) in which only some pieces move."""
     others = np.ones(len(motions), dtype=bool)
     for i in members:
         others[6 * i : 6 * i + 6] = False
@@ -368,7 +359,7 @@ def _only(motions: Array, members: Sequence[int]) -> Array:
 
 
 def _null(rows: Array) -> Array:
-    """Orthonormal basis (n, r) of what `rows` (k, n) make zero, as far as a message goes."""
+    """Orthonormal basis (n, r) of the null space of `rows` (k, n), to the accuracy of a message."""
     if not len(rows):
         return np.eye(rows.shape[1])
     _, sizes, vectors = np.linalg.svd(rows)
@@ -376,7 +367,7 @@ def _null(rows: Array) -> Array:
 
 
 def _axes(vectors: Array) -> list[str]:
-    """Names of what vectors (3, k) span: coordinate axes as far as they do, else components."""
+    """Names of the directions that vectors (3, k) span: coordinate axes, then components."""
     if not vectors.size:
         return []
     left, sizes, _ = np.linalg.svd(vectors)

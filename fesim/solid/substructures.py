@@ -33,8 +33,8 @@ from thermojoint.artefacts.arrays import Array
 
 #: Numbers in the right-hand sides of one solve: 0.2 GB.
 AT_ONCE = 25_000_000
-#: A piece is anchored if its supports hold a rigid motion by less than this share of what anchors
-#: do and they together.
+#: A piece is anchored if its supports provide less than this share of the stiffness of supports and
+#: anchors together against some rigid motion.
 HELD = 1e-3
 
 
@@ -163,7 +163,7 @@ def _needs_anchors(
     try:
         least = scipy.linalg.eigh(supported, both, eigvals_only=True)[0]
     except np.linalg.LinAlgError:
-        return True  # A motion that neither holds: the factorisation will say so.
+        return True  # Neither constrains a motion: the factorisation will report it.
     return bool(least < HELD)
 
 
@@ -178,7 +178,7 @@ def substructures(
 
 @dataclass(frozen=True)
 class FactorisedStructure:
-    """All pieces of a structure, factorised and kept.
+    """All pieces of a structure, factorised.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ def condense_ties(
     Raises
     ------
     InputError
-        Neither supports nor joints hold the structure.
+        Neither supports nor joints constrain the structure.
     """
     # No loop: its variable would keep a factor while the next one is made.
     influences = list(map(partial(_influence, gap=gap, probes=probes), pieces))
@@ -323,7 +323,7 @@ def _tied(springs: Array, compliance: Array, thermal: Array) -> TieCondensation:
     probes, by_force = thermal[count:], compliance[count:] * springs
     if not count:
         return TieCondensation(springs, np.zeros((0, 0)), thermal[:0], compliance, probes)
-    # With rows and columns in units of each spring all of it is about one.
+    # With rows and columns in units of each spring all entries are of order one.
     root, sign = np.sqrt(np.abs(springs)), np.sign(springs)
     right = root[:, None] * compliance[:count] * root
     system = right * sign

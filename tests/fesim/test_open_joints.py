@@ -108,7 +108,7 @@ def test_machine_code_and_plain_newton_close_a_gap_alike(extra, closing, slip, o
     [
         ({"preload_MPa": 1.0}, "are for a joint without preload"),
         ({"initial_opening_um": None}, "preload_MPa = 0 needs 'initial_opening_um'"),
-        ({"initial_opening_um": -2.0}, "starts interpenetrated"),
+        ({"initial_opening_um": -2.0}, "sides would overlap"),
         ({"reference_pressure_MPa": 2000.0}, "below half of the hardness"),
         ({"gap": {}}, "give 'gas_conductivity_W_mK', or both emissivities"),
         ({"gap": {"emissivity_a": 0.5}}, "radiation needs"),
@@ -137,7 +137,7 @@ def test_an_opening_from_the_mesh_is_the_meshs_own(tmp_path, apart):
     write_structure(structure, tmp_path / "bars.vtu")
     case = case_from_data(_bars(initial_opening_um="mesh"), "bars", tmp_path)
     if apart < 0.0:
-        with pytest.raises(InputError, match="30 um in each other in the mesh"):
+        with pytest.raises(InputError, match="overlap by 30 um in the mesh"):
             make_parts(case)
         return
     [(law, _)] = make_parts(case).laws

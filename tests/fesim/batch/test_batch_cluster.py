@@ -76,7 +76,7 @@ def test_the_command_uses_a_cluster_that_is_there(tmp_path, cluster):
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr("fesim.batch.cluster.CONNECT_TIMEOUT", 1.0)
     study = study_in(tmp_path, levels(2), 1.0)
-    with pytest.raises(InputError, match="no Dask scheduler answers there"):
+    with pytest.raises(InputError, match="no Dask scheduler responds there"):
         run_batch(study, tmp_path / "out", lambda: dask_crew("tcp://127.0.0.1:9"))
 
 

@@ -20,7 +20,7 @@ from fesim.joint.gap import solve_gap
 from fesim.march.kernel import step_kernel
 from fesim.march.settling import initial_state
 from fesim.march.stepping import march_along, plainly_staggered, staggered
-from fesim.setup.loads import input_table
+from fesim.setup.loads import march_inputs
 from fesim.setup.machine import set_up
 
 #: Contact elements of the joints, in all more than what stays whole.
@@ -175,7 +175,7 @@ def test_one_block_holds_all_rows_in_their_order():
 def pillar(tmp_path_factory):
     """Six blocks with 20 contact elements in each of five joints, and the inputs of 60 steps."""
     case = pillar_case(tmp_path_factory.mktemp("pillar"), 5, 4, 5)
-    return set_up(case).machine, input_table(case)(2.0 * np.arange(1, 61))
+    return set_up(case).machine, march_inputs(case).at(2.0 * np.arange(1, 61))
 
 
 def marched(machine, inputs, start=None, advance=staggered):

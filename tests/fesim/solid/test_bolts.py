@@ -261,7 +261,7 @@ WRONG = {
         r"bolts.b.head: the disc around .* lies in no cell of body 'upper'",
     ),
     "material": ({"material": "steal"}, r"bolts.b.material: no material named 'steal'"),
-    "place": ({"thread": {"surface": "top"}, "head": {"surface": "top"}}, "are one place"),
+    "place": ({"thread": {"surface": "top"}, "head": {"surface": "top"}}, "coincide"),
     "history": ({"file": "zero.csv"}, r"bolts.b: its factor is not positive at the start"),
 }
 

@@ -187,7 +187,7 @@ def test_a_copy_of_a_case_is_refused_as_the_case_would_be(tmp_path):
     data = driven(tmp_path, radiation={"x1": {"emissivity": 0.5, "ambient_degC": 20.0}})
     case = case_from_data(data, "bar", tmp_path)
     march = case.march.model_copy(update={"thermal": "reduced"})
-    with pytest.raises(InputError, match=r"radiation\.x1: modes are"):
+    with pytest.raises(InputError, match=r"radiation\.x1: the reduced thermal model"):
         set_up(case.model_copy(update={"march": march}))
     with observers_beside(case, {}, {}, tmp_path) as observers:
         assert observers() == []
