@@ -43,13 +43,13 @@ MEMORY = 8 << 30
 #: The output of this part of the runs is one of their inputs.
 SLIPS = 0.02
 OUT = "out.nc"
-#: What a simulation imports: loaded once, not in every process.
+#: Imports of a simulation, loaded once instead of in every process.
 LOADED = (
     *("thermojoint.cli.app", "thermojoint.paper.summary"),
     *("fesim.joint.compiled_gap", "fesim.snapshots", "fesim.march.state_file"),
 )
 
-#: What a number may become.
+#: Replacements of a number.
 NUMBERS = [
     *("nan", "inf", "-inf", "0", "0.0", "-1", "-1.0", "1e300", "-1e300", "1e-300", "1e9", "1e-9"),
     *("1", "2", "3.7", "1000", "true", '"x"', "[]", "{}", "1e400", "0x10", "99999999999999999999"),
@@ -113,7 +113,7 @@ def other_number(content: bytes, random: np.random.Generator) -> bytes:
 
 
 def other_word(content: bytes, random: np.random.Generator) -> bytes:
-    """A word stands where another one belongs, or is spelt wrong."""
+    """A word is replaced by another one, or misspelt."""
     places = list(re.finditer(rb"[A-Za-z_]{3,}", content[:200_000]))
     if not places:
         return flip(content, random)

@@ -197,7 +197,7 @@ def bars_from_mesh(mesh: Path, write: Callable[[Structure, Path], None]) -> File
 
 
 def machine_from_mesh(mesh: Path) -> Files:
-    """The machine from a mesh file of its own."""
+    """The machine from a mesh file."""
     write_structure(box_milling_machine(element_size=0.15), mesh)
     text = MACHINE.replace('kind = "box_milling_machine"', f'kind = "mesh"\nfile = "{mesh.name}"')
     text = re.sub(r"element_size_mm.*\nhalf.*\ndimensions_mm.*\n", "symmetry_factor = 2\n", text)

@@ -1,4 +1,4 @@
-"""What one core carries: many machines at 1 Hz through a broker, from message to published value.
+"""Capacity of one core: many machines at 1 Hz through a broker, from message to published value.
 
 python -m benchmarks.live_load --model model.json --machines 1000 --minutes 30 --out load.json
 
@@ -66,7 +66,7 @@ _HEARD = 50
 
 
 def free_port() -> int:
-    """Return a port of the loopback that nobody has."""
+    """Return a free port of the loopback interface."""
     with socket.create_server(("127.0.0.1", 0)) as one:
         return int(one.getsockname()[1])
 

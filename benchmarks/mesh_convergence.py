@@ -31,7 +31,7 @@ LEVEL = 3.0
 
 @dataclass(frozen=True)
 class Result:
-    """What is compared."""
+    """Compared quantities."""
 
     label: str
     unknowns: int

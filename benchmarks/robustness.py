@@ -83,7 +83,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Figures:
-    """What one march came to."""
+    """Outcome of one march."""
 
     steps: int
     iterations: int

@@ -1,4 +1,4 @@
-"""What each reading of the paper does to the displacement of the equal-heights machine.
+"""Effect of each reading of the paper on the displacement of the equal-heights machine.
 
 Every variant is the equal-heights case file with one edit. Printed: total displacement at the end
 of the step at heat input 3, and its nonlinear part.

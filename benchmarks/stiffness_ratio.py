@@ -1,4 +1,4 @@
-"""What the tolerance of the gap equations means where one body is much stiffer than the other.
+"""Effect of the tolerance of the gap equations if one body is much stiffer than the other.
 
 Run: ``python benchmarks/stiffness_ratio.py``. The equal-heights machine with elements of 100 mm and
 twice the heat, its column stiffer and stiffer. Prints the table of docs/march.md: what an accepted

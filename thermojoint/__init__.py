@@ -1,7 +1,7 @@
 """Simulate nonlinear thermal joints, calibrate the generalised models, estimate displacement.
 
-Every public name of the program is an attribute of this package, and is listed in `__all__`. What a
-name stands for is loaded when it is first used: ``import thermojoint`` alone loads no library.
+Every public name of the program is an attribute of this package, and is listed in `__all__`. Its
+object is loaded when it is first used: ``import thermojoint`` alone loads no library.
 
 Examples
 --------
@@ -140,7 +140,7 @@ __all__ = [
     "write_structured_text",
 ]
 
-#: Public name to where it stands; kept in step with the imports above by the tests.
+#: Public name to its location; the tests compare them with the imports above.
 _HOMES = {
     "Assembly": "thermojoint.models.assembly:Assembly",
     "Calibrated": "calibrate.chain:Calibrated",

@@ -117,7 +117,7 @@ EXTENT = Quantity(
     (Slip("read as m from a mesh in mm", 1e-3), Slip("read as mm from a mesh in m", 1e3)),
 )
 
-#: Place in a case to its quantity; ``*`` stands for any name or number.
+#: Key of a case to its quantity; ``*`` matches any name or number.
 CASE = {
     "materials.*.conductivity_W_mK": Quantity(
         "W/(m K)",

@@ -12,7 +12,7 @@ from benchmarks.performance.cases import fresh_condensations
 from benchmarks.performance.timing import Row, paired
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: What `thermojoint reproduce` may take, s.
+#: Time limit of `thermojoint reproduce`, s.
 ALLOWED = 180.0
 
 

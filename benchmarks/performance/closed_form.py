@@ -16,7 +16,7 @@ from thermojoint.models.ring_source import step_response
 #: Table 1 of the paper: K = 1, a, alpha, r, r0.
 PARAMETERS = (1.0, 3.20, 2.12e-4, 0.19, 0.12)
 TIMES = 2.0 * np.arange(1, 1051)
-#: What is left out of the printed integral, relative to its value.
+#: Truncation error of the printed integral, relative to its value.
 ACCURACY = 1e-10
 
 

@@ -1,4 +1,4 @@
-"""What a run of the harness leaves: ``bench.json``, and the table in the docs."""
+"""Results of the harness: ``bench.json``, and the table in the docs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PACKAGES = ("thermojoint", "numpy", "scipy", "scikit-fem", "numba", "pypardiso",
 
 @dataclass(frozen=True)
 class Target:
-    """What a row must reach: its `which` at least or at most `bound`."""
+    """Requirement for a row: its `which` is at least or at most `bound`."""
 
     which: str
     bound: float
@@ -135,7 +135,7 @@ def write_markdown(page: Path, results: Sequence[Row | Skipped]) -> None:
 
 
 def marked(page: Path) -> tuple[str, str]:
-    """Return what stands before and after the table of a page.
+    """Return the text before and after the table of a page.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Set-up: what is kept when the heat changes, many contact elements, large structures."""
+"""Set-up: reuse after a change of the heat, many contact elements, large structures."""
 
 from __future__ import annotations
 

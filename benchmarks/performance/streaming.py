@@ -28,7 +28,7 @@ REPEATS = 20
 
 @dataclass(frozen=True)
 class Measured:
-    """What the sensors say, one row for each sample: delta T, T1, T2 ..., K."""
+    """Readings of the sensors, one row for each sample: delta T, T1, T2 ..., K."""
 
     values: Array
 

@@ -15,7 +15,7 @@ class Row:
     Attributes
     ----------
     name : str
-        What is compared.
+        Compared quantity.
     ours, other : float
         Medians, in `unit`.
     ratio : float
@@ -24,7 +24,7 @@ class Row:
     unit : str
         Of ours and other.
     note : str
-        What was measured, how often, and what was scaled.
+        Measured quantity, number of runs, and scaling.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Row:
     note: str
 
     def figures(self) -> dict[str, object]:
-        """Return the row as it stands in ``bench.json``."""
+        """Return the row as in ``bench.json``."""
         return asdict(self)
 
 

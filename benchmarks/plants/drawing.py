@@ -1,4 +1,4 @@
-"""What is drawn of a plant: the physics that its model does not know, and its sensors' errors."""
+"""Random parts of a plant: physics unknown to its model, and errors of its sensors."""
 
 from __future__ import annotations
 
@@ -90,5 +90,5 @@ def _with_sensors(
     return Plant(number, {name: float(one) for name, one in factors.items()}, offset, own)
 
 
-#: What the plants of a study differ in.
+#: Random parameters of the plants of a study.
 FAMILIES = {"parameters": draw_plant, "films": draw_uneven_films}

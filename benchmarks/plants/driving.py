@@ -19,7 +19,7 @@ PEAK, TRIANGLE = 2.0, 600.0
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What drives a run.
+    """Inputs of a run.
 
     Attributes
     ----------

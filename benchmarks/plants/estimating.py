@@ -27,7 +27,7 @@ REFERENCE = "step-1.0"
 
 
 class Errors(NamedTuple):
-    """What an estimator got wrong in a run.
+    """Errors of an estimator in a run.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibr
 
 
 def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
-    """Fit the regressions to every response; beside them stands no compensation at all."""
+    """Fit the regressions to every response, and add the uncompensated displacement."""
     fitted = regressions(fit_baselines(list(responses.values())), machine.step)
 
     def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
@@ -123,16 +123,16 @@ def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> C
         nothing = -columns_of(response, "displacement", machine.axes)
         found = {"none": Errors(machine.axes, nothing, None)}
         for one in fitted:
-            told = [each for _, each in follow(one, samples, one.initial_state())]
+            estimates = [each for _, each in follow(one, samples, one.initial_state())]
             actual = columns_of(response, "displacement", one.axes)
-            error = np.array([each.displacement for each in told]) - actual
+            error = np.array([each.displacement for each in estimates]) - actual
             found[one.kind] = Errors(one.axes, error, None)
         return found
 
     return Calibrated(judge, {})
 
 
-#: What is calibrated with a plant's responses; another estimator is one more entry.
+#: Estimators that are calibrated with a plant's responses; add another one here.
 ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calibrated]] = {
     "joint-aware": joint_aware,
     "kalman-linear": kalman_linear,

@@ -19,7 +19,7 @@ from benchmarks.plants.responding import (
     TEMPERATURE_NOISE,
     Answer,
     answers,
-    told,
+    measured,
 )
 from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
@@ -38,14 +38,14 @@ WARM, SETTLED = 4 * 3600.0, 1200.0
 
 @dataclass(frozen=True, eq=False)
 class Machines:
-    """What every plant of a study needs.
+    """Common data of all plants of a study.
 
     Attributes
     ----------
     model : ReducedMachine
         That the estimators know.
     plant : ReducedMachine
-        On a mesh of its own, with the case's parameters.
+        On a separate mesh, with the case's parameters.
     places : xarray.Dataset
         A response of it, of any length.
     """
@@ -61,7 +61,7 @@ def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> di
     exact = answers(machines.plant, plant, drives(machines.plant.step, plant.seed))
     noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
     shown = {
-        name: told(
+        name: measured(
             exact[name], machines.plant, machines.places, plant.offset, noise, plant.seed + k
         )
         for k, name in enumerate(CALIBRATIONS["steps and cool-down"])
@@ -108,7 +108,7 @@ def judged_run(
     name = {"triangle-noise": "triangle", "warm-start": "day"}.get(case, case)
     noise = 0.0 if case == "triangle" else TEMPERATURE_NOISE
     seed = plant.seed + 100 + CASES.index(case)
-    run = told(exact[name], machines.plant, machines.places, plant.offset, (noise, 0.0), seed)
+    run = measured(exact[name], machines.plant, machines.places, plant.offset, (noise, 0.0), seed)
     if case != "warm-start":
         return run, 0.0
     return run.isel(time=run["time"].to_numpy() >= WARM), WARM + SETTLED

@@ -80,7 +80,7 @@ def with_parameters(data: dict[str, Any], factors: dict[str, float]) -> dict[str
 
 
 def difference_from_new_set_up(path: Path, machine: ReducedMachine, plant: Plant) -> float:
-    """Return how far a plant on the study's modes is from one set up anew, µm, in a step of 3."""
+    """Return the error of a plant on the study's modes against a new set-up, µm, in a step of 3."""
     data = with_parameters(machine_data(path, PLANT), plant.factors)
     data["march"]["duration_min"] = 35.0
     case = case_from_data(data, str(path), path.parent)

@@ -1,4 +1,4 @@
-"""What a plant answers, as its sensors tell it."""
+"""Responses of a plant, as measured by its sensors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thermojoint.reduced.physics import simulate_known
 
 #: Of temperatures, K peak to peak, and of displacements in calibration, m.
 TEMPERATURE_NOISE, DISPLACEMENT_NOISE = 0.12, 5e-8
-#: What a response has beside what is computed: places and powers, for the estimators that ask.
+#: Constant parts of a response: positions and powers, for estimators that need them.
 KEPT = ("probe_position", "contact_position", "contact_area", "contact_joint")
 
 
@@ -29,7 +29,7 @@ class Answer:
     Attributes
     ----------
     drive : Drive
-        What drove it.
+        Its inputs.
     temperature : ndarray, shape (n + 1, p)
         From rest, K.
     displacement : ndarray, shape (n + 1, axes)
@@ -52,7 +52,7 @@ def answers(machine: ReducedMachine, plant: Plant, runs: dict[str, Drive]) -> di
     return found
 
 
-def told(
+def measured(
     answer: Answer,
     machine: ReducedMachine,
     places: xr.Dataset,

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from rich.table import Table
 
-#: What is told apart.
+#: Compared groups.
 GROUPS = ["calibration", "case", "estimator"]
 
 

@@ -1,1 +1,1 @@
-"""Which machine the paper calculated: what it does not print is varied, what it prints judges."""
+"""The machine of the paper: unprinted parameters are varied, printed results are compared."""

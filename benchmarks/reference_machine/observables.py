@@ -1,4 +1,4 @@
-"""What the paper prints of its machine's behaviour, read off simulated responses.
+"""Observables of the paper's machine, evaluated from simulated responses.
 
 Nothing here knows an estimator: a machine is judged by its own responses alone. Where the paper's
 points T1 and T2 are concerned, the probes e1 ... e9 along a strip stand in for them.

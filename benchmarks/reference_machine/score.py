@@ -51,7 +51,7 @@ class Statement:
     heading : str
         Over its column.
     printed : float
-        What the paper prints, in the observable's unit.
+        Value printed in the paper, in the observable's unit.
     distance : callable
         (value, printed, tolerance) to tolerances.
     tolerance : float

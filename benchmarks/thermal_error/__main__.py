@@ -62,7 +62,7 @@ def _make(options: argparse.Namespace) -> int:
 
 
 def _score(options: argparse.Namespace) -> int:
-    # An outsider's module stands where the command is given.
+    # A user's module is in the working folder.
     sys.path.insert(0, str(Path.cwd()))
     methods = dict(method_named(text) for text in options.method or METHODS)
     found: list[Score] = []
@@ -95,8 +95,8 @@ def _one(
         print(f"{task.name}: {name}: not applicable, {reason}", file=sys.stderr)
         return
     found += rows
-    told = ", ".join(f"{one.channel} {one.rms_um:.3g} µm rms" for one in rows)
-    print(f"{task.name}: {name}: {told}", file=sys.stderr)
+    errors = ", ".join(f"{one.channel} {one.rms_um:.3g} µm rms" for one in rows)
+    print(f"{task.name}: {name}: {errors}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What drives the simulated machines: steps from rest, and days of speed and of the room."""
+"""Inputs of the simulated machines: steps from rest, and days of speed and ambient."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of thermometers, put on a log: what a shop's wiring does within a year."""
+"""Faults of thermometers, added to a log: those of a workshop's wiring within a year."""
 
 from __future__ import annotations
 

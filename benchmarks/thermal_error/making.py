@@ -1,4 +1,4 @@
-"""The benchmark's data, simulated anew and compared with the frozen hashes."""
+"""The benchmark's data, simulated again and compared with the frozen hashes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated machines: the reference, and two drawn around it that no model is told."""
+"""The simulated machines: the reference, and two random variations unknown to the models."""
 
 from __future__ import annotations
 

@@ -76,13 +76,13 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
     """
     test = without_displacement(task.test)
     begun = time.perf_counter()
-    told = method(task.training, test)
+    predicted = method(task.training, test)
     taken = time.perf_counter() - begun
     heard = round(HEARD * len(test.times))
     again = method(task.training, test.part(slice(0, heard)))
     found = []
     for channel, true in actual(task).items():
-        claim, band = _checked(told, channel, len(test.times), name)
+        claim, band = _checked(predicted, channel, len(test.times), name)
         past, _ = _checked(again, channel, heard, name)
         if np.abs(past - claim[:heard]).max() > SAME:
             raise InputError(f"{name}: {channel} changes if the future is withheld; look back only")
@@ -105,11 +105,13 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
     return found
 
 
-def _checked(told: Predictions, channel: str, count: int, name: str) -> tuple[Array, Array | None]:
+def _checked(
+    predicted: Predictions, channel: str, count: int, name: str
+) -> tuple[Array, Array | None]:
     """Return claim and band of a channel."""
-    if channel not in told:
+    if channel not in predicted:
         raise InputError(f"{name}: predicts no {channel!r}; give every length of the training log")
-    values = np.asarray(told[channel], dtype=float)
+    values = np.asarray(predicted[channel], dtype=float)
     if values.shape not in ((count,), (count, 2)):
         raise InputError(
             f"{name}: {channel} has shape {values.shape}, the test has {count} samples; give "

@@ -1,4 +1,4 @@
-"""The tasks: what a method learns from, and the unseen runs it is judged on."""
+"""The tasks: training data of a method, and unseen runs for its validation."""
 
 from __future__ import annotations
 

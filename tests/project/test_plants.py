@@ -12,7 +12,7 @@ from benchmarks.plants.driving import DAY, LEVELS, drives
 from benchmarks.plants.estimating import Errors
 from benchmarks.plants.judging import figures
 from benchmarks.plants.preparing import with_parameters
-from benchmarks.plants.responding import answers, told
+from benchmarks.plants.responding import answers, measured
 from benchmarks.plants.summary import summary_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
@@ -82,7 +82,7 @@ def test_a_plant_on_the_modes_of_the_case_answers_as_one_set_up_anew(data, case)
     count = anew.sizes["time"]
     assert answer.displacement[:count] == pytest.approx(anew["displacement"].to_numpy(), abs=5e-8)
 
-    response = told(answer, machine, anew, plant.offset, (0.12, 5e-8), 0)
+    response = measured(answer, machine, anew, plant.offset, (0.12, 5e-8), 0)
     wrong = response["temperature"].to_numpy() - answer.temperature
     assert wrong.mean(axis=0) == pytest.approx(plant.offset, abs=0.01)
     assert np.ptp(wrong, axis=0) == pytest.approx(np.full(4, 0.12), rel=1e-6)

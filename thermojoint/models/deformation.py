@@ -49,7 +49,7 @@ def basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarra
         p = len(rates). The first two are dimensionless, the others in s.
     slopes : ndarray, shape (n, p, p)
         ``slopes[:, j, k]`` is the derivative of column j by the logarithm of rate k; zero for
-        j != k, since each column has a rate of its own.
+        j != k, since each column has its own rate.
     """
     columns, own = own_basis(t, rates)
     slopes = np.zeros((*own.shape, own.shape[-1]))

@@ -277,7 +277,7 @@ def _main(height: int, folders: Sequence[Path]) -> None:
         for folder in folders:
             views: list[_View] = []
             for file in sorted(folder.iterdir()):
-                # Written by the parent process into a folder of its own.
+                # Written by the parent process into its private folder.
                 panels = pickle.loads(file.read_bytes()).panels
                 views = views or [_View(panel, height) for panel in panels]
                 for view, panel in zip(views, panels, strict=True):

@@ -176,7 +176,7 @@ def mirror_of(structure: Structure, symmetry: Mapping[str, str]) -> Mirror | Non
 
 
 def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
-    """Return the axis along which a structure stands up from its supports.
+    """Return the upward axis of a structure, away from its supports.
 
     It is y or z, as in CAD, up or down: whichever is closest to the opposite of the area-weighted
     outward normal of the supports. Where that lies along x (a beam clamped at its end), where they

@@ -77,7 +77,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     report : callable
         Progress.
     up : Up, optional
-        Default the direction in which the structure stands on its supports.
+        Default the direction away from the supports.
 
     Raises
     ------

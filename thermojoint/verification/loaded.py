@@ -121,11 +121,11 @@ def _weight_checks(folder: Path) -> Iterator[Check]:
     top = float(held.response["displacement"].sel(axis="z")[-1])
     displacement = Quantity("displacement", "m")
     yield displacement.check("loads, column under its weight: top", sunk, top)
-    stands = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
+    standing = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
     pressure = DENSITY * GRAVITY * height
     # The approach of a joint without preload starts where its surfaces touch.
     approach = separation(pressure) - separation(1e-6 * HARDNESS)
-    last = stands.response.isel(time=-1)
+    last = standing.response.isel(time=-1)
     name = "loads, column on a joint without preload"
     top = float(last["displacement"].sel(axis="z"))
     yield displacement.check(f"{name}: top", sunk + approach, top)

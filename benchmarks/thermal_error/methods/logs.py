@@ -1,4 +1,4 @@
-"""What several methods need of a log: temperatures without holes, runs from rest as responses."""
+"""Preparation of a log for several methods: temperatures without gaps, runs as responses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RPM = 30.0 / np.pi
 def held(values: Array) -> Array:
     """Return columns with the last reading in place of one that is missing, shape (k, p).
 
-    What is missing at the start stays missing: whoever looks back only cannot know it.
+    Values missing at the start stay missing, as a causal method cannot know them.
     """
     there = np.isfinite(values)
     rows = np.where(there, np.arange(len(values))[:, None], 0)

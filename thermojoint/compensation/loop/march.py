@@ -40,7 +40,7 @@ class Plant:
     Attributes
     ----------
     case : Case
-        The heater, if there is one, has no heat input of its own.
+        The heater, if there is one, has no heat input in the case.
     setup : Setup
         Of the case.
     """
