@@ -1,13 +1,15 @@
-"""Export of the joint-aware estimator: its usual path with a bounded number of Newton steps.
+"""Export of the joint-aware estimator, with a bounded number of Newton steps.
 
-Predict, correct, settle, read, as `estimator.joint_aware.estimator` does when every reading is
-present and none is faulty. The header of the program lists what is omitted.
+Predict, judge the readings, correct, settle, read, as `estimator.joint_aware.estimator` does. Where
+a reading is left out, the program uses the gain that the observer reaches without it instead of a
+covariance. The header of the program lists the differences.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +27,10 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.model_file import fingerprint
+from estimator.joint_aware.observer import ANSWER, Observer
+from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.trust import channels_of
-from estimator.span import SLACK
+from estimator.span import SETTLING, SLACK
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -37,6 +41,10 @@ from thermojoint.reduced.physics import heat_step, simulate_known
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
 #: Most Newton steps, and how often one is halved.
 ITERATIONS, HALVINGS = 12, 6
+#: How long a reading, and every reading, is left out for the gain and the band of that, s.
+WITHOUT_ONE, WITHOUT_ALL = 600.0, 1800.0
+#: Passes over the sources that find the heat behind a jump.
+SWEEPS = 20
 #: Tolerance of the gap equations in single precision, m: below it is rounding.
 SINGLE_TOLERANCE = 2e-11
 #: Samples of the self-test if none are recorded, and its load: relative to the largest calibrated,
@@ -48,6 +56,8 @@ _STATUSES = (
     Status.BEYOND_TEMPERATURE,
     Status.READING_MISSING,
 )
+#: Those of readings that are left out: Python has a covariance then.
+_APPROXIMATE = (Status.UNSETTLED, Status.SENSOR_DISTRUSTED, Status.READINGS_LOST)
 
 
 class Table(NamedTuple):
@@ -92,6 +102,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
     fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
+    count = len(estimator.observer.system.rows)
+    slowest = 1.0 / float(model.modes.rates.min())
+    judged = _judging(estimator, linear, contacts)
     return Contents(
         estimator,
         _interface(estimator),
@@ -100,6 +113,15 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "jumped": READING_JUMPED,
             "not_settled": NOT_SETTLED,
             "jump": faults.gate * faults.model_error,
+            "faults": faults,
+            "log_improbable": math.log(faults.improbable),
+            "log_kept": math.log1p(-1.0 / faults.learnt),
+            "decided": estimator.thresholds.decided,
+            "due": float(estimator.thresholds.samples),
+            "lost": estimator.thresholds.lost,
+            "settling": SETTLING * min(slowest, model.calibrated.duration_s),
+            "answer": ANSWER,
+            "sweeps": SWEEPS,
             "linear": linear,
             "contacts": contacts,
             "modes": model.modes.rates.size,
@@ -120,9 +142,12 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
         },
         constants=sum(table.values.size for table in tables),
-        state=4 * linear + 44 * contacts + 9 * contacts**2 + 3,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 13 * count + 10,
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
-        worst=fixed + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts),
+        worst=fixed
+        + judged
+        + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS)
+        + _look(contacts),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
         duty=lambda: _duty_cycle(estimator),
         origin="a duty cycle",
@@ -147,7 +172,8 @@ def _interface(estimator: JointAware) -> Interface:
             Variable("highest_pressure", "Pa", "highest_pressure"),
         ),
         axes=axes,
-        statuses=_STATUSES,
+        statuses=(*_STATUSES, *_APPROXIMATE),
+        approximate=_APPROXIMATE,
     )
 
 
@@ -174,6 +200,9 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     calibrated = estimator.calibrated_readings
     readable = channels_of(observer, calibrated)
     band = model.band
+    gains, without = _without(estimator)
+    power = model.power
+    most = estimator.thresholds.onset * model.calibrated.heat * power
     return [
         Table("loss", "What a mode loses in a step.", loss),
         Table("drive", "Modes per W of each source and K of the ambient.", heat.drive),
@@ -186,6 +215,15 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("relaxing", "What a relaxation gains in a step.", relaxing),
         Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
         Table("gain", "Of the readings, steady.", gain),
+        Table("gain_without", "Of the others where one is left out.", gains),
+        Table("without", "Variance of that, and without any, m2.", without),
+        Table("tangent_of", "Displacement per state, m.", band.tangent),
+        Table("noise", "Of the thermometers, K.", readable.noise),
+        Table("spread", "Variance of an innovation, K2.", _spread(estimator)),
+        Table("onset", "Readings a step after 1 W, K.", observer.onset[0]),
+        Table("answers", "... of the source that is seen best, later, K.", _answers(observer)),
+        Table("most", "Heat that may be switched on, W.", most),
+        Table("slack", "Tolerance of that, W.", estimator.thresholds.onset_slack * most),
         Table("offset", "What every sensor reads too much, K.", np.append(model.offset, 0.0)),
         Table("calibrated", "Readings that were calibrated, K.", np.stack(calibrated, 1)),
         Table("possible", "Readings that can be, K.", np.stack([readable.low, readable.high], 1)),
@@ -204,6 +242,42 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("open_band", "Error of machines not told apart, m.", band.open),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
+
+
+def _spread(estimator: JointAware) -> Array:
+    """Variance of the innovation of each reading, K2."""
+    own = estimator.model.filter
+    return np.asarray(np.diag(own.innovation) + own.noise)
+
+
+def _answers(observer: Observer) -> Array:
+    """Step response of each reading to the source that it sees best, K/W, shape (p + 1, k)."""
+    best = np.argmax(np.abs(observer.onset[-1]), axis=1)
+    return np.array([observer.onset[:, k, source] for k, source in enumerate(best)])
+
+
+@lru_cache(maxsize=8)
+def _without(estimator: JointAware) -> tuple[Array, Array]:
+    """Gains without each reading, (p + 1, n, p + 1); variances without each and all, m2.
+
+    The observer is run until its covariance has seen the reading missing for `WITHOUT_ONE`.
+    """
+    observer, model = estimator.observer, estimator.model
+    every = np.arange(len(observer.system.rows))
+    gains = np.zeros((every.size, observer.system.size, every.size))
+    without = []
+    for left_out in (*every, every):
+        present = np.delete(every, left_out)
+        factor = np.zeros(model.warm.shape)
+        duration = WITHOUT_ONE if present.size else WITHOUT_ALL
+        for _ in range(math.ceil(duration / model.step)):
+            gain, after = observer.gain(present, factor, model.step, KNOWN)
+            factor = observer.onward(after)
+        if present.size:
+            gains[left_out][:, present] = gain
+        told = np.square(model.band.tangent @ after).sum(axis=1)
+        without.append(estimator.thresholds.doubt**2 * told)
+    return gains, np.array(without)
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
@@ -232,6 +306,20 @@ def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operatio
     products += axes * (modes + 3 * contacts + twice + draws * (twice + 2) + twice)
     sums = products + 8 * linear + modes * 4 + contacts**2 + 20 * read
     return Operations(products, sums, 2 * linear, contacts) + _solve(contacts)
+
+
+def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
+    """What a faulty or missing reading costs beyond an ordinary sample, at most."""
+    model = estimator.model
+    count, sources, modes = len(estimator.observer.system.rows), model.power.size, linear
+    sweeps = SWEEPS if sources > 1 else 1
+    heat = Operations(count * (sources + 4), count * (sources + 4), 2 * count + 1)
+    excluded = heat.times(sweeps * sources) + Operations(
+        count * (sources + 3), count * (sources + 4), count, count
+    )
+    pending = modes * (contacts + sources + 4) + linear * (count + 2 * model.band.steady.size + 2)
+    look = Operations(20, 30, 8, 6).times(count)
+    return excluded.times(count + 1) + look + Operations(pending, 2 * pending, sources, 4)
 
 
 def _solve(size: int) -> Operations:

@@ -30,3 +30,9 @@ def machine(data, setup):
 @pytest.fixture(scope="session")
 def estimator(data, setup, machine):
     return observer_of(machine, {"step 2": run(data, setup, step(2.0))})
+
+
+@pytest.fixture(scope="session")
+def stepped(data, setup):
+    """Ten minutes of heat input 1.5."""
+    return run(data, setup, step(1.5))

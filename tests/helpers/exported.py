@@ -34,7 +34,9 @@ def selftest(folder, name, *flags):
 #: Numbers that count what is done with them: prepended to a program that is compiled as C++.
 COUNTED = """
 struct Counted { double value; static long mul, add, div, fun;
-  Counted() = default; constexpr Counted(double v) : value(v) {} };
+  Counted() = default; constexpr Counted(double v) : value(v) {}
+  explicit operator int() const { return (int)value; }
+  explicit operator long() const { return (long)value; } };
 inline long Counted::mul, Counted::add, Counted::div, Counted::fun;
 #define OP(o, n) \\
 inline Counted operator o(Counted a, Counted b) { Counted::n++; return a.value o b.value; } \\
@@ -45,7 +47,7 @@ inline Counted operator-(Counted a) { return -a.value; }
 CMP(<) CMP(<=) CMP(>) CMP(>=) CMP(==) CMP(!=)
 #include <math.h>
 #define FUN(f) inline Counted f(Counted a) { Counted::fun++; return f(a.value); }
-FUN(exp) FUN(sin) FUN(cos) FUN(sqrt) FUN(erfc)
+FUN(exp) FUN(log) FUN(sin) FUN(cos) FUN(sqrt) FUN(erfc)
 inline Counted fabs(Counted a) { return fabs(a.value); }
 inline Counted pow(Counted a, Counted b) { Counted::fun++; return pow(a.value, b.value); }
 #define CLEAR() (Counted::mul = Counted::add = Counted::div = Counted::fun = 0)

@@ -11,11 +11,23 @@ from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.readings import samples_in
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from thermojoint.reduced.machine import along
 
 SENSORS = ("s", "b", "T1", "T2")
+ONSET = 60  # sample at which a fault begins
+FAULTS = {
+    "stuck": lambda values: np.full_like(values, values[0]),
+    "5 K more": lambda values: values + 5.0,
+    "5 K less": lambda values: values - 5.0,
+    "3 K more": lambda values: values + 3.0,
+    "broken": lambda values: np.full_like(values, -220.0),
+    "fahrenheit": lambda values: 1.8 * values + 32.0 + 0.8 * 20.0,
+    "away": lambda values: np.full_like(values, np.nan),
+    "spikes": lambda values: values + 30.0 * (np.arange(values.size) % 15 == 0),
+}
 
 
 def observed_data(coarse_data):
@@ -53,3 +65,11 @@ def estimates(estimator, samples, state=None):
 def errors(estimator, response, found):
     actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
     return np.array([estimate.displacement for estimate in found]) - actual
+
+
+def faulty(response, sensor, change, until=None):
+    """Samples of which a sensor's readings, from `ONSET` on, are something else."""
+    samples = np.array(list(samples_in(response, SENSORS)))
+    part = slice(ONSET, until)
+    samples[part, 1 + sensor] = change(samples[part, 1 + sensor])
+    return samples.tolist()

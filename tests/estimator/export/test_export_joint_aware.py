@@ -1,4 +1,4 @@
-"""An exported joint-aware estimator is the one in Python where every reading is there."""
+"""An exported joint-aware estimator is the one in Python, and near it where a sensor is faulty."""
 
 import ctypes
 import subprocess
@@ -17,7 +17,7 @@ from exported import (
     with_no_step,
     written,
 )
-from observed import SENSORS
+from observed import FAULTS, ONSET, SENSORS, errors, estimates, faulty, run, step
 
 from estimator.export.fmu import Standard, write_fmu
 from estimator.export.program import COMMON, Precision
@@ -138,21 +138,89 @@ def test_where_a_reading_is_missing_the_machine_is_held_by_prediction_alone(
     rows, nothing = list(samples[:400]), (NAN,) * len(samples[0][1:])
     gaps = [(time, *(nothing if k >= 350 else row)) for k, (time, *row) in enumerate(rows)]
     there = [found for _, found in follow(estimator, gaps, estimator.initial_state())]
-    bad = [[value if j == k % 5 else one for j, one in enumerate(rows[k][1:])] for k in range(400)]
-    here = list(program([bad[k] if k >= 350 else rows[k][1:] for k in range(400)]))
+    bad = (value,) * len(nothing)
+    here = list(program([bad if k >= 350 else rows[k][1:] for k in range(400)]))
     for one, other in zip(here, there, strict=True):
         assert list(one.displacement) == pytest.approx(list(other.displacement), rel=1e-9)
     assert all(one.status & Status.READING_MISSING for one in here[350:])
     assert not any(one.status & Status.READING_MISSING for one in here[:350])
 
 
+def left_out(one):
+    """Whether an estimate says that a reading is missing or distrusted."""
+    return bool(one.status & (Status.READING_MISSING | Status.SENSOR_DISTRUSTED))
+
+
 @needs_gcc
-def test_a_reading_that_jumps_is_used_and_named(estimator, samples, program):
-    rows = [list(row[1:]) for row in samples[:50]]
-    rows[-1][0] += 8.0
-    words = [one.status for one in program(rows)]
-    assert words[-1] & READING_JUMPED
-    assert not any(word & READING_JUMPED for word in words[:-1])
+@pytest.mark.parametrize("sensor", [0, 2], ids=lambda k: SENSORS[k])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_faulty_sensor_is_left_out_when_python_leaves_it_out(
+    estimator, stepped, program, fault, sensor
+):
+    """The steady gain without it differs from the one of a covariance by less than the band."""
+    rows = faulty(stepped, sensor, FAULTS[fault])[:220]
+    _, there = estimates(estimator, rows)
+    here = list(program([row[1:] for row in rows]))
+    assert [left_out(one) for one in here] == [left_out(one) for one in there]
+    assert any(left_out(one) for one in here)
+    band = np.maximum(1e-6, np.array([list(one.band) for one in here]))
+    moved = np.array([list(one.displacement) for one in here])
+    assert (np.abs(moved - [one.displacement for one in there]) <= band).all()
+    actual = stepped.isel(time=slice(0, len(rows)))
+    assert (
+        np.abs(moved - np.array([e.displacement for e in there]) + errors(estimator, actual, there))
+        <= band
+    ).all()
+    late = here[ONSET + 30 :]
+    assert all(one.status & Status.UNSETTLED for one in late)
+
+
+@needs_gcc
+def test_heat_that_is_switched_on_is_no_fault(estimator, data, setup, program):
+    response = run(data, setup, step(3.0), 4.0)
+    rows = faulty(response, 0, lambda values: values)
+    _, there = estimates(estimator, rows)
+    here = list(program([row[1:] for row in rows]))
+    assert not any(left_out(one) for one in here)
+    moved = np.array([list(one.displacement) for one in here])
+    np.testing.assert_allclose(moved, [one.displacement for one in there], rtol=1e-9, atol=1e-15)
+
+
+JUMPS = {
+    "offset": lambda after: np.ones_like(after),
+    "heat": lambda after: np.sqrt(1.0 + after / 3.0),
+    "spike": lambda after: 1.0 * (after == 0),
+}
+
+
+@needs_gcc
+@pytest.mark.parametrize("jump", JUMPS)
+def test_a_jump_that_may_be_heat_is_judged_by_the_samples_that_follow(
+    estimator, stepped, program, jump
+):
+    added = 1.6 * JUMPS[jump](np.arange(241))
+    rows = faulty(stepped, 0, lambda values: values + added)[:150]
+    _, there = estimates(estimator, rows)
+    here = list(program([row[1:] for row in rows]))
+    jumped = [k - ONSET for k, one in enumerate(here) if one.status & READING_JUMPED]
+    assert jumped[0] == 0
+    assert jumped[-1] <= 8
+    for name, allowed in (("displacement", 1e-9), ("band", 1e-7)):
+        got = np.array([list(getattr(one, name)) for one in here[: ONSET + 6]])
+        wanted = [getattr(one, name) for one in there[: ONSET + 6]]
+        np.testing.assert_allclose(got, wanted, rtol=0.0, atol=allowed)
+    assert [left_out(one) for one in here] == [left_out(one) for one in there]
+
+
+@needs_gcc
+def test_a_warm_start_and_long_silence_are_said(stepped, program):
+    rows = [row[1:] for row in faulty(stepped, 0, lambda values: values)]
+    assert all(one.status & Status.UNSETTLED for one in program(rows[150:]))
+    quiet = list(program([*rows[:60], *[[NAN] * len(rows[0])] * 1000]))
+    lost = [bool(one.status & Status.READINGS_LOST) for one in quiet]
+    assert not any(lost[:950])
+    assert all(lost[970:])
+    assert list(quiet[-1].band) > [3.0 * one for one in quiet[59].band]
 
 
 @needs_gcc

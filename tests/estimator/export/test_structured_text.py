@@ -11,6 +11,7 @@ import structured_text
 from exported import needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
+from observed import estimates, faulty
 from structured_text import FLAGS, HEAD, Translator, parsed, run
 
 from estimator.columns import samples_of
@@ -18,6 +19,7 @@ from estimator.export.program import Precision
 from estimator.export.structured_text import decimal, literal, st_files
 from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
+from estimator.interface import Status
 from estimator.joint_aware import program as joint_aware
 from estimator.measured import response_samples
 from thermojoint.cli.app import app
@@ -113,6 +115,32 @@ def told(program, folder, calls, more=()):
         {key: int(value) if key in ("status", *more) else float(value) for key, value in pairs}
         for pairs in (zip(names, row, strict=True) for row in rows)
     ]
+
+
+def test_faulty_sensors_are_left_out_as_in_python(estimator, stepped, tmp_path):
+    """Two runs: one thermometer lies and another jumps; one is away for a while."""
+    healthy = np.array(faulty(stepped, 0, np.copy)[:45])
+    lying, away = healthy.copy(), healthy.copy()
+    lying[20:, 3] += 5.0
+    lying[30, 1] += 1.6
+    away[20:35, 1] = math.nan
+    program = export_program(estimator, Precision.DOUBLE, "machine", [*healthy.tolist()])
+    program = replace(
+        program, kept=replace(program.kept, samples=np.tile(program.kept.samples, (2, 1)))
+    )
+    names = [f"reading_{one.name}" for one in program.interface.inputs]
+    rows = np.nan_to_num(np.vstack((lying, away))[:, 1:], nan=-1e9).tolist()
+    calls = [dict(zip(names, row, strict=True)) for row in rows]
+    calls[len(healthy)]["reset"] = 1
+    found = told(program, tmp_path, calls)
+    there = [*estimates(estimator, lying.tolist())[1], *estimates(estimator, away.tolist())[1]]
+    gone = Status.READING_MISSING | Status.SENSOR_DISTRUSTED
+    flagged = [bool(one["status"] & gone) for one in found]
+    assert flagged == [bool(one.status & gone) for one in there]
+    assert flagged.count(True) == 25 + 15
+    assert any(one["status"] & joint_aware.READING_JUMPED for one in found)
+    for one, other in zip(found, there, strict=True):
+        assert abs(one["displacement_x"] - other.displacement[0]) <= max(1e-7, one["band_x"])
 
 
 def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(fchs, tmp_path):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed import SENSORS, errors, estimates, run, step
+from observed import FAULTS, ONSET, SENSORS, errors, estimates, faulty, run, step
 from typer.testing import CliRunner
 
 from estimator.interface import Status
@@ -17,31 +17,11 @@ from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
 
 MICRO = 1e-6
-ONSET = 60  # sample at which a fault begins
 
 
 @pytest.fixture(scope="module")
-def response(data, setup):
-    return run(data, setup, step(1.5))
-
-
-def faulty(response, sensor, change, until=None):
-    """Samples of which a sensor's readings, from `ONSET` on, are something else."""
-    samples = np.array(list(samples_in(response, SENSORS)))
-    part = slice(ONSET, until)
-    samples[part, 1 + sensor] = change(samples[part, 1 + sensor])
-    return samples.tolist()
-
-
-FAULTS = {
-    "stuck": lambda values: np.full_like(values, values[0]),
-    "5 K more": lambda values: values + 5.0,
-    "5 K less": lambda values: values - 5.0,
-    "broken": lambda values: np.full_like(values, -220.0),
-    "fahrenheit": lambda values: 1.8 * values + 32.0 + 0.8 * 20.0,
-    "away": lambda values: np.full_like(values, np.nan),
-    "spikes": lambda values: values + 30.0 * (np.arange(values.size) % 15 == 0),
-}
+def response(stepped):
+    return stepped
 
 
 @pytest.mark.parametrize("sensor", range(4), ids=SENSORS)
