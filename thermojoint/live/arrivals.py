@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: No source calls a reading so.
+#: Name of a reading that no source has.
 NEVER = "\0"
 
 
@@ -21,13 +21,13 @@ class Arrival:
     time : float
         By the source's clock, s since 1970.
     told : sequence of float or None
-        One for each of its readings; None: not told, NaN: said to be missing.
+        One for each of its readings; None: did not come, NaN: reported as missing.
     came : float
         When it arrived, s since 1970.
     position : JSON value
-        How far the source was read with it; None for a source that cannot be read again from there.
+        Read position of the source after it; None for a source that cannot be read again.
     kept : callable or None
-        Called once nothing of it can be lost any more.
+        Called once it is stored.
     """
 
     machine: str
@@ -40,16 +40,16 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something that a reader noticed: an event of the service.
+    """Event reported by a reader.
 
     Attributes
     ----------
     kind : str
         E.g. ``malformed``.
     text : str
-        What and where, in one line.
+        What happened and where, in one line.
     machine : str or None
-        If it is of one.
+        The machine that it concerns, if it is one.
     """
 
     kind: str

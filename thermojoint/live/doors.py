@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
-    """Open the doors that estimates go out by; what is returned is to be run."""
+    """Open the output interfaces; the coroutines that are returned serve them."""
     service, doors = running.service, []
     if service.given.mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
@@ -77,13 +77,13 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
 
 
 def _roll_back(running: Running, machine: str) -> None:
-    """Pin a machine to its former model, and reload a moment later: first comes the answer."""
+    """Pin a machine to its former model, and reload after the response has been sent."""
     roll_back(running.service, machine)
     asyncio.get_running_loop().call_later(_ANSWER_S, running.reload)
 
 
 def _scenes(running: Running) -> dict[str, Scene]:
-    """The machines whose models have a scene."""
+    """Return the scenes of the machines whose models have one."""
     from thermojoint.live.scene import scene_of
 
     service, scenes = running.service, {}
@@ -109,7 +109,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
 
     def given(arrival: Arrival) -> None:
-        """A value that nobody waits for; when all is full it is refused like one too many."""
+        """Queue a written value; it is dropped if the queue is full."""
         with suppress(asyncio.QueueFull):
             running.arrivals.put_nowait([arrival])
 

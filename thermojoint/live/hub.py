@@ -1,7 +1,7 @@
 """Newest publication of every machine, and subscriptions to new ones.
 
-Nobody who reads slowly makes anything grow: a reader that has not come back yet finds which
-machines have changed since, not everything that was said.
+A slow subscriber makes nothing grow: it gets the names of the machines that have changed, not every
+publication.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from thermojoint.live.publication import Publication
 
 @dataclass(eq=False)
 class Follower:
-    """One who waits for news.
+    """A subscriber.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Follower:
 
 @dataclass(eq=False)
 class Hub:
-    """Shared newest publications; used only from the service's event loop.
+    """Newest publications, shared; used only from the service's event loop.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Hub:
         self.heartbeat += 1
 
     def publish(self, publications: Sequence[Publication]) -> None:
-        """Replace the newest of some machines, and tell those who wait."""
+        """Replace the newest publications of some machines, and notify the subscribers."""
         self.newest.update((publication.machine, publication) for publication in publications)
         machines = [publication.machine for publication in publications]
         for follower in self._followers:
@@ -69,7 +69,7 @@ class Hub:
 
     @contextmanager
     def follow(self) -> Iterator[Follower]:
-        """Give one who waits; what is there already counts as changed."""
+        """Give a new subscriber; publications that exist already count as changed."""
         follower = Follower()
         if self.newest:
             follower.tell(list(self.newest))

@@ -1,8 +1,8 @@
 """Connection to an MQTT broker with TLS, user and password; extensions of aiomqtt.
 
-aiomqtt acknowledges a message when it has arrived, and makes a task for each. The service
-acknowledges one when nothing of it can be lost any more, and takes a thousand a second. Both are
-calls of the paho client below it, and stand here alone.
+aiomqtt acknowledges a message on arrival and makes a task for each. The service acknowledges a
+message when it is stored, and takes a thousand per second. Both need calls of the underlying paho
+client, which are in this module only.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import MqttAddress
 
-#: An answer of the broker is waited for so long; so often it has to be heard, s.
+#: Timeout of a response of the broker, and the interval at which it must be heard, s.
 TIMEOUT_S, KEEPALIVE_S = 10.0, 15
-#: Attempts to connect: the second after this, each later one after twice the time, up to this, s.
+#: Delay before the second attempt to connect, doubled for each further one up to the longest, s.
 FIRST_S, LONGEST_S = 0.5, 30.0
 #: Messages that may wait where nobody takes them as they come.
 _MOST_WAITING = 1000
@@ -40,7 +40,7 @@ class Address:
         None: no TLS.
     user, password : str or None
     client_id : str
-        The broker keeps what comes for it while it is away.
+        The broker keeps messages for this name while it is not connected.
     """
 
     host: str
@@ -60,7 +60,7 @@ def address_of(given: MqttAddress, where: str) -> Address:
     Raises
     ------
     InputError
-        A secret or the certificate of the authority is unusable.
+        A secret or the authority's certificate cannot be used.
     """
     context = None
     if given.security == "tls":
@@ -72,9 +72,7 @@ def address_of(given: MqttAddress, where: str) -> Address:
             ) from error
         context.minimum_version = ssl.TLSVersion.TLSv1_2
     elif given.ca_file is not None:
-        raise InputError(
-            f'{where}.ca_file: nothing uses it without TLS; leave out security = "none"'
-        )
+        raise InputError(f'{where}.ca_file: not used without TLS; remove it, or security = "none"')
     password = None
     if given.password is not None:
         password = read_secret(given.password, f"{where}.password")
@@ -94,12 +92,11 @@ async def connected(
     ----------
     address : Address
     suffix : str
-        Ends the client's name: a reader and a writer are two.
+        Of the client's name: a reader and a writer are two clients.
     will : Will, optional
-        What the broker says if the client is gone.
+        Message that the broker sends if the connection breaks.
     on_message : callable, optional
-        Called with each message, of which none is acknowledged (`acknowledge`); the session is
-        kept by the broker.
+        Called with each message; acknowledge it by `acknowledge`. The broker keeps the session.
     """
     client = aiomqtt.Client(
         address.host,
@@ -123,12 +120,12 @@ async def connected(
 
 
 def acknowledge(client: aiomqtt.Client, message: Any) -> None:  # noqa: ANN401
-    """Tell the broker that it may forget a message."""
+    """Acknowledge a message, so that the broker deletes it."""
     client._client.ack(message.mid, message.qos)
 
 
 def publish(client: aiomqtt.Client, topic: str, payload: bytes) -> None:
-    """Hand over a retained message (QoS 0) without waiting.
+    """Send a retained message (QoS 0) without waiting.
 
     Raises
     ------
@@ -141,24 +138,24 @@ def publish(client: aiomqtt.Client, topic: str, payload: bytes) -> None:
 
 
 def is_behind(client: aiomqtt.Client) -> bool:
-    """Say whether something that was published waits for the network."""
+    """Say whether published messages are still waiting for the network."""
     return bool(client._client.want_write())
 
 
 async def lost(client: aiomqtt.Client) -> None:
-    """Wait until the connection is gone, by the client's own sign or because the broker is mute.
+    """Wait until the connection is lost, or the broker no longer responds.
 
     Raises
     ------
     MqttError
-        Always, when it is.
+        Always, at that moment.
     """
     gone = asyncio.shield(client._disconnected)
     while True:
         try:
             await asyncio.wait_for(asyncio.shield(gone), 2.0 * KEEPALIVE_S)
         except TimeoutError:
-            # An answer proves that somebody is there; no answer in time is an error.
+            # A response shows that the broker is there; a timeout is an error.
             await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)
             continue
         raise aiomqtt.MqttError("disconnected")

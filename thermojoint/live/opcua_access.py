@@ -1,8 +1,7 @@
 """Access control of the OPC UA server: encryption, users, limits.
 
-asyncua's own defaults offer unencrypted channels, and take ``admin`` without a password for an
-administrator. None of that is left here: nobody is an administrator, and nobody is let in whom the
-file of users does not know.
+asyncua's defaults offer unencrypted channels, and accept ``admin`` without a password as an
+administrator. Here nobody is an administrator, and only users of the users' file may log in.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from thermojoint.live.opcua_internals import limit, watch_callers
 from thermojoint.live.rights import Principal, Role
 from thermojoint.live.trust_list import TrustList
 
-#: No request is larger, bytes.
+#: Largest request, bytes.
 _LARGEST = 1 << 20
 
 _NEVER = {ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)}
 _DENIED = ua.StatusCodes.BadUserAccessDenied
-#: Where no users are asked for, and this computer alone reaches the server.
+#: The user where nobody is asked to log in: only this computer reaches such a server.
 _ANYBODY = Principal("anybody")
 
 
@@ -181,17 +180,17 @@ def machine_of(node: ua.NodeId) -> str | None:
 def restrict(
     server: Server, encrypted: bool, door: Door, sessions: int, subscriptions: int, items: int
 ) -> None:
-    """Give a server its limits, before it starts.
+    """Set security and limits of a server, before it starts.
 
     Parameters
     ----------
     server : Server
     encrypted : bool
-        Basic256Sha256, signed and encrypted, and nothing else; or no security at all.
+        Basic256Sha256, signed and encrypted, only; or no security at all.
     door : Door
-        Who may come in and do what.
+        Access control.
     sessions, subscriptions, items : int
-        How many there may be at once.
+        Largest numbers at once.
     """
     policy = (
         ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt

@@ -1,6 +1,6 @@
 """All uses of private parts of asyncua, for features missing from its public interface.
 
-What is relied on is in tests/project/test_private_parts.py; `pyproject.toml` bounds the version.
+tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bounds the version.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from asyncua.server import Server
 
 from thermojoint.live.rights import Role
 
-#: A session without a sign of life ends after this time, ms; a subscription publishes at most so
-#: often, ms.
+#: A silent session ends after this time, ms; the shortest publishing interval, ms.
 _SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
-#: Of one item no more values wait.
+#: Values of one item that may be queued.
 _QUEUE = 100
-#: Connections that have not logged in: of one address, and of all.
+#: Largest number of connections that have not logged in: of one address, and in all.
 _MOST_OF_ONE, _MOST_WAITING = 8, 64
-#: Who has not logged in by then is sent away, s.
+#: Time to log in, s.
 _LOGIN_S = 10.0
 
 
@@ -31,16 +30,16 @@ def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
 
 
 def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None:
-    """Bound what a server gives away, before it starts.
+    """Limit the resources of a server, before it starts.
 
     Parameters
     ----------
     server : Server
     sessions, subscriptions, items : int
-        How many there may be at once.
+        Largest numbers at once.
     """
     inner = server.iserver
-    # `limit_callers` counts; what it sends away is gone a moment later.
+    # `limit_callers` counts; what it disconnects is gone a moment later.
     inner.max_connections = sessions + 4 * _MOST_WAITING
     inner.max_pending_activation_seconds = _LOGIN_S
     inner.max_session_timeout_ms = _SESSION_MS
@@ -52,12 +51,12 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
 
 
 class Callers(list[Any]):
-    """Connections of a server; those that have not logged in take no places from those that may.
+    """Connections of a server; those that have not logged in cannot block those that have.
 
     Attributes
     ----------
     sessions : int
-        Connections that have logged in, at once.
+        Largest number of connections that have logged in.
     """
 
     def __init__(self, sessions: int) -> None:
@@ -65,7 +64,7 @@ class Callers(list[Any]):
         self.sessions = sessions
 
     def append(self, one: Any) -> None:  # noqa: ANN401
-        """Take a connection; the oldest that waits without a word makes room for it."""
+        """Add a connection; the oldest that has not logged in makes room for it."""
         waiting = [other for other in self if not _is_in(other)]
         same = [other for other in waiting if _host(other) == _host(one)]
         if len(self) - len(waiting) >= self.sessions:
@@ -87,7 +86,7 @@ def _host(one: Any) -> str:  # noqa: ANN401
 
 
 def limit_callers(server: Server, sessions: int) -> None:
-    """Bound the connections of a server that has just started."""
+    """Limit the connections of a server that has just started."""
     assert server.bserver is not None
     server.bserver.clients = Callers(sessions)
 
@@ -127,7 +126,7 @@ def watch_callers(server: Server, door: Watched) -> None:
 
 
 def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
-    """Refuse more monitored items than there may be, and publishing that is too fast."""
+    """Limit the number of monitored items and the publishing rate."""
     service = inner.subscription_service
     create, subscribe = service.create_monitored_items, service.create_subscription
 
@@ -146,7 +145,7 @@ def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
         **named: Any,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
         wanted = params.RequestedPublishingInterval
-        # Not even NaN is faster.
+        # NaN as well becomes the shortest interval.
         params.RequestedPublishingInterval = wanted if wanted >= _FASTEST_MS else _FASTEST_MS
         return await subscribe(params, *rest, **named)
 

@@ -1,6 +1,6 @@
 """Residuals, reading minus prediction, of every sensor.
 
-A sensor that lies shows here before and after it is left out; what all sensors show together is the
+A faulty sensor shows here before and after it is left out; what all sensors have in common is the
 model's error.
 """
 
@@ -18,9 +18,8 @@ def residuals_of(served: Served, machine: Machine) -> dict[str, float | None] | 
     Parameters
     ----------
     served : Served
-        With an estimator of a kind that tells residuals; None for any other.
+        Its kind of estimator may have no residuals; then the result is None.
     machine : Machine
-        Where it stands.
     """
     residuals, said = served.residuals, machine.usable
     if residuals is None or said.number == 0:

@@ -1,12 +1,12 @@
 """Assembly of arriving readings into samples at the estimator's instants, in order.
 
-Instants lie an interval apart, beginning where the first reading was told (to a sixteenth of the
-interval), so that a source whose moments waver misses none. A reading belongs to the nearest one. A
-sample is closed as soon as all its readings were told, and no older one is waited for; or when a
-reading has come that is later by half an interval and the lateness that is waited for. What was not
-told by then is missing, unless its last value still holds. Readings that come now and then, as
-those of a touch probe, join the next sample. All of it depends on what arrives in which order, and
-on no clock: the same stream gives the same samples, whenever it is read.
+Instants are one interval apart, starting at the first reading (to a sixteenth of the interval), so
+that a source with jitter misses none. A reading belongs to the nearest instant. A sample is closed
+as soon as it has all its readings and no older sample is open, or when a reading arrives that is
+later by half an interval plus the allowed lateness. Readings that have not arrived by then are
+missing, unless their last value is still held. Occasional readings, such as those of a touch probe,
+join the next sample. The result depends on what arrives in which order and on no clock: the same
+stream gives the same samples, whenever it is read.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-#: What arrives of a machine at one time: None where nothing is told, NaN where a reading is said to
-#: be missing.
+#: Readings of a machine at one time: None for those that did not come, NaN for those that are
+#: reported as missing.
 Told = Sequence[float | None]
-#: No time before 1970 or behind 2200 is one.
+#: Times before 1970 or after 2200 are refused.
 LATEST = 7.3e9
-#: Instants begin at such a part of an interval.
+#: The phase of the instants is rounded to this part of an interval.
 _PARTS = 16.0
 
 
@@ -32,11 +32,11 @@ class Rule(NamedTuple):
     interval : float
         Between two instants, s.
     lateness : float
-        How long readings that may still come are waited for, in the source's time, s.
+        Allowed delay of a reading, in the source's time, s.
     hold : float
-        How long a value holds that is not told again, s.
+        How long a value stays valid without a new one, s.
     wanted : int
-        Readings of a whole sample; those behind them come now and then, and are not waited for.
+        The first so many readings complete a sample; those after them are occasional.
     """
 
     interval: float
@@ -53,17 +53,17 @@ class Waiting(NamedTuple):
     last : float
         Instant of the last sample, s; NaN before the first.
     newest : float
-        Latest time that was told, s; -inf before.
+        Latest time of a reading, s; -inf before the first.
     cells : tuple
         (instant, readings) of every sample that is not closed, oldest first.
     held : tuple of (float, float)
-        Time and value of each reading that was told last; empty if nothing holds.
+        Time and value of the last of each reading; empty if none is held.
     phase : float
         Of the instants beyond the multiples of the interval, s; NaN before the first reading.
     probed : float
-        Latest time of a reading that comes now and then by itself, s; -inf before.
+        Latest time of an occasional reading, s; -inf before the first.
     doubted : tuple, optional
-        Time and readings that were told from the future; they count if another one confirms them.
+        Time and readings from the future; they count once another reading confirms them.
     """
 
     last: float = math.nan
@@ -99,8 +99,8 @@ class Arrived(NamedTuple):
 def phase_of(rule: Rule, time: float) -> float:
     """Return the phase (s) of instants that begin at a time.
 
-    In sixteenths of the interval: the difference of two instants is then the interval to the last
-    bit, and what an estimator keeps for an interval is found again.
+    It is a multiple of a sixteenth of the interval: the difference of two instants is then the
+    interval to the last bit, for which an estimator has its coefficients.
     """
     part = time / rule.interval - math.floor(time / rule.interval)
     return math.floor(_PARTS * part + 0.5) / _PARTS * rule.interval
@@ -118,10 +118,10 @@ def arrived(
     told: Told,
     clock: tuple[float, float] = (math.inf, math.inf),
 ) -> Arrived:
-    """Take what a source tells of one time.
+    """Take the readings of one time.
 
-    A reading from the future closes no sample before another one says that it is that late: a
-    single wrong time would shut out all readings until then.
+    A reading from the future closes no sample until a second one confirms its time: a single wrong
+    time would otherwise block all readings until then.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def arrived(
     told : sequence of float or None
         One for each reading.
     clock : (float, float)
-        What time it is, and the latest time that is believed, s.
+        The present time, and the latest time that is accepted, s.
     """
     now, limit = clock
     if not 0.0 <= time <= LATEST:
@@ -155,7 +155,7 @@ def arrived(
             return Arrived(waiting, [], "late")
         probed = time
         if not math.isnan(waiting.last):
-            # What comes now and then joins the next sample.
+            # An occasional reading joins the next sample.
             instant = max(instant, instant_of(rule, phase, waiting.last + rule.interval))
     if instant <= waiting.last:
         return Arrived(waiting, [], "late")
@@ -172,7 +172,7 @@ def arrived(
 
 
 def _doubted(rule: Rule, waiting: Waiting, time: float, told: Told, limit: float) -> Arrived:
-    """Put a reading from the future aside, or believe it and the one before it."""
+    """Set a reading from the future aside, or accept it together with the one before it."""
     before, rest = waiting.doubted, waiting._replace(doubted=None)
     if before is None or time < before[0] - 0.5 * rule.interval:
         return Arrived(waiting._replace(doubted=(time, tuple(told))), [], "taken")
@@ -186,7 +186,7 @@ def _merged(
     instant: float,
     told: tuple[float | None, ...],
 ) -> tuple[tuple[float, tuple[float | None, ...]], ...]:
-    """The cells with what was told of one of them; what is told twice, the last time counts."""
+    """Return the cells with more readings in one of them; of a reading twice the last counts."""
     if not cells:
         return ((instant, told),)
     merged = dict(cells)
@@ -202,13 +202,13 @@ def _merged(
 def _closes(
     rule: Rule, last: float, newest: float, instant: float, values: tuple[float | None, ...]
 ) -> bool:
-    """Whether the oldest cell waits for nothing any more."""
+    """Say whether the oldest cell is complete, or its readings are overdue."""
     half = 0.5 * rule.interval
     if newest >= instant + half + rule.lateness:
         return True
     if None in values[: rule.wanted]:
         return False
-    # It is whole; but another one, before it, may be on its way.
+    # It is complete, but an older one may still be on its way.
     return (
         rule.lateness <= 0.0
         or math.isnan(last)
@@ -223,7 +223,7 @@ def _filled(
     instant: float,
     values: tuple[float | None, ...],
 ) -> tuple[tuple[float | None, ...], tuple[tuple[float, float], ...]]:
-    """Readings with those that still hold, and what holds after them."""
+    """Return readings completed by held values, and the values held after them."""
     before = held or ((-math.inf, math.nan),) * len(values)
     filled = tuple(
         kept if value is None and k < rule.wanted and instant - since <= rule.hold else value

@@ -1,4 +1,4 @@
-"""Reading of secrets, which no message ever shows."""
+"""Secrets: read without ever being shown, in files that only their owner can read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.settings import Secret
 
-#: No secret is longer, bytes.
+#: Longest secret, bytes.
 LONGEST = 4096
 
 
@@ -19,14 +19,14 @@ def read_secret(secret: Secret, where: str) -> str:
     Parameters
     ----------
     secret : Secret
-        Where it is kept.
+        Location.
     where : str
         What it is for, in error messages.
 
     Raises
     ------
     InputError
-        There is none, or others can read it.
+        It is missing, or others can read it.
     """
     if secret.variable is not None:
         value = os.environ.get(secret.variable, "")

@@ -1,6 +1,6 @@
 """Settings file of a service (TOML): machines, models, sources and outputs.
 
-Units stand in the names of the keys. No password stands in it, only where one is kept.
+Units are in the names of the keys. It contains no secrets, only their locations.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from thermojoint.artefacts.settings.section import File, NotNegative, Positive, 
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
-#: A machine's name stands in topics, in node ids, in addresses of pages and in names of files.
+#: A machine's name is part of topics, node ids, addresses of pages and file names.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-#: Machines of one service at most; more of them take more services.
+#: Largest number of machines of one service.
 MOST_MACHINES = 10_000
 
 
@@ -102,7 +102,7 @@ class MqttAddress(Section):
 
 
 class MqttSource(MqttAddress):
-    """Messages of a broker: a JSON object with a time and readings each."""
+    """Messages of a broker, each a JSON object with a time and readings."""
 
     kind: Literal["mqtt"]
     topic: str
@@ -130,7 +130,7 @@ Source = Annotated[CsvSource | MqttSource | OpcuaSource, Field(discriminator="ki
 
 
 class WatchdogSection(Section):
-    """``[watchdog]``: without a sample for so long a value is uncertain, then bad."""
+    """``[watchdog]``: times without a sample after which a value is uncertain, then bad."""
 
     uncertain_s: Positive = 10.0
     bad_s: Positive = 60.0
@@ -143,7 +143,7 @@ class WatchdogSection(Section):
 
 
 class StoreSection(Section):
-    """``[store]``: how often states are kept, how long the history is, whether a commit waits."""
+    """``[store]``: interval of checkpoints, length of the history, durability of commits."""
 
     checkpoint_s: Positive = 60.0
     keep_days: Positive = 7.0
@@ -260,8 +260,8 @@ def read_service(path: Path | str) -> Service:
     Raises
     ------
     InputError
-        The file is missing or no TOML, a key is unknown or missing, a value is out of range, a name
-        leads nowhere, or an address is open to others without protection.
+        The file is missing or not TOML, a key is unknown or missing, a value is out of range, a
+        name is unknown, or an address is open to others without protection.
     """
     data = toml.parse(toml.read_text(Path(path), "service"), str(path))
     return service_from_data(data, str(path), Path(path).parent)
@@ -320,7 +320,7 @@ def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSe
 
 
 def pattern_of(source: CsvSource | MqttSource | OpcuaSource) -> tuple[str, str]:
-    """Return the key that leads to a machine's readings, and what it says."""
+    """Return the key that locates a machine's readings, and its value."""
     if isinstance(source, CsvSource):
         return "path", str(source.path)
     if isinstance(source, MqttSource):
@@ -345,7 +345,7 @@ def _check_pattern(
 
 
 def _check_protected(where: str, given: ServiceFile) -> None:
-    """Without protection nothing leaves this computer."""
+    """Refuse interfaces without protection that others can reach."""
     open_doors = [
         (f"sources.{name}", source.host)
         for name, source in given.sources.items()

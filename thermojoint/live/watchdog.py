@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from estimator.quality import Quality
 
-#: What the service itself adds to a status: no sample for a while; a sample no estimator can use.
+#: Added to a status by the service: no sample for a while; a sample that the estimator refused.
 SILENT, REFUSED = "silent", "refused"
 
 
@@ -18,7 +18,7 @@ def quality_at(age: float, uncertain: float, bad: float) -> Quality:
     age : float
         Since its sample was taken, s.
     uncertain, bad : float
-        Ages at which it becomes so, s.
+        Ages from which it is uncertain or bad, s.
     """
     if age >= bad:
         return Quality.BAD
@@ -26,7 +26,7 @@ def quality_at(age: float, uncertain: float, bad: float) -> Quality:
 
 
 def silenced(status: str, quality: Quality) -> str:
-    """Return a status in words with the silence, if there is one."""
+    """Return a status in words, with `SILENT` unless the quality is good."""
     words: Sequence[str] = [word for word in status.split() if word not in (SILENT, "ok")]
     if quality is not Quality.GOOD:
         words = [*words, SILENT]

@@ -1,7 +1,7 @@
 """Assets of the pages: styles, scripts and plotly.js, in memory, compressed.
 
-The name of every file in the pages ends in a digest of it, so that a browser keeps it for as long
-as it is the same and never a moment longer.
+Their addresses in the pages contain a digest, so that a browser caches each file exactly as long as
+it stays the same.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 
-#: Who has not shown a token sees these alone: the page that asks for it needs them.
+#: Files of the log-in page, which need no log-in.
 OPEN = ("dashboard.css", "theme.js", "icon.svg")
 _OWN = (*OPEN, "common.js", "overview.js", "machine.js", "charts.js", "scene.js")
 _KINDS = {

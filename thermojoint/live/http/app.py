@@ -1,4 +1,4 @@
-"""The application: addresses, and what answers at each."""
+"""The application: routes and their handlers."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ from thermojoint.live.publication import as_json
 
 #: Rows of the history and events that one request may ask for.
 MOST_POINTS, MOST_EVENTS = 5000, 1000
-#: How far back they go where nobody says, s.
+#: Default time span, s.
 USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
 #: Largest body of a log-in, bytes.
 LARGEST_LOGIN = 4096
-#: Requests that read the history side by side; others wait.
+#: Requests that read the history at the same time; others wait.
 READERS = 4
 
 
@@ -71,11 +71,11 @@ class Site:
     Attributes
     ----------
     sources : Sources
-        What is shown.
+        Data shown.
     door : Door
-        Who may see it.
+        Access control.
     most_streams, streams : int
-        How many streams there may be, and are.
+        Largest and present number of streams.
     """
 
     sources: Sources
@@ -110,11 +110,11 @@ class Site:
         ]
 
     async def overview(self, request: Request) -> Response:
-        """The page of all machines."""
+        """Return the page of all machines."""
         return HTMLResponse(page("overview"))
 
     async def machine(self, request: Request) -> Response:
-        """The page of one machine."""
+        """Return the page of one machine."""
         name, _ = self._machine(request)
         engineer = not request.user.refusal("engineer", name)
         former = self.sources.former(name) if engineer else None
@@ -138,7 +138,7 @@ class Site:
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def login(self, request: Request) -> Response:
-        """The page that asks for a password or a token, and what takes it."""
+        """Show the log-in page, or check a password or token."""
         if request.method != "POST":
             return HTMLResponse(page("login", wrong=False))
         door = self.door
@@ -182,7 +182,7 @@ class Site:
         return done
 
     async def asset(self, request: Request) -> Response:
-        """A style, a script."""
+        """Return a style sheet or a script."""
         content = asset(request.path_params["name"])
         if content is None or content.digest != request.path_params["digest"]:
             raise HTTPException(404, "no such file; load the page again")
@@ -196,7 +196,7 @@ class Site:
         return Response(content.packed if packed else content.plain, 200, headers, content.kind)
 
     async def machines(self, request: Request) -> Response:
-        """All machines in short."""
+        """Return a summary of all machines."""
         read_parameters(request.query_params.multi_items(), {})
         newest = self.sources.hub.newest
         return answered(
@@ -212,7 +212,7 @@ class Site:
         )
 
     async def about(self, request: Request) -> Response:
-        """Constant data of a machine."""
+        """Return the constant data of a machine."""
         name, about = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
@@ -225,7 +225,7 @@ class Site:
         )
 
     async def latest(self, request: Request) -> Response:
-        """The newest publication of a machine."""
+        """Return the newest publication of a machine."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         newest = self.sources.hub.newest.get(name)
@@ -234,7 +234,7 @@ class Site:
         return answered(as_json(newest))
 
     async def history(self, request: Request) -> Response:
-        """Thinned history of a machine."""
+        """Return the thinned history of a machine."""
         name, _ = self._machine(request)
         since, until, given = self._span(
             request, USUAL_HISTORY, points=whole_number(2, MOST_POINTS)
@@ -246,7 +246,7 @@ class Site:
         return answered(history_body(name, history))
 
     async def events(self, request: Request) -> Response:
-        """Events, newest first."""
+        """Return events, newest first."""
         since, until, given = self._span(
             request,
             USUAL_EVENTS,
@@ -267,13 +267,13 @@ class Site:
         return answered(events_body(seen))
 
     async def scene(self, request: Request) -> Response:
-        """The shape of a machine."""
+        """Return the 3-D shape of a machine."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         return answered(self._scene(name).shape)
 
     async def fields(self, request: Request) -> Response:
-        """Fields of the newest state at every point of the shape."""
+        """Return the fields of the newest state at every point of the shape."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         fields = self._scene(name).fields()
@@ -282,7 +282,7 @@ class Site:
         return answered(fields)
 
     async def residuals(self, request: Request) -> Response:
-        """Reading minus model, of the newest sample."""
+        """Return reading minus model of the newest sample."""
         name, _ = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         if name not in self.sources.residuals:
@@ -293,7 +293,7 @@ class Site:
         return answered({"machine": name, "residuals_K": residuals})
 
     async def stream(self, request: Request) -> Response:
-        """News, as long as the reader stays."""
+        """Return a stream of new samples."""
         given = read_parameters(
             request.query_params.multi_items(),
             {"machine": one_of(*self._visible(request)), "every_s": number(0.1, 60.0)},
@@ -315,15 +315,15 @@ class Site:
         self.streams -= 1
 
     async def metrics(self, request: Request) -> Response:
-        """For Prometheus."""
+        """Return the metrics for Prometheus."""
         if not request.user.sees_all:
-            raise HTTPException(403, "the metrics are of all machines; ask as one who sees all")
+            raise HTTPException(403, "the metrics are of all machines; log in as a user of all")
         return Response(
             generate_latest(self.sources.registry), headers={"content-type": CONTENT_TYPE_LATEST}
         )
 
     async def health(self, request: Request) -> Response:
-        """Whether the server answers, and how many machines are how; it names none."""
+        """Return the number of machines by quality, without their names."""
         newest = self.sources.hub.newest.values()
         counts = {one.word: sum(said.quality is one for said in newest) for one in Quality}
         status = "degraded" if counts[Quality.BAD.word] else "ok"
@@ -345,7 +345,7 @@ class Site:
     def _span(
         self, request: Request, usual: float, **readers: Callable[[str], Any]
     ) -> tuple[float, float, dict[str, Any]]:
-        """From when to when, s since 1970, and the other parameters."""
+        """Return start and end, s since 1970, and the other parameters."""
         given = read_parameters(
             request.query_params.multi_items(), {"since": moment, "until": moment} | readers
         )
@@ -370,7 +370,7 @@ async def _none(request: Request, error: Exception) -> Response:
     status = getattr(error, "status_code", 404)
     headers = dict(getattr(error, "headers", None) or {})
     detail = str(getattr(error, "detail", ""))
-    usual = {404: "no such address; docs/dashboard.md names them all", 405: "no such method here"}
+    usual = {404: "no such address; docs/dashboard.md lists them", 405: "no such method here"}
     plain = detail in ("Not Found", "Method Not Allowed")
     return refused(status, usual.get(status, detail) if plain else detail, **headers)
 
@@ -381,11 +381,11 @@ def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
     Parameters
     ----------
     sources : Sources
-        What it shows.
+        Data shown.
     door : Door
-        Who may see it.
+        Access control.
     most_streams : int
-        At the same time.
+        Largest number at the same time.
     """
     site = Site(sources, door, most_streams)
     made = Starlette(
@@ -396,6 +396,6 @@ def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
         ],
         exception_handlers={InputError: _wrong, HTTPException: _none},
     )
-    # It would send people to whatever host the request names.
+    # It would redirect to whatever host the request names.
     made.router.redirect_slashes = False
     return made

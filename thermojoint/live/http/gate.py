@@ -22,12 +22,12 @@ from thermojoint.live.rights import Principal
 
 #: Longest address with its parameters, and all headers together, bytes.
 LONGEST_ADDRESS, LARGEST_HEAD = 2048, 16384
-#: Requests that a client may make at once, in seconds of its rate.
+#: Largest burst of requests of a client, in seconds of its rate.
 BURST_S = 5.0
 #: Wrong tokens and passwords of one client in a row, and how long each is remembered, s.
 WRONG_TOKENS, FORGOTTEN_S = 10.0, 10.0
-#: Nothing from elsewhere, nothing written into the page, no frame around it. The one hash is that
-#: of the empty style element, into which plotly.js then puts its rules.
+#: No content from other sites, no inline code, no frames. The one hash is that of the empty style
+#: element into which plotly.js inserts its rules.
 POLICY = (
     "default-src 'none'; script-src 'self'; connect-src 'self'; img-src 'self' data: blob:; "
     "style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; "
@@ -51,7 +51,7 @@ class Door:
     Attributes
     ----------
     accounts : Accounts
-        Who may come in.
+        Users, tokens and sessions.
     hosts : frozenset of str
         Names under which the service is reached.
     secure : bool
@@ -86,24 +86,24 @@ class Door:
 
 
 def refused(status: int, text: str, **headers: str) -> Response:
-    """Return an answer that says in one line why there is no other."""
+    """Return a response with the reason for a refusal."""
     return Response(encoded({"error": text}), status, headers, "application/json")
 
 
 def too_many(waiting: float) -> Response:
-    """Return the answer to who asks too often."""
+    """Return the response to a client that asks too often."""
     seconds = str(int(waiting) + 1)
     return refused(429, f"too many requests; ask again in {seconds} s", **{"retry-after": seconds})
 
 
 def client(scope: Scope) -> str:
-    """Return who asks."""
+    """Return the client that asks."""
     peer = scope.get("client")
     return client_of(peer[0]) if peer else ""
 
 
 def ticket_of(headers: Headers, name: str) -> str:
-    """Return the ticket that a browser sends; empty without one."""
+    """Return the session's ticket from a browser's cookie; empty without one."""
     try:
         cookie = SimpleCookie(headers.get("cookie", "")).get(name)
     except CookieError:
@@ -126,7 +126,7 @@ def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | No
 
 
 class Gate:
-    """Around an application: answers itself what must not get in, adds the headers to the rest."""
+    """Wraps an application: refuses what must not get in, adds the headers to every response."""
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self.app, self.door = app, door
@@ -154,7 +154,7 @@ class Gate:
         await (answer or self.app)(scope, receive, with_headers)
 
     def _stopped(self, scope: Scope) -> Response | None:
-        """The answer to a request that gets no further."""
+        """Return the response to a request that is refused; None if it may pass."""
         waiting = self.door.requests.take(client(scope), time.monotonic())
         if waiting > 0.0:
             return too_many(waiting)
@@ -172,7 +172,7 @@ class Gate:
         if scope["method"] != "POST" and (
             headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
         ):
-            return refused(413, "a request that asks has no body; leave it out", connection="close")
+            return refused(413, "only POST requests have a body; leave it out", connection="close")
         if self._is_open(scope):
             return None
         return self._unknown(scope, headers)

@@ -26,12 +26,12 @@ def read_parameters(
     given : iterable of (str, str)
         Names and values as they came.
     readers : mapping
-        Name to what reads its value.
+        Name to the reader of its value.
 
     Raises
     ------
     InputError
-        A name is unknown or comes twice, or a value is none.
+        A name is unknown or appears twice, or a value is invalid.
     """
     parameters: dict[str, Any] = {}
     for name, value in given:
@@ -65,7 +65,7 @@ def moment(text: str) -> float:
 
 
 def whole_number(low: int, high: int) -> Reader:
-    """Return what reads a whole number from `low` to `high`."""
+    """Return a reader of whole numbers from `low` to `high`."""
 
     def read(text: str) -> int:
         value = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else low - 1
@@ -77,7 +77,7 @@ def whole_number(low: int, high: int) -> Reader:
 
 
 def number(low: float, high: float) -> Reader:
-    """Return what reads a number from `low` to `high`."""
+    """Return a reader of numbers from `low` to `high`."""
 
     def read(text: str) -> float:
         try:
@@ -92,7 +92,7 @@ def number(low: float, high: float) -> Reader:
 
 
 def one_of(*known: str) -> Reader:
-    """Return what reads one of some words."""
+    """Return a reader of one of some words."""
 
     def read(text: str) -> str:
         if text not in known:
@@ -103,5 +103,5 @@ def one_of(*known: str) -> Reader:
 
 
 def shown(text: str) -> str:
-    """Return a text that came from outside as one short line may show it."""
+    """Return a text from outside, shortened and escaped for one line."""
     return ascii(text if len(text) <= 40 else f"{text[:40]}...")

@@ -1,6 +1,6 @@
-"""uvicorn's protocol and server, with limits on time; only here are its parts changed.
+"""uvicorn's protocol and server, with time limits; only this module changes its parts.
 
-What is relied on is in tests/project/test_private_parts.py; `pyproject.toml` bounds the version.
+tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bounds the version.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-#: A request must be there so long after its first byte, a first request after the connection, s.
+#: Time for a whole request after its first byte, and for the first after the connection, s.
 REQUEST_S = 10.0
-#: A reader that takes nothing for this long is gone, s.
+#: A reader that accepts no data for this long is disconnected, s.
 READER_S = 30.0
 #: Connections of one client at the same time.
 MOST_OF_ONE = 128
-#: TLS must stand, or have ended, so long after it has begun, s; asyncio would wait for a minute.
+#: Timeout of the TLS handshake and shutdown, s; asyncio would wait for a minute.
 TLS_S = 5.0
 
 
 class LimitedSocket(socket.socket):
-    """Listens, and closes at once what is one connection too many, also before TLS.
+    """Listening socket that closes connections beyond a limit at once, before TLS.
 
     Attributes
     ----------
     most : int
-        Connections at the same time.
+        Largest number of connections.
     """
 
     def __init__(self, listening: socket.socket, most: int) -> None:
@@ -47,7 +47,7 @@ class LimitedSocket(socket.socket):
         Raises
         ------
         ConnectionAbortedError
-            It was one too many, of all or of its address; asyncio goes on with the next.
+            There are too many, in all or of its address; asyncio goes on with the next.
         """
         connection, address = super().accept()
         host = str(address[0])
@@ -61,13 +61,13 @@ class LimitedSocket(socket.socket):
 
 
 class PatientProtocol(H11Protocol):
-    """HTTP of one connection that does not wait for ever, neither for a request nor a reader."""
+    """HTTP of one connection with time limits for requests and readers."""
 
     _deadline: asyncio.TimerHandle | None = None
     _unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin; the first request must come soon."""
+        """Begin; the time for the first request runs."""
         super().connection_made(transport)
         self._await_request()
 
@@ -77,7 +77,7 @@ class PatientProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; a request that has begun must become whole soon."""
+        """Take data; the time for the rest of a request runs."""
         super().data_received(data)
         if self.conn.their_state in (h11.IDLE, h11.SEND_BODY):
             self._await_request()
@@ -86,21 +86,18 @@ class PatientProtocol(H11Protocol):
             self._deadline = None
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP; where an answer has begun there is nothing to be said.
-
-        Whatever is answering the request before it has nobody to talk to any more.
-        """
+        """Refuse data that are not HTTP; the handler of the request before is told to stop."""
         if self.cycle is not None:
             self.cycle.disconnected = True
             self.cycle.message_event.set()
-        # An answer has begun, or the reader has ended TLS.
+        # It fails if a response has begun, or the reader has ended TLS.
         try:
             super().send_400_response(msg)
         except (h11.LocalProtocolError, RuntimeError):
             self.transport.abort()
 
     def pause_writing(self) -> None:
-        """Note that the reader takes nothing."""
+        """Note that the reader accepts no data."""
         super().pause_writing()
         self._unread = self._unread or self.loop.call_later(READER_S, self.transport.abort)
 
@@ -116,7 +113,7 @@ class PatientProtocol(H11Protocol):
             self._deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
 
     def _stop(self) -> None:
-        # A timer keeps the connection and all its buffers in memory until it rings.
+        # A timer keeps the connection and its buffers in memory until it expires.
         self._unset_keepalive_if_required()
         for timer in (self._deadline, self._unread):
             if timer is not None:
@@ -125,7 +122,7 @@ class PatientProtocol(H11Protocol):
 
 
 class Server(uvicorn.Server):
-    """A server among other tasks: signals are for the service, sockets are given."""
+    """A server among other tasks: it leaves signals to the service, and gets its sockets."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -133,7 +130,7 @@ class Server(uvicorn.Server):
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen; TLS is not waited for as long as asyncio would."""
+        """Listen, with shorter TLS timeouts than those of asyncio."""
         config, loop = self.config, asyncio.get_running_loop()
         patience = TLS_S if config.ssl else None
 

@@ -6,22 +6,22 @@ import ipaddress
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-#: Clients that are remembered; who was quiet longest is forgotten first.
+#: Clients that are remembered; the one that was silent longest is forgotten first.
 MOST_CLIENTS = 4096
 
 
 @dataclass
 class Buckets:
-    """One bucket a client, full at first.
+    """Token buckets, one per client, full at first.
 
     Attributes
     ----------
     rate : float
-        What comes in, 1/s.
+        Tokens per second.
     size : float
-        What goes in.
+        Largest number of tokens.
     levels : OrderedDict of str to (float, float)
-        Client to its level and when that was, s.
+        Client to its level and the time of that level, s.
     """
 
     rate: float
@@ -29,13 +29,13 @@ class Buckets:
     levels: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
     def wait(self, client: str, now: float) -> float:
-        """Return how long a client must wait for one more, s; 0 if it need not."""
+        """Return how long a client must wait for a token, s; 0 if there is one."""
         level, since = self.levels.get(client, (self.size, now))
         level = min(self.size, level + self.rate * max(0.0, now - since))
         return max(0.0, (1.0 - level) / self.rate)
 
     def take(self, client: str, now: float) -> float:
-        """Take one out, if there is one; returns as `wait` before it."""
+        """Take a token if there is one; return what `wait` returned before."""
         waiting = self.wait(client, now)
         if waiting > 0.0:
             return waiting
@@ -48,7 +48,7 @@ class Buckets:
 
 
 def client_of(address: str) -> str:
-    """Return who is behind an address: an IPv4 address, or the /64 of an IPv6 one."""
+    """Return the client of an address: the IPv4 address, or the /64 network of an IPv6 one."""
     try:
         parsed = ipaddress.ip_address(address)
     except ValueError:

@@ -33,9 +33,9 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
     Parameters
     ----------
     app : Starlette
-        What answers.
+        The application.
     section : HttpServer
-        Where.
+        Settings.
     own : Identity or None
         Certificate; None without TLS.
 
@@ -57,7 +57,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
         log_config=None,
         log_level="error",
         access_log=False,
-        # Who sends the header of a proxy would be another client each time.
+        # A client could pretend to be another one each time by the header of a proxy.
         proxy_headers=False,
         server_header=False,
         limit_concurrency=MOST_CONNECTIONS + section.most_streams,
@@ -79,14 +79,14 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A server that has its address and waits to be run.
+    """A server that has its address and is ready to run.
 
     Attributes
     ----------
     server : Server
-        What answers.
+        The server.
     socket : socket.socket
-        Where it listens.
+        Its listening socket.
     """
 
     server: Server
@@ -94,7 +94,7 @@ class Opened:
 
     @property
     def url(self) -> str:
-        """Its address for a browser."""
+        """URL for a browser."""
         host, port = self.socket.getsockname()[:2]
         scheme = "https" if self.server.config.is_ssl else "http"
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
@@ -108,9 +108,9 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
     section : HttpServer
         Settings.
     sources : Sources
-        What is shown.
+        Data shown.
     accounts : Accounts
-        Who may see it.
+        Users, tokens and sessions.
     folder : Path
         Where the service keeps its own certificate.
 
@@ -150,7 +150,7 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
 
 
 async def serve_http(opened: Opened, stop: asyncio.Event) -> None:
-    """Serve until told to stop."""
+    """Serve until `stop` is set or the task is cancelled."""
 
     async def stopped() -> None:
         await stop.wait()

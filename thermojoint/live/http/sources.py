@@ -22,15 +22,15 @@ class About:
     Attributes
     ----------
     layout : Layout
-        Names of all that is published of it.
+        Names of its published values.
     kind : str
-        Of its estimator.
+        Kind of its estimator.
     model : str
         Name of the model's file.
     since : float
-        When the service began to run it on this model, s since 1970.
+        When it began to run on this model, s since 1970.
     valid : tuple of Range
-        What the model was calibrated for.
+        Calibrated ranges of the model.
     """
 
     layout: Layout
@@ -47,18 +47,18 @@ class Sources:
     Attributes
     ----------
     hub : Hub
-        The newest of every machine.
+        Newest publications.
     past : Archive
         History and events.
     machines : mapping
-        Name to what stays of it.
+        Name to its constant data.
     registry : CollectorRegistry
-        For Prometheus.
+        Metrics for Prometheus.
     scenes : mapping
-        Machines that have a picture in 3-D.
+        3-D scenes of the machines that have one.
     residuals : mapping
-        Machines whose estimator says what a reading should be; reading minus model, K, by reading,
-        None before the first sample.
+        Residuals (reading minus model, K) of the machines whose estimator predicts readings; None
+        before the first sample.
     former : callable
         Machine to the last model before its present one; None without any.
     roll_back : callable

@@ -1,7 +1,7 @@
 """Server-sent events with the newest sample of every changed machine.
 
-A reader holds nothing but the names of the machines that have changed since it was last sent
-something. One that reads slowly gets fewer events with the newest values, never a queue of old.
+For a reader only the names of the machines that have changed are stored. A slow reader gets fewer
+events with the newest values; nothing is queued.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from thermojoint.live.http.bodies import encoded
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Publication
 
-#: Without news a reader gets an empty event so often, s: silence means that the line is broken.
+#: Interval of empty events without news, s: longer silence means that the connection is broken.
 BEAT_S = 3.0
-#: A stream ends after this, s; a browser opens it again, and is asked who it is.
+#: A stream ends after this time, s; the browser opens it again, and is checked again.
 LONGEST_S = 3600.0
-#: Publications that are put into words before others may have the event loop.
+#: Publications that are encoded before other tasks get the event loop.
 AT_ONCE = 64
 
 
@@ -81,14 +81,14 @@ async def stream(
 
 
 class Counted(StreamingResponse):
-    """A stream that says when it is over, however it ends."""
+    """A stream that reports its end, however it ends."""
 
     def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
         super().__init__(content, media_type="text/event-stream")
         self._left = left
 
     async def __call__(self, *given: Any) -> None:  # noqa: ANN401
-        """Send until the reader goes."""
+        """Send until the reader disconnects."""
         try:
             await super().__call__(*given)
         finally:

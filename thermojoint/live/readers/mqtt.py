@@ -2,8 +2,8 @@
 
 ``{"time": "2026-03-02T06:00:01Z", "T1_degC": 24.31, "T2_degC": null}``; or, on a topic for each
 reading, ``{"time": 1772431201.0, "value": 24.31}``. The broker keeps the session (QoS 1), and a
-message is acknowledged when its sample is in the store: so what came while the service was down is
-read then.
+message is acknowledged when its sample is stored: messages sent while the service was down arrive
+later.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from thermojoint.live.readers.session import beside
 from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
 
-#: Messages that are handed on at once.
+#: Messages that are passed on at once.
 _AT_ONCE = 64
 
 
@@ -46,13 +46,13 @@ class Topics:
     Attributes
     ----------
     pattern : Pattern
-        Of a topic: perhaps with groups ``machine`` and ``reading``.
+        Of a topic; it may have the groups ``machine`` and ``reading``.
     filter : str
-        What is subscribed to.
+        Of the subscription.
     names : dict of str to tuple of str
-        What each machine's readings are called.
+        Names of each machine's readings in the messages.
     largest : int
-        No message is longer, bytes.
+        Longest message, bytes.
     """
 
     pattern: re.Pattern[str]
@@ -70,7 +70,7 @@ class MqttReader:
     address : Address
     topics : Topics
     most : int
-        Messages that may wait.
+        Messages that may be queued.
     """
 
     address: Address
@@ -81,11 +81,11 @@ class MqttReader:
 
     @property
     def machines(self) -> Sequence[str]:
-        """Those that the source feeds."""
+        """Machines that the source feeds."""
         return tuple(self.topics.names)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield what comes, for ever; a connection that is lost is made again."""
+        """Yield messages for ever; reconnects whenever the connection is lost."""
         async with beside(self._stay_connected(), self._came) as heard:
             while True:
                 await heard()
@@ -112,10 +112,10 @@ class MqttReader:
             delay = next_delay(delay)
 
     def _take(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
-        """Take one message, in the middle of the client's own work."""
+        """Queue one message; called by the client."""
         kept = partial(_acknowledged, client, message) if message.qos else None
         if len(self._found) >= self.most:
-            # Not acknowledged: the broker tells it again after the next connect.
+            # Not acknowledged: the broker sends it again after the next connection.
             return
         told = told_by(self.topics, message.topic, message.payload, kept)
         if isinstance(told, Note) and kept:
@@ -135,15 +135,15 @@ def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # no
 def told_by(
     topics: Topics, topic: str, payload: bytes, kept: Callable[[], None] | None = None
 ) -> Arrival | Note:
-    """Return what one message says, or what is wrong with it."""
+    """Return the readings of one message, or a note of what is wrong with it."""
     came = clock.time()
     match = topics.pattern.fullmatch(topic)
-    # A topic without a name in it is of the only machine.
+    # A topic without a machine's name belongs to the only machine.
     words = match.groupdict() if match else {}
     machine = words.get("machine", next(iter(topics.names)))
     names = topics.names.get(machine)
     if match is None or names is None:
-        return Note("malformed", f"topic {topic[:100]!r} is of no machine")
+        return Note("malformed", f"topic {topic[:100]!r} names no machine of this source")
     if len(payload) > topics.largest:
         return Note("malformed", f"a message of {len(payload)} bytes", machine)
     try:
@@ -183,7 +183,7 @@ def _told(
 
 
 def _value(value: Any) -> float:  # noqa: ANN401
-    """A reading; null is one that is missing."""
+    """Return a reading; null is a missing one."""
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -206,5 +206,5 @@ def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topic
 
 
 def _filter(topic: str) -> str:
-    """Topic filter of the subscription: a level with a placeholder matches any level."""
+    """Return the filter of the subscription: a level with a placeholder matches any level."""
     return "/".join("+" if "{" in level else level for level in topic.split("/"))

@@ -1,7 +1,7 @@
 """Variables of an OPC UA server by subscription, and by its history after a disconnection.
 
-Every value that the server has sampled comes with its source's time and status; a bad one is a
-missing reading. Where the server keeps a history, what came while nobody listened is read from it.
+Every sampled value comes with the source's time and status; a bad value is a missing reading.
+Values from the time without a connection are read from the server's history, if it has one.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
 from thermojoint.live.trust_list import certificate_in
 
-#: An answer is waited for so long, and so often one is asked for, s.
+#: Timeout of a response, and interval of the requests that check the connection, s.
 _TIMEOUT_S, _ALIVE_S = 10.0, 5.0
-#: Arrivals that are handed on at once.
+#: Arrivals that are passed on at once.
 _AT_ONCE = 64
-#: Values of one variable that are read from a history, at most.
+#: Largest number of values of one variable read from a history.
 _MOST_HISTORY = 100_000
-#: Variables that one request names.
+#: Variables in one request.
 _AT_A_TIME = 500
-#: Values of one variable that the server keeps between two publications, at most.
+#: Largest number of values of one variable that the server queues between two publications.
 _QUEUE = 1000
-#: What a connection ends by.
+#: Errors that end a connection.
 _LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError)
 
 
@@ -81,7 +81,7 @@ class OpcuaReader:
     counts : dict of str to int
         Readings of each machine.
     most : int
-        Values that may wait.
+        Values that may be queued.
     """
 
     reached: Reached
@@ -94,11 +94,11 @@ class OpcuaReader:
 
     @property
     def machines(self) -> Sequence[str]:
-        """Those that the source feeds."""
+        """Machines that the source feeds."""
         return tuple(self.counts)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield what comes, for ever; a connection that is lost is made again."""
+        """Yield values for ever; reconnects whenever the connection is lost."""
         self._newest = {
             machine: float(at) for machine, at in positions.items() if isinstance(at, int | float)
         }
@@ -124,7 +124,7 @@ class OpcuaReader:
             delay = next_delay(delay)
 
     async def _listen(self, client: Client) -> None:
-        """Subscribe, read what was missed, and wait until the server is silent."""
+        """Subscribe, read the missed values, and wait until the server stops responding."""
         nodes = [client.get_node(name) for name in self.nodes]
         places = dict(zip((node.nodeid for node in nodes), self.nodes.values(), strict=True))
         missed: list[tuple[ua.NodeId, ua.DataValue]] = []
@@ -149,7 +149,7 @@ class OpcuaReader:
         ):
             del at
             self._take(places, machine, value)
-        # What came meanwhile is behind it.
+        # Then the values that arrived meanwhile.
         for nodeid, value in missed:
             self._take(places, nodeid, value)
         handler.take = lambda nodeid, value: self._take(places, nodeid, value)
@@ -158,7 +158,7 @@ class OpcuaReader:
             await asyncio.wait_for(client.nodes.server_state.read_value(), _TIMEOUT_S)
 
     async def _history(self, node: Node, machine: str) -> list[ua.DataValue]:
-        """The server's history of a variable since the last reading; empty if it keeps none."""
+        """Return a variable's history since the last reading; empty if the server keeps none."""
         since = self._newest.get(machine)
         if since is None:
             return []
@@ -191,7 +191,7 @@ class OpcuaReader:
 def in_order(told: Iterable[Arrival | Note]) -> list[Arrival | Note]:
     """Return values in the order of their times, those of one machine and time as one arrival.
 
-    A server tells all values of one variable, then all of the next.
+    A server sends all values of one variable, then all of the next.
     """
     ordered: list[Arrival | Note] = []
     merged: dict[tuple[str, float], Arrival] = {}
@@ -212,7 +212,7 @@ def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list
 
 
 class _Handler:
-    """Callbacks of a subscription; values are queued until they are taken."""
+    """Callbacks of a subscription; values are collected until `take` is replaced."""
 
     def __init__(self, aside: list[tuple[ua.NodeId, ua.DataValue]]) -> None:
         self.take = lambda nodeid, value: aside.append((nodeid, value))
@@ -223,7 +223,7 @@ class _Handler:
 
 
 def _item(node: Node, handle: int) -> ua.MonitoredItemCreateRequest:
-    """Ask for every value that the server samples, also where only its time is another."""
+    """Return a request for every sampled value, also if only its time has changed."""
     return ua.MonitoredItemCreateRequest(
         ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value),
         MonitoringMode=ua.MonitoringMode.Reporting,
@@ -245,13 +245,13 @@ def _time(value: ua.DataValue) -> float:
 
 
 def told_by(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
-    """Return what one value says, or what is wrong with it.
+    """Return one value as an arrival, or a note of what is wrong with it.
 
     Parameters
     ----------
     machine : str
     k, count : int
-        Which of how many readings it is of.
+        Index and number of the machine's readings.
     value : DataValue
     """
     content = value.Value.Value if value.Value is not None else None
@@ -261,7 +261,7 @@ def told_by(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     if not good or content is None:
         told[k] = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
-        return Note("malformed", f"reading {k}: a {type(content).__name__}, no number", machine)
+        return Note("malformed", f"reading {k}: a {type(content).__name__} is no number", machine)
     else:
         told[k] = float(content) if math.isfinite(content) else math.nan
     try:
@@ -306,7 +306,7 @@ def opcua_reader(
     Raises
     ------
     InputError
-        A node id is none, the server's certificate is missing, or a secret is unusable.
+        A node id is malformed, or the server's certificate or a secret cannot be used.
     """
     nodes = {
         source.node.replace("{machine}", machine).replace("{reading}", name): (machine, k)
@@ -322,8 +322,8 @@ def opcua_reader(
     if source.security == "sign-and-encrypt":
         if source.server_certificate is None:
             raise InputError(
-                "source.server_certificate: whom to trust is not known; give the server's "
-                "certificate (PEM or DER)"
+                "source.server_certificate: missing; give the certificate of the server to trust "
+                "(PEM or DER)"
             )
         server = source.server_certificate
         certificate_in(server)

@@ -12,14 +12,14 @@ from typing import Any
 async def beside(
     staying: Coroutine[Any, Any, None], came: asyncio.Event
 ) -> AsyncIterator[Callable[[], Awaitable[None]]]:
-    """Run a session that ends by an error alone; give what waits until something came.
+    """Run a session in the background; give a function that waits for its next arrival.
 
     Parameters
     ----------
     staying : coroutine
-        Stays connected; cancelled at the end.
+        Stays connected and ends only by an error, which the function raises; cancelled at the end.
     came : Event
-        Set where something was found.
+        Set when something has arrived.
     """
     session = asyncio.create_task(staying)
     session.add_done_callback(lambda _: came.set())
