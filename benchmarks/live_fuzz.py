@@ -209,7 +209,7 @@ def estimates(
         if k % 60 == 59:
             floors.checkpoint_of(place)
         waiting: Waiting = place.machine.waiting
-        if len(waiting.cells) > 2 or len(place.rows) > 60 or len(floor.log._seen) > 20:
+        if len(waiting.cells) > 2 or len(place.rows) > 60 or len(floor.log.limit.seen) > 20:
             raise AssertionError(f"grows: {len(waiting.cells)} {len(place.rows)}")
         yield (place.machine.said.number, place.machine.said.time, *place.machine.said.displacement)
 

@@ -26,10 +26,12 @@ class EventLog:
     ----------
     pending : list of Event
         Not stored yet.
+    limit : LineLimit
+        By machine and kind.
     """
 
     pending: list[Event] = field(default_factory=list)
-    _limit: LineLimit = field(default_factory=LineLimit)
+    limit: LineLimit = field(default_factory=LineLimit)
 
     def say(self, time: float, kind: str, text: str, machine: str | None = None) -> bool:
         """Log an event, and return True, unless too many of its kind were logged just now.
@@ -43,7 +45,7 @@ class EventLog:
         machine : str, optional
             Where.
         """
-        before = self._limit.left_out((machine, kind), time)
+        before = self.limit.left_out((machine, kind), time)
         if before is None:
             return False
         text = one_line(text, before)

@@ -13,9 +13,15 @@ _MOST = 20_000
 
 @dataclass(eq=False)
 class LineLimit:
-    """Counts of lines by kind."""
+    """Counts of lines by kind.
 
-    _seen: dict[Hashable, list[float]] = field(default_factory=dict)
+    Attributes
+    ----------
+    seen : dict
+        Kind to lines written in a row, time of the last one, lines left out since.
+    """
+
+    seen: dict[Hashable, list[float]] = field(default_factory=dict)
 
     def left_out(self, kind: Hashable, time: float) -> int | None:
         """Return how many lines of a kind were left out before this one; None: leave it out.
@@ -26,10 +32,9 @@ class LineLimit:
         time : float
             s, by any clock.
         """
-        if kind not in self._seen and len(self._seen) >= _MOST:
+        if kind not in self.seen and len(self.seen) >= _MOST:
             kind = None
-        # Lines written in a row, time of the last one, lines left out since.
-        seen = self._seen.setdefault(kind, [0.0, -AGAIN_S, 0.0])
+        seen = self.seen.setdefault(kind, [0.0, -AGAIN_S, 0.0])
         if time - seen[1] >= AGAIN_S:
             seen[0] = 0.0
         elif seen[0] >= AT_ONCE:
