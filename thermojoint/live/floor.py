@@ -323,6 +323,14 @@ def checkpoint_of(place: Place) -> Checkpoint:
     )
 
 
+def whole_checkpoint_of(place: Place) -> Checkpoint:
+    """Return a checkpoint for a store that has nothing of a machine: with one sample at least."""
+    said = place.machine.said
+    if said.number and not place.rows:
+        place.rows = [(as_row(said), said.status)]
+    return checkpoint_of(place)
+
+
 def count_qualities(floor: Floor) -> None:
     """Count the machines by quality."""
     counts = dict.fromkeys(Quality, 0)

@@ -34,6 +34,7 @@ from thermojoint.live.store import (
     cut_log,
     era_before,
     era_of,
+    identity_of,
     kept_of,
     locked,
     open_store,
@@ -83,6 +84,10 @@ class Running:
         Last entry of the journal that every machine has a checkpoint behind.
     reload : callable
         Makes the service read its file again.
+    identity : tuple of int or None
+        Tells the store's file from another of its name.
+    mending : asyncio.Lock
+        Held while a store is replaced.
     """
 
     service: Service
@@ -101,6 +106,8 @@ class Running:
     share: float = 0.0
     behind: int = 0
     reload: Callable[[], None] = lambda: None
+    identity: tuple[int, ...] | None = None
+    mending: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run something on the store, after all that was given before."""
@@ -136,12 +143,14 @@ async def opened(
             keeper,
             asyncio.Queue(_MOST_BLOCKS),
             stop,
+            identity=identity_of(path),
         )
+        ends.callback(lambda: running.store.close())
         log.say(times.now, "start", f"store {path}")
         running.hub.publish(newest)
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
-        with suppress(sqlite3.OperationalError):
+        with suppress(sqlite3.DatabaseError):
             await running.kept(commit, Batch(events=log.fetched()))
             await running.kept(cut_log)
 

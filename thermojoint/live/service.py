@@ -7,8 +7,8 @@ import gc
 import math
 import sqlite3
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager, suppress
 from datetime import UTC, datetime
 
 from thermojoint.live import floor as floors
@@ -24,6 +24,7 @@ from thermojoint.live.machine import held
 from thermojoint.live.notify import tell_systemd
 from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
+from thermojoint.live.recovery import is_damage, recover, recover_if_gone
 from thermojoint.live.running import Running, opened
 from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
@@ -103,6 +104,8 @@ async def run(
             if not work.done():
                 await running.arrivals.put([])
             await asyncio.gather(work, return_exceptions=True)
+            async with _tending(running):
+                await recover_if_gone(running)
             await _checkpoint(running, list(floor.places.values()))
         if failed:
             raise failed[0]
@@ -230,7 +233,8 @@ async def _watch(running: Running) -> None:
         floors.count_qualities(running.floor)
         floors.count_modes(running.floor, _WATCH_S)
         await _release(running, floors.stalled(running.floor, clock))
-        with suppress(sqlite3.OperationalError):
+        async with _tending(running):
+            await recover_if_gone(running)
             await _checkpoint_some(running, settings.checkpoint_s)
         if clock - announced >= _ANNOUNCE_S:
             announced = clock
@@ -241,11 +245,23 @@ async def _watch(running: Running) -> None:
             log = path.with_name(path.name + "-wal")
             size = log.stat().st_size if log.exists() else 0
             # Commits wait for a cut, not for a move; after it little is left to cut.
-            with suppress(sqlite3.OperationalError):
+            async with _tending(running):
                 await asyncio.to_thread(move_log, path)
                 if size > _LONGEST_LOG:
                     await running.kept(cut_log)
             running.metrics.log_size.set(size)
+
+
+@asynccontextmanager
+async def _tending(running: Running) -> AsyncIterator[None]:
+    """Work on the store that can wait; a damaged one is replaced."""
+    store = running.store
+    try:
+        yield
+    except sqlite3.DatabaseError as error:
+        if is_damage(error):
+            with suppress(sqlite3.DatabaseError):
+                await recover(running, store, error)
 
 
 async def published(running: Running, changed: list[Publication]) -> None:
@@ -304,10 +320,15 @@ async def _keep(running: Running, batch: Batch) -> None:
     Meanwhile nothing new is published, and the controls hold what they received last.
     """
     while True:
+        store = running.store
         try:
             running.journal_end = await running.kept(commit, batch)
-        except sqlite3.OperationalError as error:
+        except sqlite3.DatabaseError as error:
             log, newest = running.floor.log, running.hub.newest
+            if is_damage(error):
+                with suppress(sqlite3.DatabaseError):
+                    await recover(running, store, error)
+                    continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
             running.hub.publish([held(publication) for publication in newest.values()])
             if running.stop.is_set():

@@ -297,6 +297,14 @@ def _check_version(store: sqlite3.Connection, path: Path) -> None:
         )
 
 
+def identity_of(path: Path) -> tuple[int, ...] | None:
+    """Return what tells a store's file and its log from others of their names; None without it."""
+    try:
+        return tuple(path.with_name(path.name + suffix).stat().st_ino for suffix in ("", "-wal"))
+    except FileNotFoundError:
+        return None
+
+
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
     """Return the era of a machine with a model: the last one, or a new one if either is another.
 
@@ -383,7 +391,10 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             ],
         )
         store.executemany(
-            "INSERT OR REPLACE INTO states VALUES (?, ?, ?, ?)",
+            # A state that has waited for a store is no newer than what is there.
+            "INSERT INTO states VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE SET "
+            "number = excluded.number, state = excluded.state, rest = excluded.rest "
+            "WHERE excluded.number >= number",
             [
                 (checkpoint.era, checkpoint.number, checkpoint.state, checkpoint.rest)
                 for checkpoint in batch.checkpoints

@@ -189,6 +189,60 @@ def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(mod
     assert _events(tmp_path, "store-waits")
 
 
+def _delete(path):
+    path.unlink()
+    path.with_name(path.name + "-wal").unlink()
+
+
+def _replace(path):
+    path.with_name("other").write_bytes(b"no store " * 1000)
+    path.with_name("other").replace(path)
+
+
+def _damage(path):
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("DROP TABLE journal")
+
+
+@pytest.mark.parametrize(("harm", "kept"), [(_delete, 40), (_replace, 40), (_damage, 20)])
+def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
+    model, expected, tmp_path, harm, kept
+):
+    """No sample counts twice or not at all; a damaged history is set aside."""
+    data = file_of(model, {"kind": "csv", "path": "log.csv"})
+    lines = csv_of(day(40)).splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(lines[:21]))
+    path = tmp_path / "state" / "history.sqlite"
+
+    async def live(before, more):
+        async with serving(data, tmp_path) as running:
+            newest = running.hub.newest
+            await until(lambda: newest["mill"].number == before)
+            if more:
+                # What came until now is in a checkpoint.
+                [place] = running.floor.places.values()
+                await until(lambda: not place.rows)
+                harm(path)
+                kinds = ("store-recovered",)
+                if harm is not _damage:
+                    await until(lambda: any(one.kind in kinds for one in running.floor.log.pending))
+                with (tmp_path / "log.csv").open("a") as file:
+                    file.write("".join(lines[21:]))
+                await until(lambda: newest["mill"].number == 40)
+
+    data["store"] = {"checkpoint_s": 0.5}
+    asyncio.run(live(20, more=True))
+    assert _events(tmp_path, "store-recovered") == 1
+    history = said_in(tmp_path)
+    # Its own new history begins with the state that it went on from.
+    assert len(history.numbers) in (kept, kept + (harm is _damage))
+    np.testing.assert_array_equal(
+        history.columns.displacement, expected[40 - len(history.numbers) : 40]
+    )
+    asyncio.run(live(40, more=False))
+    assert not said_in(tmp_path).holes
+
+
 def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
     data = file_of(model, {"kind": "csv", "path": "log.csv"})
     (tmp_path / "log.csv").write_text(csv_of(day(20)))

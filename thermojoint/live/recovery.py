@@ -1,0 +1,136 @@
+"""A store that is damaged, replaced or deleted while a service runs: it goes on in a new file.
+
+The estimators and what the controls received last are in memory; what is left of the file is set
+aside. A file that was only deleted, or replaced, is still whole behind its open handle, and is
+copied.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live import floor as floors
+from thermojoint.live.running import Running
+from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
+
+#: What makes a file unusable; all else (no space, a lock) passes.
+_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
+#: An era as the store has it: number, machine, model, layout, begin.
+Era = tuple[int, str, str, str, float]
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Say whether an error of the store lasts until there is another file."""
+    closed = isinstance(error, sqlite3.ProgrammingError)
+    return closed or getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
+
+
+async def recover_if_gone(running: Running) -> None:
+    """Go on in a copy if the store was deleted or replaced.
+
+    Raises
+    ------
+    sqlite3.OperationalError
+        There is no space for it; another call tries again.
+    """
+    found = identity_of(running.archive.path)
+    running.identity = running.identity or found
+    if found != running.identity:
+        why = "was deleted or replaced; its content is in a new one"
+        await _recover(running, running.store, why, running.store)
+
+
+async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.Error) -> None:
+    """Go on in a new store after one has failed; its history is in the file that is set aside.
+
+    Raises
+    ------
+    sqlite3.OperationalError
+        There is no space for it; another call tries again.
+    """
+    why = f"is damaged ({error}); a new one begins with the states of now"
+    await _recover(running, failed, why, None)
+
+
+async def _recover(
+    running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
+) -> None:
+    """Recover to the end, even if the service ends meanwhile."""
+    await asyncio.shield(asyncio.ensure_future(_renew(running, failed, why, source)))
+
+
+async def _renew(
+    running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
+) -> None:
+    async with running.mending:
+        if running.store is not failed:
+            return
+        places, path, now = running.floor.places.values(), running.archive.path, time.time()
+        rows = [place.rows for place in places]
+        checkpoint_of = floors.whole_checkpoint_of if source is None else floors.checkpoint_of
+        batch = Batch(
+            checkpoints=[checkpoint_of(place) for place in places],
+            received=floors.received(running.floor, running.floor.places, now),
+        )
+        eras: list[Era] = [
+            (place.era, name, place.served.digest, layout_text(place.served.layout), now)
+            for name, place in running.floor.places.items()
+        ]
+        aside = path.with_name(f"{path.stem}.{round(now)}{path.suffix}")
+        running.floor.log.say(now, "store-recovered", f"{path} {why}; what is left of it: {aside}")
+        try:
+            # In one go: a commit between the two would be in neither.
+            await running.kept(
+                lambda store: _put(store, _written(path, source, eras, batch), path, aside)
+            )
+            running.store = open_store(path, running.service.given.store.durable)
+        except (sqlite3.Error, OSError, InputError) as error:
+            for place, earlier in zip(places, rows, strict=True):
+                place.rows = earlier + place.rows
+            raise sqlite3.OperationalError(f"no new store: {error}") from error
+        running.identity = identity_of(path)
+        running.journal_end = running.round_from = running.behind = 0
+        running.round = []
+
+
+def _written(
+    path: Path,
+    source: sqlite3.Connection | None,
+    eras: Sequence[Era],
+    batch: Batch,
+) -> Path:
+    """Write a new store beside the one that is there."""
+    new = path.with_name(f"{path.name}.new")
+    for suffix in ("", "-wal", "-shm"):
+        new.with_name(new.name + suffix).unlink(missing_ok=True)
+    if source is not None:
+        target = sqlite3.connect(new)
+        try:
+            source.backup(target)
+        finally:
+            target.close()
+    target = open_store(new)
+    try:
+        target.executemany("INSERT OR IGNORE INTO eras VALUES (?, ?, ?, ?, ?)", eras)
+        commit(target, batch)
+    finally:
+        target.close()
+    return new
+
+
+def _put(store: sqlite3.Connection, new: Path, path: Path, aside: Path) -> None:
+    """Set a store aside and put the new one in its place."""
+    # It deletes its log by its name: before there is another of that name.
+    with suppress(sqlite3.Error):
+        store.close()
+    for suffix in ("", "-wal", "-shm"):
+        left = path.with_name(path.name + suffix)
+        if left.exists():
+            left.replace(aside.with_name(aside.name + suffix))
+    new.replace(path)
