@@ -27,11 +27,12 @@ from thermojoint.paper.inputs import (
 )
 from thermojoint.paper.report import Picture
 from thermojoint.pictures.figures import (
-    displacements_figure,
+    DEVIATION,
+    NONLINEAR,
     estimates_figure,
     heat_text,
+    panels_figure,
     pressure_figure,
-    temperatures_figure,
     write_figure,
 )
 from thermojoint.pictures.view import FIELDS, field_scene, run_to_end, whole_structure
@@ -74,18 +75,22 @@ def paper_figures(
     noise = joint_noise(triangle)
     return {
         "figure-07-contact-pressure": pressure_figure(responses[PRESSURE]),
-        "figure-08-temperature-deviation": temperatures_figure(
+        "figure-08-temperature-deviation": panels_figure(
             np.asarray(times.time),
             {
                 sensor: {"simulated": on_steep[:, j], "estimator": times.deviation[:, j]}
                 for j, sensor in enumerate(sensors)
             },
             heat_text(steep),
+            *DEVIATION,
         ),
-        "figure-09-nonlinear-displacement": displacements_figure(
-            np.asarray(times.time), _nonlinear(model, reference, steep, times), heat_text(steep)
+        "figure-09-nonlinear-displacement": panels_figure(
+            np.asarray(times.time),
+            _nonlinear(model, reference, steep, times),
+            heat_text(steep),
+            *NONLINEAR,
         ),
-        "figure-10-noisy-deviation": temperatures_figure(
+        "figure-10-noisy-deviation": panels_figure(
             triangle["time"].to_numpy(),
             {
                 sensor: {
@@ -95,11 +100,13 @@ def paper_figures(
                 for j, sensor in enumerate(sensors)
             },
             heat_text(triangle),
+            *DEVIATION,
         ),
-        "figure-11-noisy-displacement": displacements_figure(
+        "figure-11-noisy-displacement": panels_figure(
             np.asarray(noisy.time),
             _nonlinear(model, reference, triangle, noisy),
             heat_text(triangle),
+            *NONLINEAR,
         ),
     }
 

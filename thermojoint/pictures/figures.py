@@ -124,44 +124,26 @@ def heat_text(response: xr.Dataset) -> str:
     return f"{text} ({float(response['source_power'][at].sum()):.0f} W)"
 
 
-def temperatures_figure(
-    times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str
-) -> Figure:
-    """Figures 8 and 10: temperature deviations, one panel for each sensor.
-
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        s.
-    curves : mapping
-        Sensor to {label: deviation from the linear structure in K, shape (k,)}.
-    heat : str
-        The heat input in words (`heat_text`).
-    """
-    return _panels(times, curves, heat, 1.0, "deviation at {} (K)")
+#: Factor from SI and label of a panel: Figures 8 and 10 for each sensor, 9 and 11 for each axis.
+DEVIATION, NONLINEAR = (1.0, "deviation at {} (K)"), (1e6, "nonlinear displacement {} (µm)")
 
 
-def displacements_figure(
-    times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str
-) -> Figure:
-    """Figures 9 and 11: nonlinear displacement, one panel for each axis.
-
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        s.
-    curves : mapping
-        Axis to {label: nonlinear displacement in m, shape (k,)}.
-    heat : str
-        The heat input in words (`heat_text`).
-    """
-    return _panels(times, curves, heat, 1e6, "nonlinear displacement {} (µm)")
-
-
-def _panels(
+def panels_figure(
     times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str, unit: float, label: str
 ) -> Figure:
-    """One panel for each name, with values times `unit`, labelled with the name."""
+    """Figures 8 to 11: curves over time (s), one panel for each sensor or axis.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    curves : mapping
+        Sensor or axis to {label: deviation in K or nonlinear displacement in m, shape (k,)}.
+    heat : str
+        The heat input in words (`heat_text`).
+    unit, label
+        `DEVIATION` or `NONLINEAR`.
+    """
     figure, axes = _figure(len(curves))
     figure.suptitle(heat, fontsize=10)
     for axis, (name, series) in zip(axes, curves.items(), strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from importlib.resources import files
 from textwrap import fill
 
 from thermojoint.verification.check import Check
@@ -57,11 +58,20 @@ def markdown(results: Sequence[Result]) -> str:
     checks = [check for result in results for check in result.checks]
     good = sum(check.passed for check in checks)
     parts = [_HEAD, f"{good} of {len(checks)} checks are within tolerance.\n"]
+    descriptions = _descriptions()
     for result in results:
-        text = fill(result.group.about, width=104, break_long_words=False, break_on_hyphens=False)
+        text = descriptions.get(result.group.title, "")
+        text = fill(text, width=104, break_long_words=False, break_on_hyphens=False)
         about = f"{text}\n\n" if text else ""
         parts.append(f"## {result.group.title}\n\n{about}{_table(result.checks)}")
     return "\n".join(parts)
+
+
+def _descriptions() -> dict[str, str]:
+    """Return the description of each group by its title: the sections of templates/about.md."""
+    text = (files("thermojoint.verification") / "templates" / "about.md").read_text("utf-8")
+    sections = (section.partition("\n") for section in text.removeprefix("## ").split("\n## "))
+    return {title: " ".join(body.split()) for title, _, body in sections}
 
 
 def _table(checks: Sequence[Check]) -> str:

@@ -22,12 +22,13 @@ from thermojoint.paper.verdict import error_table, paper_claim, verdict
 from thermojoint.pictures import stills as pictures
 from thermojoint.pictures.field_scenes import Fields, make_stage, pressure_panel
 from thermojoint.pictures.figures import (
-    displacements_figure,
+    DEVIATION,
+    NONLINEAR,
     estimates_figure,
     heat_text,
+    panels_figure,
     pressure_figure,
     response_figure,
-    temperatures_figure,
     write_figure,
 )
 from thermojoint.pictures.scenes import (
@@ -92,11 +93,12 @@ def test_no_two_contact_elements_look_alike():
 
 def test_axes_say_their_units_and_displacements_are_in_micrometres():
     times = np.array([0.0, 60.0])
-    figure = displacements_figure(times, {"x": {"actual": np.array([0.0, 1e-6])}}, "heat input 2")
+    moved = {"x": {"actual": np.array([0.0, 1e-6])}}
+    figure = panels_figure(times, moved, "heat input 2", *NONLINEAR)
     assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(1.0)
     assert "µm" in figure.axes[0].get_ylabel()
     curves = {"T1": {"simulated": times}, "T2": {"simulated": times}}
-    figure = temperatures_figure(times, curves, "heat input 2")
+    figure = panels_figure(times, curves, "heat input 2", *DEVIATION)
     assert ["K" in axes.get_ylabel() for axes in figure.axes] == [True, True]
 
 
