@@ -45,6 +45,7 @@ class _Rows:
 
     features: tuple[Feature, ...]
     sizes: Array
+    times: Array
     inputs: Array
     outputs: Array
     margin: int
@@ -58,7 +59,35 @@ def learn(
     kind: Kind = "learned",
     ignored: Sequence[str] = (),
 ) -> LearnedModel:
-    """Learn a model from a log.
+    """Learn a model from a log; see `learn_and_judge`."""
+    return learn_and_judge(pieces, displacements, max_sensors, kind, ignored)[0]
+
+
+class HeldOut(NamedTuple):
+    """What a model estimates for blocks of time that it was not learned from.
+
+    Attributes
+    ----------
+    times : ndarray, shape (k,)
+        s; they begin again where a run does.
+    truth, estimate, band : ndarray, shape (k, axes)
+        m; the half-width of the 95 % band.
+    """
+
+    times: Array
+    truth: Array
+    estimate: Array
+    band: Array
+
+
+def learn_and_judge(
+    pieces: Iterable[Log],
+    displacements: Sequence[str],
+    max_sensors: int = 4,
+    kind: Kind = "learned",
+    ignored: Sequence[str] = (),
+) -> tuple[LearnedModel, HeldOut]:
+    """Learn a model from a log, and return its estimates on held-out blocks of time, too.
 
     Parameters
     ----------
@@ -102,7 +131,15 @@ def learn(
     fitted = rows.fit(rows.inputs, rows.outputs)
     told += _wide(cleaned, rows, fitted, errors[kind], rules.judging)
     cleaned = replace(cleaned, warnings=tuple(told))
-    return _model(kind, cleaned, rows, fitted, errors | {MEAN: mean}, rules.judging)
+    model = _model(kind, cleaned, rows, fitted, errors | {MEAN: mean}, rules.judging)
+    return model, _held_out(rows, errors[kind])
+
+
+def _held_out(rows: _Rows, judged: _Judged) -> HeldOut:
+    """What the model of a kind estimates without each block, m."""
+    truth, band = rows.outputs, _QUANTILE * judged.widening * judged.deviations
+    estimate = truth - judged.errors
+    return HeldOut(rows.times, *(values / MEGA for values in (truth, estimate, band)))
 
 
 def with_origin(
@@ -153,7 +190,7 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
         )
     elif kind == "ridge":
         features = tuple(feature for feature in features if not feature.exponent)
-    inputs, outputs = design(cleaned, features, rules.features)
+    times, inputs, outputs = design(cleaned, features, rules.features)
     interval = cleaned.table.interval
     if kind == "arx":
         now, slowest = list(range(len(features))), rules.features.slow[-1]
@@ -163,7 +200,7 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
         features += tuple(
             Feature(feature.column, tau, reference=feature.reference) for feature in features
         )
-        inputs, outputs = design(cleaned, features, rules.features)
+        times, inputs, outputs = design(cleaned, features, rules.features)
     every = list(range(len(features)))
     length = float(np.ptp(cleaned.table.times))
     kinds = structures(bool(cleaned.drives), length, rules.features)
@@ -178,7 +215,7 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
         return fit(blocks, features, sensors, kinds)
 
     margin = int(np.ceil(rules.fitting.margin / interval))
-    return _Rows(features, sizes(features, rules.features), inputs, outputs, margin, fitted)
+    return _Rows(features, sizes(features, rules.features), times, inputs, outputs, margin, fitted)
 
 
 class _Judged(NamedTuple):
@@ -190,17 +227,22 @@ class _Judged(NamedTuple):
         Of all blocks and of the worst one, µm.
     widening : ndarray, shape (axes,)
         Factor on the band.
+    errors, deviations : ndarray, shape (k, axes)
+        Truth less estimate, and the standard deviation of the estimate before it is widened, µm.
     """
 
     rms: Array
     worst: Array
     widening: Array
+    errors: Array
+    deviations: Array
 
 
-def _judged(errors: Sequence[Array], widening: Array) -> _Judged:
+def _judged(errors: Sequence[Array], widening: Array, deviations: Array) -> _Judged:
     blocks = np.array([np.sqrt((error**2).mean(axis=0)) for error in errors])
     whole = np.concatenate(errors)
-    return _Judged(np.sqrt((whole**2).mean(axis=0)), blocks.max(axis=0), widening)
+    rms = np.sqrt((whole**2).mean(axis=0))
+    return _Judged(rms, blocks.max(axis=0), widening, whole, deviations)
 
 
 def _folds(rows: _Rows, rules: Judging) -> Iterator[tuple[slice, NDArray[np.bool_]]]:
@@ -217,7 +259,8 @@ def _judge_mean(rows: _Rows, rules: Judging) -> _Judged:
     errors = [
         rows.outputs[own] - rows.outputs[away].mean(axis=0) for own, away in _folds(rows, rules)
     ]
-    return _judged(errors, np.ones(rows.outputs.shape[1]))
+    unknown = np.full_like(rows.outputs, np.nan)
+    return _judged(errors, np.ones(rows.outputs.shape[1]), unknown)
 
 
 def _no_better(names: Sequence[str], judged: _Judged, mean: _Judged, rules: Judging) -> list[str]:
@@ -256,16 +299,18 @@ def _deviation(fitted: Fitted, about: Array, rules: Judging) -> Array:
 
 def _judge(rows: _Rows, rules: Judging) -> _Judged:
     """Judge a kind of model: the whole fit is repeated without each block."""
-    errors, ratios = [], []
+    errors, deviations = [], []
     for held, away in _folds(rows, rules):
         fitted = rows.fit(rows.inputs[away], rows.outputs[away])
         own = rows.inputs[held]
         error = rows.outputs[held] - fitted.offset - own @ fitted.weights
         about = own - rows.inputs[away].mean(axis=0)
         errors.append(error)
-        ratios.append(np.abs(error) / _deviation(fitted, about, rules))
-    widening = np.quantile(np.concatenate(ratios), rules.within, axis=0) / _QUANTILE
-    return _judged(errors, np.maximum(widening, 1.0))
+        deviations.append(_deviation(fitted, about, rules))
+    whole = np.concatenate(deviations)
+    ratios = np.abs(np.concatenate(errors)) / whole
+    widening = np.quantile(ratios, rules.within, axis=0) / _QUANTILE
+    return _judged(errors, np.maximum(widening, 1.0), whole)
 
 
 def _model(

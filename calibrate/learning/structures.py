@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +80,16 @@ def index_of(
     ]
 
 
-def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> tuple[Array, Array]:
-    """Return features (k, n) in units of their prior and displacements (k, axes), µm.
+class Design(NamedTuple):
+    """Rows of a log: times (k,), s, features (k, n) in units of their prior, displacements, µm."""
+
+    times: Array
+    inputs: Array
+    outputs: Array
+
+
+def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> Design:
+    """Return times (k,), features (k, n) and displacements (k, axes).
 
     Rows without a displacement are left out; of several runs, each of which has its own zero, only
     the variations within each are used.
@@ -90,7 +99,7 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> 
     size = sizes(features, rules)
     at = [names.index(name) for name in cleaned.displacements]
     ends = [*table.starts[1:], len(table.times)]
-    inputs, outputs = [], []
+    times, inputs, outputs = [], [], []
     for first, end in zip(table.starts, ends, strict=True):
         run = table.times[first:end], table.values[first:end]
         values = size * features_of(features, names, run)
@@ -98,11 +107,12 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> 
         full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end), rules)
         if not full.any():
             continue
+        times.append(table.times[first:end][full])
         inputs.append(values[full])
         outputs.append(told[full])
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
-    return _within_runs(inputs), _within_runs(outputs)
+    return Design(np.concatenate(times), _within_runs(inputs), _within_runs(outputs))
 
 
 def _known(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from thermojoint.cli import arguments, file_kinds, joint_aware
 from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by
 
 if TYPE_CHECKING:
+    from calibrate.learning.learn import HeldOut
     from thermojoint.models.learned import LearnedModel
 
 
@@ -48,6 +49,10 @@ def learn(
     ignore: Annotated[
         list[str] | None, typer.Option(help="A column to ignore; may be repeated.")
     ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(help="Picture of measured and estimated displacement on held-out time."),
+    ] = None,
 ) -> None:
     """Learn an estimator from a machine's log: temperatures, speed and displacement.
 
@@ -55,7 +60,7 @@ def learn(
     stuck or were moved are reported and not used.
 
     Example: [bold]thermojoint learn log.csv --displacement disp1_um --displacement disp2_um
-    --max-sensors 4 --out model.json[/bold]
+    --max-sensors 4 --out model.json --figure held-out.png[/bold]
 
     Example: [bold]thermojoint learn monday.csv tuesday.csv --displacement z_um --column
     'Zeit=time_s' --out model.json[/bold]
@@ -66,28 +71,47 @@ def learn(
     Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
     --case machine.toml --out model.h5[/bold]
     """
-    from calibrate.learning.learn import Kind, with_origin
-    from calibrate.learning.learn import learn as learned
+    from calibrate.learning.learn import Kind, learn_and_judge, with_origin
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
     from thermojoint.cli.log_reading import reported
     from thermojoint.models.learned import write_learned
+    from thermojoint.pictures.figures import check_format
 
     renamed = renamed_by(column, mapping)
     if kind is LearnedKind.JOINT_AWARE:
+        arguments.only_for("a model learned without --case", {"--figure": figure})
         joint_aware.learn(case, logs, displacement, renamed, out)
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
-    arguments.check_outputs({"--out": (out, file_kinds.LEARNED)}, [*logs, mapping])
+    outputs = {"--out": (out, file_kinds.LEARNED)}
+    if figure is not None:
+        check_format(figure)
+        outputs["--figure"] = (figure, file_kinds.PICTURE)
+    arguments.check_outputs(outputs, [*logs, mapping])
     pieces = reported(log_pieces(logs, renamed))
     files = [path.name for path in logs]
     wanted = cast("Kind", kind.value)
     with console.working("learning"):
-        model = learned(pieces, displacement, max_sensors, wanted, ignore or ())
+        model, held_out = learn_and_judge(pieces, displacement, max_sensors, wanted, ignore or ())
         model = with_origin(model, files, renamed)
     write_learned(model, out)
+    if figure is not None:
+        _draw(model, held_out, figure)
     _show(model)
-    console.wrote(out)
+    console.wrote(out, figure)
+
+
+def _draw(model: LearnedModel, held_out: HeldOut, path: Path) -> None:
+    """Draw every displacement with its estimates on the quarters of the log held out."""
+    from thermojoint.pictures.judged import Judged, write_judged
+
+    values = zip(*(part.T for part in held_out[1:]), strict=True)
+    panels = [
+        Judged(f"{channel.name}: each quarter by a model of the others", held_out.times, *own)
+        for channel, own in zip(model.channels, values, strict=True)
+    ]
+    write_judged(panels, path)
 
 
 def _show(model: LearnedModel) -> None:

@@ -24,7 +24,7 @@ class Judged(NamedTuple):
     title : str
         Run and displacement.
     times : ndarray, shape (k,)
-        s.
+        s; a run that begins anew follows the one before it.
     truth, estimate, band : ndarray, shape (k,)
         m; NaN where unknown.
     """
@@ -37,11 +37,12 @@ class Judged(NamedTuple):
 
 
 def write_judged(panels: Sequence[Judged], path: Path) -> None:
-    """Draw measured and estimated displacements as PNG, whole or not at all."""
+    """Draw measured and estimated displacements, whole or not at all."""
     figure = Figure(figsize=(9.0, 0.6 + 2.4 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for axis, panel in zip(axes, panels, strict=True):
-        hours = (panel.times - panel.times[0]) / _HOUR
+        steps = np.diff(panel.times, prepend=panel.times[0])
+        hours = np.maximum(steps, 0.0).cumsum() / _HOUR
         low, high = (MEGA * (panel.estimate + sign * panel.band) for sign in (-1.0, 1.0))
         if np.isfinite(panel.band).any():
             axis.fill_between(hours, low, high, color="C0", alpha=0.2, linewidth=0.0, label="95 %")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from machine_logs import changed, machine_log, made
 
 from calibrate.learning import blocks as sums
-from calibrate.learning.learn import learn
+from calibrate.learning.learn import learn, learn_and_judge
 from calibrate.learning.rules import Fitting, Thinning
 from calibrate.learning.thinning import thinned
 from estimator.columns import samples_of
@@ -42,6 +42,15 @@ def test_it_holds_on_a_day_it_has_not_seen(model):
     for row in judge("day", Learned(model), DAY):
         assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
         assert row["band_cover"] > 0.9
+
+
+def test_held_out_estimates_have_the_error_and_the_band_that_the_model_states():
+    model, held_out = learn_and_judge([LOG], AXES, 4, "linear")
+    error = held_out.estimate - held_out.truth
+    rms = 1e6 * np.sqrt((error**2).mean(axis=0))
+    np.testing.assert_allclose(rms, model.learned_from.errors_um["linear"])
+    assert held_out.times.shape == (len(error),)
+    assert ((np.abs(error) <= held_out.band).mean(axis=0) > 0.9).all()
 
 
 def test_no_more_sensors_are_used_than_asked_for(model):

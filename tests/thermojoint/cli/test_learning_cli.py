@@ -48,7 +48,8 @@ def files(tmp_path_factory):
     as_csv(day.part(slice(0, 1)), folder / "readings.csv", ["x_um"])
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        app(["learn", "log.csv", *LEARN, "--out", "model.json"], standalone_mode=False)
+        made = ["--out", "model.json", "--figure", "held-out.svg"]
+        app(["learn", "log.csv", *LEARN, *made], standalone_mode=False)
     return folder
 
 
@@ -113,6 +114,13 @@ def test_readings_correct_an_estimate(here, command):
     command("estimate", "model.json", "day.csv", "--out", "c.csv", *options)
     assert float(rows(here / "c.csv")[0]["x_um"]) == pytest.approx(2.0, abs=1.0)
     assert float(rows(here / "c.csv")[0]["z_um"]) == float(rows(here / "b.csv")[0]["z_um"])
+
+
+def test_learn_draws_what_it_was_judged_by(here, command):
+    assert "<svg" in (here / "held-out.svg").read_text("utf-8")
+    code, said = command("learn", "log.csv", *LEARN, "--out", "b.json", "--figure", "held.txt")
+    assert code == 2
+    assert "use .png, .svg or .pdf" in said
 
 
 def test_validate_takes_a_log(here, command):
