@@ -17,128 +17,90 @@ check_not_hidden()
 
 #: As in `typing`, which is not loaded here: the command line cannot handle Ctrl-C before this is.
 TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from calibrate.chain import Calibrated
-    from calibrate.chain import calibrate_responses as calibrate
-    from calibrate.joint_aware.calibration import JointAwareCalibration, calibrate_joint_aware
-    from calibrate.provenance import provenance_of
-    from estimator.estimate_table import read_estimate
-    from estimator.export.c_source import write_c
-    from estimator.export.fmu import Standard as FmiStandard
-    from estimator.export.fmu import write_fmu
-    from estimator.export.program import Precision, Program
-    from estimator.export.structured_text import write_structured_text
-    from estimator.exporting import export_program
-    from estimator.fchs.estimator import Fchs
-    from estimator.fchs.judging import Validated, validate_model
-    from estimator.interface import Channel, Estimate, Estimator, Status, follow
-    from estimator.joint_aware.estimator import JointAware
-    from estimator.joint_aware.model_file import read_observer, write_observer
-    from estimator.joint_aware.observer_model import ObserverModel
-    from estimator.learned.estimator import Learned
-    from estimator.registry import open_estimator, resume_estimator, save_state
-    from fesim.case.schema import Case, case_from_data, read_case
-    from fesim.case.thermal_sections import RampInput, SampledInput, StepInput, TriangleInput
-    from fesim.setup.machine import Setup, set_up
-    from fesim.simulate import Simulation, simulate
-    from meshes.exchange import read_structure, write_structure
-    from meshes.structure import Structure
-    from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
-    from thermojoint.artefacts.log import Log
-    from thermojoint.artefacts.log_file import read_log
-    from thermojoint.artefacts.response import make_response, read_response, write_response
-    from thermojoint.compensation.loop.run import Closed, close_loop
-    from thermojoint.compensation.loop.schema import Loop, read_loop
-    from thermojoint.compensation.offsets.preview import preview as preview_offsets
-    from thermojoint.compensation.offsets.settings import Settings as OffsetSettings
-    from thermojoint.compensation.offsets.settings import read_settings as read_offset_settings
-    from thermojoint.frames import estimate, learn, log_from_frame, reads, samples, validate
-    from thermojoint.models.assembly import Assembly, assemble
-    from thermojoint.models.assembly_file import read_assembly, write_assembly
-    from thermojoint.models.learned import LearnedModel, read_learned, write_learned
-    from thermojoint.models.model_file import Provenance, read_model, read_provenance, write_model
-    from thermojoint.models.parameters import Model
+if TYPE_CHECKING:  # re-exported: each name by itself, others by an assignment
+    from calibrate.chain import Calibrated as Calibrated
+    from calibrate.chain import calibrate_responses as _calibrate
+    from calibrate.joint_aware.calibration import JointAwareCalibration as JointAwareCalibration
+    from calibrate.joint_aware.calibration import calibrate_joint_aware as calibrate_joint_aware
+    from calibrate.provenance import provenance_of as provenance_of
+    from estimator.estimate_table import read_estimate as read_estimate
+    from estimator.export.c_source import write_c as write_c
+    from estimator.export.fmu import Standard as _FmiStandard
+    from estimator.export.fmu import write_fmu as write_fmu
+    from estimator.export.program import Precision as Precision
+    from estimator.export.program import Program as Program
+    from estimator.export.structured_text import write_structured_text as write_structured_text
+    from estimator.exporting import export_program as export_program
+    from estimator.fchs.estimator import Fchs as Fchs
+    from estimator.fchs.judging import Validated as Validated
+    from estimator.fchs.judging import validate_model as validate_model
+    from estimator.interface import Channel as Channel
+    from estimator.interface import Estimate as Estimate
+    from estimator.interface import Estimator as Estimator
+    from estimator.interface import Status as Status
+    from estimator.interface import follow as follow
+    from estimator.joint_aware.estimator import JointAware as JointAware
+    from estimator.joint_aware.model_file import read_observer as read_observer
+    from estimator.joint_aware.model_file import write_observer as write_observer
+    from estimator.joint_aware.observer_model import ObserverModel as ObserverModel
+    from estimator.learned.estimator import Learned as Learned
+    from estimator.registry import open_estimator as open_estimator
+    from estimator.registry import resume_estimator as resume_estimator
+    from estimator.registry import save_state as save_state
+    from fesim.case.schema import Case as Case
+    from fesim.case.schema import case_from_data as case_from_data
+    from fesim.case.schema import read_case as read_case
+    from fesim.case.thermal_sections import RampInput as RampInput
+    from fesim.case.thermal_sections import SampledInput as SampledInput
+    from fesim.case.thermal_sections import StepInput as StepInput
+    from fesim.case.thermal_sections import TriangleInput as TriangleInput
+    from fesim.setup.machine import Setup as Setup
+    from fesim.setup.machine import set_up as set_up
+    from fesim.simulate import Simulation as Simulation
+    from fesim.simulate import simulate as simulate
+    from meshes.exchange import read_structure as read_structure
+    from meshes.exchange import write_structure as write_structure
+    from meshes.structure import Structure as Structure
+    from thermojoint.artefacts.errors import ConvergenceError as ConvergenceError
+    from thermojoint.artefacts.errors import InputError as InputError
+    from thermojoint.artefacts.errors import ThermojointError as ThermojointError
+    from thermojoint.artefacts.log import Log as Log
+    from thermojoint.artefacts.log_file import read_log as read_log
+    from thermojoint.artefacts.response import make_response as make_response
+    from thermojoint.artefacts.response import read_response as read_response
+    from thermojoint.artefacts.response import write_response as write_response
+    from thermojoint.compensation.loop.run import Closed as Closed
+    from thermojoint.compensation.loop.run import close_loop as close_loop
+    from thermojoint.compensation.loop.schema import Loop as Loop
+    from thermojoint.compensation.loop.schema import read_loop as read_loop
+    from thermojoint.compensation.offsets.preview import preview as _preview_offsets
+    from thermojoint.compensation.offsets.settings import Settings as _OffsetSettings
+    from thermojoint.compensation.offsets.settings import read_settings as _read_offset_settings
+    from thermojoint.frames import estimate as estimate
+    from thermojoint.frames import learn as learn
+    from thermojoint.frames import log_from_frame as log_from_frame
+    from thermojoint.frames import reads as reads
+    from thermojoint.frames import samples as samples
+    from thermojoint.frames import validate as validate
+    from thermojoint.models.assembly import Assembly as Assembly
+    from thermojoint.models.assembly import assemble as assemble
+    from thermojoint.models.assembly_file import read_assembly as read_assembly
+    from thermojoint.models.assembly_file import write_assembly as write_assembly
+    from thermojoint.models.learned import LearnedModel as LearnedModel
+    from thermojoint.models.learned import read_learned as read_learned
+    from thermojoint.models.learned import write_learned as write_learned
+    from thermojoint.models.model_file import Provenance as Provenance
+    from thermojoint.models.model_file import read_model as read_model
+    from thermojoint.models.model_file import read_provenance as read_provenance
+    from thermojoint.models.model_file import write_model as write_model
+    from thermojoint.models.parameters import Model as Model
 
+    calibrate = _calibrate
+    FmiStandard = _FmiStandard
+    preview_offsets = _preview_offsets
+    OffsetSettings = _OffsetSettings
+    read_offset_settings = _read_offset_settings
     __version__: str
-
-__all__ = [
-    "Assembly",
-    "Calibrated",
-    "Case",
-    "Channel",
-    "Closed",
-    "ConvergenceError",
-    "Estimate",
-    "Estimator",
-    "Fchs",
-    "FmiStandard",
-    "InputError",
-    "JointAware",
-    "JointAwareCalibration",
-    "Learned",
-    "LearnedModel",
-    "Log",
-    "Loop",
-    "Model",
-    "ObserverModel",
-    "OffsetSettings",
-    "Precision",
-    "Program",
-    "Provenance",
-    "RampInput",
-    "SampledInput",
-    "Setup",
-    "Simulation",
-    "Status",
-    "StepInput",
-    "Structure",
-    "ThermojointError",
-    "TriangleInput",
-    "Validated",
-    "assemble",
-    "calibrate",
-    "calibrate_joint_aware",
-    "case_from_data",
-    "close_loop",
-    "estimate",
-    "export_program",
-    "follow",
-    "learn",
-    "log_from_frame",
-    "make_response",
-    "open_estimator",
-    "preview_offsets",
-    "provenance_of",
-    "read_assembly",
-    "read_case",
-    "read_estimate",
-    "read_learned",
-    "read_log",
-    "read_loop",
-    "read_model",
-    "read_observer",
-    "read_offset_settings",
-    "read_provenance",
-    "read_response",
-    "read_structure",
-    "reads",
-    "resume_estimator",
-    "samples",
-    "save_state",
-    "set_up",
-    "simulate",
-    "validate",
-    "validate_model",
-    "write_assembly",
-    "write_c",
-    "write_fmu",
-    "write_learned",
-    "write_model",
-    "write_observer",
-    "write_response",
-    "write_structure",
-    "write_structured_text",
-]
 
 #: Public name to its location; the tests compare them with the imports above.
 _HOMES = {
@@ -219,6 +181,8 @@ _HOMES = {
     "write_structure": "meshes.exchange:write_structure",
     "write_structured_text": "estimator.export.structured_text:write_structured_text",
 }
+
+__all__ = [*_HOMES]
 
 if not TYPE_CHECKING:  # a type checker sees the imports above, and refuses any other name
 

@@ -69,27 +69,24 @@ class Quantity:
     slips: tuple[Slip, ...] = ()
 
 
+def _units(factors: Mapping[str, float]) -> tuple[Slip, ...]:
+    """Return slips from the names of units and their factors."""
+    return tuple(Slip(name, factor) for name, factor in factors.items())
+
+
 _PERCENT, _KELVIN = Slip("%", 0.01), Slip("K", 1.0, -273.15)
-_MICROMETRES = (Slip("m", 1e6), Slip("mm", 1e3), Slip("nm", 1e-3))
+_MICROMETRES = _units({"m": 1e6, "mm": 1e3, "nm": 1e-3})
 _ABSOLUTE = Slip("K, as an absolute temperature,", 1.0, -293.15, "K above an ambient of 20 °C")
 
 HEAT_INPUT = Quantity("times the reference step", -10.0, 10.0, 1.0, (_PERCENT,))
-POWER = Quantity(
-    "W", 0.5, 1e5, 200.0, (Slip("kW", 1e3), Slip("mW", 1e-3), Slip("µW", 1e-6), Slip("MW", 1e6))
-)
-PRESSURE = Quantity(
-    "MPa", 0.005, 2000.0, 4.0, (Slip("Pa", 1e-6), Slip("kPa", 1e-3), Slip("GPa", 1e3))
-)
-LENGTH = Quantity("mm", 1.0, 5e4, 300.0, (Slip("m", 1e3), Slip("µm", 1e-3)))
+POWER = Quantity("W", 0.5, 1e5, 200.0, _units({"kW": 1e3, "mW": 1e-3, "µW": 1e-6, "MW": 1e6}))
+PRESSURE = Quantity("MPa", 0.005, 2000.0, 4.0, _units({"Pa": 1e-6, "kPa": 1e-3, "GPa": 1e3}))
+LENGTH = Quantity("mm", 1.0, 5e4, 300.0, _units({"m": 1e3, "µm": 1e-3}))
 #: Temperature of the air in a workshop.
 AMBIENT = Quantity("°C", -40.0, 50.0, 20.0, (_KELVIN, Slip("°F", 5.0 / 9.0, -160.0 / 9.0)))
 READING = Quantity("°C", -60.0, 250.0, 30.0, (_KELVIN,))
 FILM = Quantity(
-    "W/(m2 K)",
-    0.1,
-    1e5,
-    10.0,
-    (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("µW/(m2 K)", 1e-6)),
+    "W/(m2 K)", 0.1, 1e5, 10.0, _units({"W/(mm2 K)": 1e6, "W/(cm2 K)": 1e4, "µW/(m2 K)": 1e-6})
 )
 #: Factor on a property, relative to its constant.
 FACTOR = Quantity("times the constant", 0.05, 20.0, 1.0, (_PERCENT,))
@@ -107,58 +104,46 @@ RISE_AT_START = Quantity(
         Slip("°F as read", 5.0 / 9.0, -160.0 / 9.0 - 20.0, "K above an ambient of 20 °C"),
     ),
 )
-DISPLACEMENT = Quantity("m", -0.02, 0.02, 1e-4, (Slip("µm", 1e-6), Slip("mm", 1e-3)))
-POSITION = Quantity("m", -50.0, 50.0, 0.5, (Slip("mm", 1e-3), Slip("µm", 1e-6)))
+DISPLACEMENT = Quantity("m", -0.02, 0.02, 1e-4, _units({"µm": 1e-6, "mm": 1e-3}))
+POSITION = Quantity("m", -50.0, 50.0, 0.5, _units({"mm": 1e-3, "µm": 1e-6}))
 #: The longest side of a structure.
 EXTENT = Quantity(
     "m",
     *USUAL_SIZE,
     0.5,
-    (Slip("read as m from a mesh in mm", 1e-3), Slip("read as mm from a mesh in m", 1e3)),
+    _units({"read as m from a mesh in mm": 1e-3, "read as mm from a mesh in m": 1e3}),
 )
 
 #: Key of a case to its quantity; ``*`` matches any name or number.
 CASE = {
     "materials.*.conductivity_W_mK": Quantity(
-        "W/(m K)",
-        0.02,
-        2500.0,
-        45.0,
-        (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2), Slip("kW/(m K)", 1e3)),
+        "W/(m K)", 0.02, 2500.0, 45.0, _units({"mW/(m K)": 1e-3, "W/(cm K)": 1e2, "kW/(m K)": 1e3})
     ),
     "materials.*.density_kg_m3": Quantity(
         "kg/m3",
         20.0,
         2.3e4,
         7000.0,
-        (Slip("g/cm3", 1e3), Slip("lb/in3", 27679.9), Slip("kg/mm3", 1e9), Slip("t/mm3", 1e12)),
+        _units({"g/cm3": 1e3, "lb/in3": 27679.9, "kg/mm3": 1e9, "t/mm3": 1e12}),
     ),
     "materials.*.heat_capacity_J_kgK": Quantity(
-        "J/(kg K)", 100.0, 5000.0, 500.0, (Slip("kJ/(kg K)", 1e3), Slip("cal/(g K)", 4186.8))
+        "J/(kg K)", 100.0, 5000.0, 500.0, _units({"kJ/(kg K)": 1e3, "cal/(g K)": 4186.8})
     ),
     # The reference machine has a screw of 2940 GPa, which represents another shape.
     "materials.*.youngs_modulus_GPa": Quantity(
-        "GPa",
-        0.2,
-        5000.0,
-        150.0,
-        (Slip("Pa", 1e-9), Slip("MPa", 1e-3), Slip("TPa", 1e3), Slip("psi", 6.894757e-6)),
+        "GPa", 0.2, 5000.0, 150.0, _units({"Pa": 1e-9, "MPa": 1e-3, "TPa": 1e3, "psi": 6.894757e-6})
     ),
     "materials.*.expansion_1_K": Quantity(
-        "1/K", -1e-4, 5e-4, 12e-6, (Slip("1e-6/K", 1e-6), Slip("mm/(m K)", 1e-3))
+        "1/K", -1e-4, 5e-4, 12e-6, _units({"1e-6/K": 1e-6, "mm/(m K)": 1e-3})
     ),
     "joints.*.preload_MPa": PRESSURE,
     "joints.*.reference_pressure_MPa": PRESSURE,
     "joints.*.initial_opening_um": Quantity("µm", 0.05, 2000.0, 20.0, _MICROMETRES),
     "joints.*.conductance.value_W_m2K": Quantity(
-        "W/(m2 K)",
-        0.5,
-        1e7,
-        5000.0,
-        (Slip("W/(mm2 K)", 1e6), Slip("W/(cm2 K)", 1e4), Slip("kW/(m2 K)", 1e3)),
+        "W/(m2 K)", 0.5, 1e7, 5000.0, _units({"W/(mm2 K)": 1e6, "W/(cm2 K)": 1e4, "kW/(m2 K)": 1e3})
     ),
     "joints.*.gap.gas_conductivity_W_mK": Quantity(
-        "W/(m K)", 0.003, 1.0, 0.026, (Slip("mW/(m K)", 1e-3), Slip("W/(cm K)", 1e2))
+        "W/(m K)", 0.003, 1.0, 0.026, _units({"mW/(m K)": 1e-3, "W/(cm K)": 1e2})
     ),
     "joints.*.gap.temperature_jump_um": Quantity("µm", 0.01, 100.0, 0.4, _MICROMETRES),
     "joints.*.gap.mean_temperature_degC": Quantity("°C", -100.0, 1000.0, 30.0, (_KELVIN,)),
@@ -167,16 +152,12 @@ CASE = {
         "rad", 0.005, 2.0, 0.15, (Slip("degrees", math.pi / 180.0), _PERCENT, Slip("mrad", 1e-3))
     ),
     "joints.*.hardness_GPa": Quantity(
-        "GPa",
-        0.02,
-        120.0,
-        2.0,
-        (Slip("kgf/mm2 (HB, HV)", 9.80665e-3), Slip("MPa", 1e-3), Slip("Pa", 1e-9)),
+        "GPa", 0.02, 120.0, 2.0, _units({"kgf/mm2 (HB, HV)": 9.80665e-3, "MPa": 1e-3, "Pa": 1e-9})
     ),
     "joints.*.friction_coefficient": Quantity("", 0.0, 2.0, 0.2, (_PERCENT,)),
     "joints.*.tangential_stiffness_ratio": Quantity("", 0.05, 5.0, 0.8, (_PERCENT,)),
     "supports.springs.*.stiffness_N_um.*": Quantity(
-        "N/µm", 1e-3, 1e5, 100.0, (Slip("N/m", 1e-6), Slip("N/mm", 1e-3), Slip("kN/µm", 1e3))
+        "N/µm", 1e-3, 1e5, 100.0, _units({"N/m": 1e-6, "N/mm": 1e-3, "kN/µm": 1e3})
     ),
     "convection_W_m2K.*": FILM,
     "cavities.*.film_W_m2K": FILM,
@@ -191,18 +172,16 @@ CASE = {
     "materials.*.expansion_factor.factor.*": FACTOR,
     "convection_factor.*.factor.*": FACTOR,
     "radiation.*.ambient_degC": AMBIENT,
-    "loads.*.force_N.*": Quantity(
-        "N", -1e7, 1e7, 1e3, (Slip("mN", 1e-3), Slip("µN", 1e-6), Slip("kN", 1e3))
-    ),
+    "loads.*.force_N.*": Quantity("N", -1e7, 1e7, 1e3, _units({"mN": 1e-3, "µN": 1e-6, "kN": 1e3})),
     "loads.*.pressure_MPa": Quantity("MPa", -1000.0, 1000.0, 1.0, PRESSURE.slips[:2]),
     "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
-    "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, (Slip("N", 1e-3), Slip("MN", 1e3))),
-    "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, (Slip("m", 1e3), Slip("cm", 10.0))),
+    "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, _units({"N": 1e-3, "MN": 1e3})),
+    "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, _units({"m": 1e3, "cm": 10.0})),
     "bolts.*.clamped_length_mm": LENGTH,
     "bolts.*.stiffness_N_um": Quantity(
-        "N/µm", 1.0, 1e5, 300.0, (Slip("N/mm", 1e-3), Slip("N/m", 1e-6))
+        "N/µm", 1.0, 1e5, 300.0, _units({"N/mm": 1e-3, "N/m": 1e-6})
     ),
-    "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, (Slip("ms", 1e-3), Slip("µs", 1e-6))),
+    "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, _units({"ms": 1e-3, "µs": 1e-6})),
     "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
     "structure.element_size_mm": LENGTH,
     "structure.joint_element_size_mm": LENGTH,

@@ -31,11 +31,13 @@ def front(assigned):
 def test_type_checkers_see_what_is_loaded():
     [block] = [node for node in FRONT.body if isinstance(node, ast.If) and not node.orelse][:1]
     seen = {
-        alias.asname or alias.name: f"{node.module}:{alias.name}"
+        alias.asname: f"{node.module}:{alias.name}"
         for node in block.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
+    renamed = [node for node in block.body if isinstance(node, ast.Assign)]
+    seen |= {node.targets[0].id: seen.pop(node.value.id) for node in renamed}
     assert seen == front("_HOMES")
     assert sorted(seen) == sorted(thermojoint.__all__)
 
