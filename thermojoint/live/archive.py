@@ -17,7 +17,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Columns, Layout, Publication, columns_of, from_row
 from thermojoint.live.store import Event, Hole, layout_from, spread
 
-#: Rows of one answer at most, whatever is asked for.
+#: Largest number of rows in one answer.
 MOST_ROWS = 20_000
 
 
@@ -28,7 +28,7 @@ class Model:
     Attributes
     ----------
     digest : str
-        Tells it from every other.
+        Identifies it.
     begun : float
         Since when, s since 1970.
     """
@@ -39,20 +39,20 @@ class Model:
 
 @dataclass(frozen=True)
 class History:
-    """Some time of a machine, oldest first.
+    """Samples of a machine in a time span, oldest first.
 
     Attributes
     ----------
     layout : Layout
         Names of the columns.
     columns : Columns
-        The samples, thinned: every one whose number is a multiple of `every`.
+        The samples whose number is a multiple of `every`.
     numbers : ndarray of int, shape (n,)
         Of the samples.
     status : tuple of str
         In words.
     holes : tuple of Hole
-        Times without samples that touch it.
+        Times without samples within the span.
     every : int
         1 if nothing was left out.
     """
@@ -78,7 +78,7 @@ class Archive:
     path: Path
 
     def history(self, machine: str, since: float, until: float, at_most: int) -> History:
-        """Return what was said of a machine between two times (s since 1970), thinned.
+        """Return the samples of a machine between two times (s since 1970), thinned.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Archive:
         )
 
     def latest(self, machine: str) -> Publication | None:
-        """Return the newest publication of a machine that is kept; None before the first sample.
+        """Return the newest stored publication of a machine; None before the first sample.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class Archive:
         return self.checkpointed(machine, eras[-1])
 
     def checkpointed(self, machine: str, era: int) -> Publication | None:
-        """Return the last sample of an era that a checkpoint holds; None before the first."""
+        """Return the last sample of an era in a checkpoint; None before the first."""
         with self._reading() as store:
             last = store.execute(
                 "SELECT number, count, rows, chunks.status, layout FROM chunks "
@@ -180,7 +180,7 @@ class Archive:
             return [Event(*row) for row in rows]
 
     def model(self, machine: str) -> Model:
-        """Return which model a machine runs with, and since when.
+        """Return the model that a machine runs with, and since when.
 
         Raises
         ------
@@ -210,7 +210,7 @@ def _unknown(machine: str) -> InputError:
 
 
 def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
-    """Eras of a machine whose samples have the columns of the last, oldest first."""
+    """Return the eras of a machine with the columns of its last one, oldest first."""
     eras = store.execute(
         "SELECT id, layout FROM eras WHERE machine = ? ORDER BY id", (machine,)
     ).fetchall()
@@ -221,7 +221,7 @@ def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
 
 
 def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, bytes, str]]:
-    """Samples that no chunk holds yet."""
+    """Return the samples that are in no chunk yet."""
     marks = ",".join("?" * len(eras))
     return store.execute(
         "SELECT journal.number, row, status FROM journal "

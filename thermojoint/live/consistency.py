@@ -15,13 +15,13 @@ from thermojoint.live.settings import ServiceFile
 
 
 def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator[str]:
-    """Yield what is to be said of settings that keep values from ever being good.
+    """Yield a warning for each setting that keeps values from ever being good.
 
     Parameters
     ----------
     given : ServiceFile
     models : mapping of str to Served
-        Those that were opened.
+        Models that were opened.
     """
     for name, model in models.items():
         if given.watchdog.uncertain_s < model.rule.interval:

@@ -47,10 +47,10 @@ class Times(NamedTuple):
     Attributes
     ----------
     now : float
-        s since 1970; somebody may set this clock.
+        s since 1970, by a clock that may be set.
     clock : float
-        The service's own, which nobody sets, s. Offsets move by it, whatever times the readings
-        carry: what the control receives counts by the time in which it receives it.
+        The service's own clock, which is never set, s. Offsets move by it, whatever times the
+        readings have: their rate counts in the time in which the control receives them.
     """
 
     now: float
@@ -67,17 +67,17 @@ class Machine:
     state : ndarray
         Of its estimator.
     cold : float
-        Temperature at which it was cold, in the unit of its readings; NaN if not known yet.
+        Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
     output : OutputState or None
         Of its compensation output.
     handshake : Handshake
         With its control; nothing comes of it where the settings have none.
     waiting : Waiting
-        What arrived and is in no sample yet.
+        Readings that are in no sample yet.
     said : Publication
-        The newest.
+        The newest publication.
     usable : Publication
-        The newest with an estimate.
+        The newest publication with an estimate.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Machine:
 
 
 def at_rest(name: str, served: Served, now: float) -> Machine:
-    """Return a machine of which nothing has been read, at a time (s since 1970)."""
+    """Return a machine without any reading yet, at a time (s since 1970)."""
     layout = served.layout
     unknown = [
         np.full(len(names), np.nan)
@@ -149,7 +149,7 @@ def taken(
     try:
         state, estimate = served.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
-        # The sample is kept, so that nobody takes it again; the estimate stays what it was.
+        # The sample is stored, so that it is not read again; the estimate stays as it was.
         machine = _cycled(served, machine, times.clock, None)
         nothing = Publication(
             machine=machine.name,
@@ -196,7 +196,7 @@ def taken(
 
 
 def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
-    """Return a machine with other readings that wait; far quicker than `dataclasses.replace`."""
+    """Return a machine with other waiting readings; far quicker than `dataclasses.replace`."""
     return Machine(
         machine.name,
         machine.state,
@@ -210,7 +210,7 @@ def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
 
 
 def shown(machine: Machine) -> Publication:
-    """Return what is said of a machine now: after a refused sample, the last estimate."""
+    """Return the present publication of a machine: after a refused sample, the last estimate."""
     said, last = machine.said, machine.usable
     if said.number == last.number or last.number == 0:
         return said
@@ -222,7 +222,7 @@ def shown(machine: Machine) -> Publication:
 def silent(
     served: Served, machine: Machine, age: float, times: Times, limits: WatchdogSection
 ) -> tuple[Machine, Publication]:
-    """Return a machine, and what is said of it, some time (s) after its last usable sample.
+    """Return a machine and its publication some time (s) after its last usable sample.
 
     The offsets freeze and decay as their settings say; an estimate that is too old moves none, nor
     does one without the handshake of the control.
@@ -267,7 +267,7 @@ def shaken(served: Served, machine: Machine, clock: float) -> Machine:
 
 
 def held(said: Publication) -> Publication:
-    """Return what is said while nothing can be kept: the control holds what it received last."""
+    """Return a publication for a time in which nothing can be stored: the offsets are held."""
     mode = "freeze" if said.offset_mode == "follow" else said.offset_mode
     return replace(said, quality=max(said.quality, Quality.UNCERTAIN), offset_mode=mode)
 
@@ -303,24 +303,24 @@ def _mode(served: Served, output: OutputState | None) -> str:
 
 
 def state_bytes(served: Served, machine: Machine) -> bytes:
-    """Return what the estimator needs, as the store keeps it."""
+    """Return the estimator's state as it is stored."""
     return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
 
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
-    """Return what else the next sample depends on, as the store keeps it: JSON.
+    """Return everything else that the next sample depends on, as it is stored: JSON.
 
     Parameters
     ----------
     machine : Machine
     position : JSON value
-        How far its source was read.
+        Read position of its source.
     """
     return json.dumps({"at": position, "waiting": machine.waiting})
 
 
 def received_of(served: Served, machine: Machine, now: float) -> Received | None:
-    """Return what the control receives, as the store keeps it; None without offsets."""
+    """Return the offsets that the control receives, as they are stored; None without offsets."""
     if served.output is None or machine.output is None:
         return None
     content = content_of(served.output.output, machine.output)

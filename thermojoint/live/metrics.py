@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
 
-#: s; a control's cycle is 1 s, what counts is far below.
+#: Bounds of the histograms, s.
 _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0)
 
 
@@ -17,17 +17,17 @@ class Metrics:
     Attributes
     ----------
     registry : CollectorRegistry
-        All of it, to be shown at ``/metrics``.
+        Of all metrics, for ``/metrics``.
     samples, arrivals, events : Counter
         Samples by model; arrivals by verdict; events by kind.
     latency, commit : Histogram
-        From an arrival to its publication; of a transaction, s.
+        From an arrival to its publication; duration of a transaction, s.
     quality : Gauge
         Machines by quality.
     modes : Counter
-        How long the offsets of each machine did what, s.
+        Time of the offsets of each machine in each mode, s.
     waiting, log_size : Gauge
-        Arrivals that wait; size of the store's write-ahead log, bytes.
+        Arrivals in the queue; size of the store's write-ahead log, bytes.
     """
 
     registry: CollectorRegistry

@@ -20,7 +20,7 @@ from thermojoint.live.watchdog import REFUSED, SILENT
 _CODES = ua.StatusCodes
 _SHOWN = {"um": "µm", "degC": "°C", "m": "µm"}
 
-#: From a publication to a value, and what it is worth.
+#: From a publication to a value and its status code.
 Value = Callable[[Publication], tuple[Any, int]]
 
 
@@ -31,14 +31,14 @@ class Variable:
     Attributes
     ----------
     folder, name : str
-        ``Displacement``, ``x``; no folder for what stands beside them.
+        ``Displacement``, ``x``; an empty folder for variables beside the folders.
     unit : str
         As shown; empty for none.
     kind : VariantType
     value : callable
         From a publication.
     writable : bool
-        Writing users may give the service a value here.
+        Operators may write it.
     """
 
     folder: str
@@ -50,7 +50,7 @@ class Variable:
 
 
 def status_of(publication: Publication) -> int:
-    """Return OPC UA's status code of what a publication says of the displacement."""
+    """Return the OPC UA status code of the displacement in a publication."""
     reasons = reasons_of(publication.status)
     if publication.quality is Quality.GOOD:
         return int(_CODES.Good)
@@ -71,7 +71,7 @@ def status_of(publication: Publication) -> int:
 def offset_status_of(publication: Publication) -> int:
     """Return the status code of an offset: good only while a usable estimate stands behind it.
 
-    Its value is always what the control should have: it freezes and decays by its own rules.
+    Its value is always the one that the control should apply: it freezes and decays by its rules.
     """
     if publication.offset_mode == Mode.FOLLOW.value:
         return int(_CODES.Good)
@@ -81,7 +81,7 @@ def offset_status_of(publication: Publication) -> int:
 
 
 def reading_status_of(publication: Publication) -> int:
-    """Return the status code of what was read: of its age alone."""
+    """Return the status code of a reading, which depends on its age only."""
     if publication.number == 0:
         return int(_CODES.BadWaitingForInitialData)
     if SILENT not in reasons_of(publication.status):
@@ -114,11 +114,11 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     Parameters
     ----------
     layout : Layout
-        Names of all that is published of it.
+        Names of its published values.
     readings : bool
         Also what it reads.
     wanted : int
-        The first so many readings are of every sample; those behind them are given by hand.
+        The first so many readings are in every sample; those after them are written by operators.
     """
     double, text = ua.VariantType.Double, ua.VariantType.String
     for k, name in enumerate(layout.axes):

@@ -22,7 +22,7 @@ _LEADING = 3
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of all that is published of a machine; machines of a model share one.
+    """Names of the published values of a machine; machines of a model share one.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Layout:
     controls : tuple of str
         Axes of the control that receive an offset; empty without a compensation output.
     details : tuple of Channel
-        What the estimator says of its own, in SI.
+        Internal signals of the estimator, in SI.
     readings : tuple of str
-        What the machine reads, with units in the names: ``T1_degC``.
+        Readings of the machine, with units in the names: ``T1_degC``.
     """
 
     axes: tuple[str, ...]
@@ -62,28 +62,28 @@ class Publication:
     machine : str
         Its name.
     number : int
-        Samples taken since ever; 0 before the first.
+        Number of the sample, counted from 1; 0 before the first.
     time : float
         Of the sample by its source, s since 1970 (UTC); NaN before the first.
     published : float
-        When the service said so, s since 1970 (UTC).
+        Time of publication, s since 1970 (UTC).
     quality : Quality
         Of displacement, band and offsets.
     layout : Layout
-        Names of what follows.
+        Names of the following values.
     displacement, band : ndarray, shape (axes,)
-        m; NaN where nothing is known.
+        m; NaN where unknown.
     offsets : ndarray, shape (controls,)
-        What the control receives, m.
+        Offsets that the control receives, m.
     details : ndarray, shape (details,)
         In SI.
     readings : ndarray, shape (readings,)
-        In the units of their names; NaN for what is missing.
+        In the units of their names; NaN for missing ones.
     status : str
-        ``ok``, or the reasons in words, with the channels they are of.
+        ``ok``, or the reasons in words, with their channels.
     offset_mode : str
-        What the offsets do (`thermojoint.compensation.offsets.output.Mode`); empty where there are
-        none, and in the history.
+        Mode of the offsets (`thermojoint.compensation.offsets.output.Mode`); empty without
+        offsets, and in the history.
     handshake : str
         State of the handshake with the control
         (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
@@ -106,12 +106,12 @@ class Publication:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Channels that had no reading."""
+        """Channels without a reading."""
         return _channels_of(self.status, "reading-missing")
 
     @property
     def distrusted(self) -> tuple[str, ...]:
-        """Channels that are left out although they had one."""
+        """Channels whose readings the estimator rejects."""
         return _channels_of(self.status, "sensor-distrusted")
 
 
@@ -131,10 +131,10 @@ def iso_time(time: float) -> str | None:
 
 
 def as_json(publication: Publication) -> dict[str, Any]:
-    """Return a publication as JSON has it: units in the keys, null for what is unknown.
+    """Return a publication for JSON: units in the keys, null for unknown values.
 
     Displacement, band and offsets are in µm, rounded to a tenth of a nanometre; details in SI with
-    the unit in the name, readings in the unit of theirs.
+    the unit in the name, readings in the unit of their name.
     """
     layout = publication.layout
     return {
@@ -196,7 +196,7 @@ def as_row(publication: Publication) -> Array:
 
 @dataclass(frozen=True)
 class Columns:
-    """Rows of the history, taken apart; n rows, oldest first.
+    """Rows of the history by quantity; n rows, oldest first.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class Columns:
 
 
 def columns_of(layout: Layout, rows: Array) -> Columns:
-    """Take rows of the history, shape (n, layout.width), apart."""
+    """Split rows of the history, shape (n, layout.width), by quantity."""
     sizes = (
         *(len(layout.axes),) * 2,
         len(layout.controls),
@@ -239,7 +239,7 @@ def columns_of(layout: Layout, rows: Array) -> Columns:
 def from_row(
     machine: str, number: int, layout: Layout, row: Sequence[float] | Array, status: str
 ) -> Publication:
-    """Return the publication that `as_row` made a row of."""
+    """Return the publication of a row; the inverse of `as_row`."""
     columns = columns_of(layout, np.asarray(row, dtype=float)[None, :])
     return Publication(
         machine,

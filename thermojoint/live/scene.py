@@ -16,7 +16,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA
 from thermojoint.live.surface import Surface, pressures, read_surface, temperatures
 
-#: From where it is looked at, in its size; a joint from its front, and so much from above.
+#: Viewpoint in sizes of the machine; of a joint its distance in front, and height above.
 EYE = np.array([1.5, 1.5, 0.9])
 FRONT, ABOVE = 2.0, 0.5
 
@@ -42,7 +42,7 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
     Parameters
     ----------
     path : Path
-        Surface of its model, of 'thermojoint scene'.
+        Surface of its model, by 'thermojoint scene'.
     estimator : Estimator
         Joint-aware.
     state : callable
@@ -73,7 +73,7 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
 
 
 def shape_of(surface: Surface) -> dict[str, Any]:
-    """Return what of a scene stays the same; turned so that up is z, as the browser turns it."""
+    """Return the constant part of a scene, turned so that z is up, as in the browser."""
     turn = upright(surface.up)
     contacts = surface.contact_points @ turn.T
     return {
@@ -88,7 +88,7 @@ def shape_of(surface: Surface) -> dict[str, Any]:
 
 
 def front_of(points: Array, triangles: NDArray[np.int64]) -> Array:
-    """Return from where most of some triangles is seen, shape (3,): `EYE` if from nowhere more."""
+    """Return the viewpoint that sees most of some triangles, shape (3,); `EYE` if none does."""
     first, second, third = (points[triangles[:, k]] for k in range(3))
     areas = np.cross(second - first, third - first)
     normal = areas.sum(axis=0)
@@ -102,7 +102,7 @@ def upright(up: Array) -> Array:
     """Return the rotation by right angles, shape (3, 3), that makes an axis `up` the third one."""
     axis = int(np.argmax(np.abs(up)))
     turn = np.roll(np.eye(3), -(axis + 1), axis=0)
-    # Upside down: the first two change places, so that it stays a rotation.
+    # Upside down: the first two axes are swapped, so that it stays a rotation.
     return turn if up[axis] > 0.0 else np.array([turn[1], turn[0], -turn[2]])
 
 

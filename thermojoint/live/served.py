@@ -1,4 +1,4 @@
-"""The models of a service: each file opened once, shared by all machines that run with it."""
+"""Models of a service: each file is opened once and shared by its machines."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
 @dataclass(frozen=True, eq=False)
 class Served:
-    """A model with all that its machines share.
+    """A model with everything that its machines share.
 
     Attributes
     ----------
     estimator : Estimator
         Of any kind.
     digest : str
-        A state goes on with the model of the same one.
+        A state continues with a model of the same digest.
     file : str
-        Where it came from, as the service file says.
+        Name of its file.
     intake : Intake
-        What its machines read.
+        Readings of its machines.
     ranges : tuple of Range
-        What it was calibrated for.
+        For which it was calibrated.
     residuals : callable, optional
-        (estimator, state, sample) to reading minus model; None for a kind that knows none.
+        (estimator, state, sample) to reading minus model; None for a kind without residuals.
     rule : Rule
-        How their samples are made.
+        How samples are assembled.
     layout : Layout
-        Names of what is published of them.
+        Names of the published values.
     output : Settings or None
         Of the compensation output.
     handshake : HandshakeSettings or None
@@ -83,9 +83,9 @@ def served(section: ModelSection, kept: Path) -> Served:
     Parameters
     ----------
     section : ModelSection
-        What the service file says of it.
+        Its section of the service's file.
     kept : Path
-        Folder for what is assembled from it: a service goes on with the coefficients it began with.
+        Folder of the coefficients assembled from it, with which a service continues.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def served(section: ModelSection, kept: Path) -> Served:
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:
-    """Take samples that count nowhere: machine code is made now, not while a machine waits."""
+    """Compile now, by samples without effect, and not while a machine waits."""
     state = estimator.initial_state()
     for k in range(3):
         with suppress(ThermojointError):
@@ -134,7 +134,7 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
 
 
 def _check_age(output: Settings, section: ModelSection) -> None:
-    """Refuse an `oldest_s` that makes every estimate too old before the next one comes."""
+    """Refuse an `oldest_s` by which every estimate is too old before the next one."""
     if output.trust.oldest <= section.interval_s:
         raise InputError(
             f"{section.offsets}: oldest_s {output.trust.oldest:g} is not longer than interval_s "
@@ -154,7 +154,7 @@ def _opened(
     section: ModelSection,
     kept: Path,
 ) -> tuple[Estimator, str]:
-    """Start the estimator, or go on with what was made from the same file at the same interval."""
+    """Start the estimator, or reuse the coefficients of the same file and interval."""
     options = Options(section.interval_s, 60.0 * section.run_length_min)
     made_of = f"{kind.fingerprint(model)} {section.reads}"
     if kind.paced:

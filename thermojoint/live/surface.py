@@ -1,7 +1,7 @@
 """Surface of a joint-aware model's machine with temperatures and pressures, for display.
 
-A model has no mesh. A surface file keeps what a picture needs of the mesh: the outer faces, what
-the model's amplitudes say of the temperature at their corners, and the contact elements:
+A model has no mesh. A surface file has the part of the mesh that a picture needs: the outer faces,
+the map from the model's amplitudes to the temperature at their corners, and the contact elements:
 
     T = rows a,   rows = (basis of the case at the corners) (turn to the model's modes).
 """
@@ -37,9 +37,9 @@ from thermojoint.reduced.parameters import with_factors
 
 SCHEMA = "thermojoint-surface"
 SCHEMA_VERSION = 1
-#: Rates this close are one: their modes may be turned among each other.
+#: Relative difference below which rates are equal: their modes may be rotated into each other.
 ALIKE = 1e-6
-#: The modes are those of the model if they say the same of its sensors and sources to this.
+#: Relative difference to which the modes must reproduce the model's sensors and sources.
 SAME = 1e-5
 _ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles", "contacts", "up")
 
@@ -61,9 +61,9 @@ class Surface:
     contact_points, contact_triangles
         The same of side a of all joints.
     contacts : ndarray of int
-        The contact element that each of these triangles is part of.
+        Contact element of each of these triangles.
     up : ndarray, shape (3,)
-        Where up is.
+        Direction that is up.
     """
 
     model: str
@@ -82,13 +82,13 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     Parameters
     ----------
     case : Case
-        That the model was calibrated with.
+        With which the model was calibrated.
     setup : Setup
         Of this case.
     model : ObserverModel
         Joint-aware.
     up : ndarray, shape (3,)
-        Where up is.
+        Direction that is up.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
 
 
 def _alike(modes: Modes, model: Modes) -> bool:
-    """Whether modes have the shapes and the rates of a model's."""
+    """Say whether modes have the shapes and rates of a model's modes."""
     return (
         modes.rates.shape == model.rates.shape
         and modes.jump.shape == model.jump.shape
@@ -130,9 +130,9 @@ def _alike(modes: Modes, model: Modes) -> bool:
 
 
 def _alignment(modes: Modes, model: Modes) -> Array:
-    """Turn modes among those of the same rate, at least in sign, to a model's, shape (r, r).
+    """Return the rotation of modes of equal rates (at least their sign) to a model's, shape (r, r).
 
-    The nearest orthogonal matrix (Procrustes) by what both say of sensors, joints and inputs.
+    The nearest orthogonal matrix (Procrustes), by sensors, joints and inputs.
     """
     seen, wanted = (
         np.vstack(
@@ -176,7 +176,7 @@ def read_surface(path: Path, model: ObserverModel) -> Surface:
     Raises
     ------
     InputError
-        The file is missing, damaged, no surface, or that of another model.
+        The file is missing, damaged, not a surface, or of another model.
     """
     path = Path(path)
     again = "write it with 'thermojoint scene'"

@@ -21,7 +21,7 @@ from thermojoint.live.store import Event
 
 
 def encoded(body: Any) -> bytes:  # noqa: ANN401
-    """Return JSON; a number that is none never gets in."""
+    """Return JSON; NaN and infinity are errors."""
     return json.dumps(body, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
 
 
@@ -48,9 +48,9 @@ class Words:
     Attributes
     ----------
     body : callable
-        What of a publication is said.
+        Publication to the content of its message.
     said : dict
-        Machine to its newest publication and its words.
+        Machine to its newest publication and its message.
     """
 
     body: Callable[[Publication], dict[str, Any]]
@@ -67,7 +67,7 @@ class Words:
 
 
 def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str, Any]:
-    """Return what stays of a machine, and which of its further addresses answer."""
+    """Return the constant data of a machine, and its further addresses."""
     layout = about.layout
     return {
         "machine": machine,
@@ -88,7 +88,7 @@ def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str,
 
 
 def history_body(machine: str, history: History) -> dict[str, Any]:
-    """Return some time of a machine as columns, by name."""
+    """Return a history as columns, by name."""
     layout, columns = history.layout, history.columns
     details = [detail_name(channel) for channel in layout.details]
     in_micro = np.array([MEGA if channel.unit == "m" else 1.0 for channel in layout.details])

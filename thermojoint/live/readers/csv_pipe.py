@@ -1,9 +1,9 @@
 """Lines of a growing file, a FIFO or standard input, resumed after the last stored sample.
 
-They are read by the rules of every table (docs/tables.md), one row at a time: the first lines say
-how cells are divided, which columns tell the time and the readings, and in which units. A row that
-is none is noted, and the stream goes on behind it. Of a file the position is kept, so nothing is
-lost or read twice whenever the service ends; of a pipe it cannot be.
+They are read by the rules of every table (docs/tables.md), one row at a time: the first lines give
+the separator, the columns of the time and the readings, and their units. A malformed row is noted
+and skipped. The position in a file is stored, so that nothing is lost or read twice whenever the
+service ends; a pipe has none.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import told_by
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 
-#: A line that is longer is none.
+#: Longest line, bytes.
 LONGEST_LINE = 65_536
-#: How often the end of a file is looked at, s.
+#: Interval at which a file is checked for new lines, s.
 _LOOK_S = 0.1
 _BLOCK = 1 << 16
-#: Rows handed on at once.
+#: Rows passed on at once.
 _ROWS = 256
-#: So many lines in the place of the first row may be none.
+#: Malformed lines in place of the first row that are tolerated.
 _PATIENCE = 8
 
 
@@ -49,14 +49,14 @@ class Pipe:
     path : Path
         ``-`` for standard input.
     names : mapping of str to str
-        Readings with their units, in the estimator's order, to what the header calls them;
-        ``time_s`` for the clock, if the header gives it a name of its own.
+        Readings with their units, in the estimator's order, to their names in the header;
+        ``time_s`` for the clock, if the header gives it another name.
     wanted : int
         The first so many must be in the header.
     starts : float
-        Added to the times of a clock that does not tell the date, s.
+        Added to the times of a clock without a date, s.
     follow : bool
-        The end of the file is not the end: more will come.
+        Wait for more lines at the end of the file.
     """
 
     machine: str
@@ -68,7 +68,7 @@ class Pipe:
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """With their units, in the estimator's order."""
+        """Readings with their units, in the estimator's order."""
         return tuple(name for name in self.names if name != _CLOCK)
 
 
@@ -79,7 +79,7 @@ _CLOCK = "time_s"
 class Header:
     """Layout of the lines, and the column of each reading; None for a missing one.
 
-    Its layout's dialect says how many lines stand before the first row.
+    The dialect of its layout has the number of lines before the first row.
     """
 
     layout: Layout
@@ -87,7 +87,7 @@ class Header:
 
 
 def header_of(lines: Sequence[str], pipe: Pipe, whole: bool = False) -> Header | None:
-    """Return how a table is to be read, by its first lines; None where more are needed.
+    """Return the header of a table from its first lines; None if more are needed.
 
     Raises
     ------
@@ -129,14 +129,14 @@ def _header(layout: Layout, pipe: Pipe) -> Header:
 
 
 class _Beginning(NamedTuple):
-    """The first lines of a table, until they say how it is to be read.
+    """The first lines of a table, until they give its header.
 
     Attributes
     ----------
     lines : tuple of str
-        A line that is none is left empty.
+        A malformed line is left empty.
     refused : int
-        How many are.
+        Number of malformed lines.
     """
 
     lines: tuple[str, ...] = ()
@@ -146,7 +146,7 @@ class _Beginning(NamedTuple):
 def _with_line(
     before: _Beginning, line: bytes, pipe: Pipe
 ) -> tuple[_Beginning, Header | Note | None]:
-    """Return the beginning with one more line, and what it tells, if it tells anything."""
+    """Return the beginning with one more line, and the header or a note, if there is one."""
     if not before.lines and encoding_of(line) != _ENCODING:
         raise InputError(f"{pipe.path}: text in UTF-16; write it as UTF-8 where it is streamed")
     lines = (*before.lines, _text(line))
@@ -168,14 +168,14 @@ def _text(line: bytes) -> str:
 
 
 def _said(pipe: Pipe, header: Header) -> Note:
-    """Say how a stream is read, as every command does."""
+    """Return a note of how a stream is read, as every command says it."""
     layout = header.layout
     record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
     return Note("source-read", "; ".join(line.strip() for line in begun(record)), pipe.machine)
 
 
 async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
-    """Yield what the lines say, some at a time, from a kept position on.
+    """Yield the rows, some at a time, from a stored position on.
 
     Raises
     ------
@@ -209,7 +209,7 @@ async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]
                 async for block in _whole_lines(pipe, file, position):
                     yield block
             except InputError as error:
-                # A wrong header: the machine waits for another file, the others go on.
+                # The header is wrong: the machine waits for another file, the others go on.
                 yield [Note("source-refused", str(error), pipe.machine)]
                 if not pipe.follow:
                     raise
@@ -218,7 +218,7 @@ async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]
                     await asyncio.sleep(_LOOK_S)
         if not pipe.follow:
             return
-        # It was replaced by another one.
+        # The file was replaced by another one.
         position = None
 
 
@@ -227,7 +227,7 @@ async def _whole_lines(
     file: BinaryIO,
     position: Any,  # noqa: ANN401
 ) -> AsyncIterator[list[Arrival | Note]]:
-    """Yield what a file says until it ends, or until another one has its name."""
+    """Yield the rows of a file until it ends, or until another file has its name."""
     header: Header | None = None
     async for begun_with in _begun(pipe, file):
         if isinstance(begun_with, Note):
@@ -289,7 +289,7 @@ def _placed(
     header: Header,
     hands: Hands,
 ) -> list[Arrival | Note]:
-    """Return what a line said with the position behind it, and where its clock stood."""
+    """Return the content of a line with the position after it and the state of its clock."""
     if header.layout.clock.form not in ("number", "excel"):
         position = position | {"clock": [hand if math.isfinite(hand) else None for hand in hands]}
     return [
@@ -311,7 +311,7 @@ def _sum(first: bytes) -> int:
 
 
 def _goes_on(position: Any, first: bytes, size: int) -> bool:  # noqa: ANN401
-    """Whether a file is the one that a position was kept of."""
+    """Say whether a stored position belongs to a file."""
     return (
         isinstance(position, dict)
         and position.get("first") == len(first)
@@ -321,9 +321,9 @@ def _goes_on(position: Any, first: bytes, size: int) -> bool:  # noqa: ANN401
 
 
 async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
-    """Yield how a file is to be read as soon as its first lines say it, and what they were not.
+    """Yield the header of a file as soon as its first lines give it, and notes of malformed lines.
 
-    Nothing follows if they never do, or if another file takes its name before.
+    It ends without a header if the file has none, or if another file takes its name before.
     """
     beginning = _Beginning()
     while True:
@@ -349,7 +349,7 @@ async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
 
 
 def _replaced(path: Path, file: BinaryIO, read: int) -> bool:
-    """Whether the name leads to another file, or the file became shorter than what was read."""
+    """Say whether the name is of another file, or the file is shorter than what was read."""
     held = os.fstat(file.fileno())
     if held.st_size < read:
         return True
@@ -368,7 +368,7 @@ def _is_pipe(path: Path) -> bool:
 
 
 async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
-    """Yield what a pipe says, until it ends; a FIFO is opened again for its next writer."""
+    """Yield the rows of a pipe until it ends; a FIFO is opened again for its next writer."""
     loop = asyncio.get_running_loop()
     while True:
         if str(pipe.path) == "-":
@@ -412,7 +412,7 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
 
 
 async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
-    """The next line; None for one that is too long, which is left out."""
+    """Return the next line; None for one that is too long and skipped."""
     try:
         return await lines.readuntil(b"\n")
     except asyncio.IncompleteReadError as error:
@@ -433,7 +433,7 @@ async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
 def told_in(
     pipe: Pipe, header: Header, line: bytes, hands: Hands
 ) -> tuple[list[Arrival | Note], Hands]:
-    """Return what a line says, and where its clock stands."""
+    """Return the content of a line, and the state of its clock."""
     try:
         row = told_by(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
     except (InputError, ValueError, OverflowError) as error:

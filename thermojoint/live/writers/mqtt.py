@@ -26,7 +26,7 @@ from thermojoint.live.publication import as_json
 from thermojoint.live.settings import MqttTopics
 from thermojoint.live.writers.mqtt_control import attend, beat
 
-#: How long a slow network is waited for before the next machine is published, s.
+#: Pause before the next machine if the network is slow, s.
 _PAUSE_S = 0.01
 #: Machines that are published in a row.
 _AT_ONCE = 64
@@ -35,7 +35,7 @@ _AT_ONCE = 64
 async def write_topics(
     hub: Hub, address: Address, topics: MqttTopics, floor: Floor, controls: Collection[str]
 ) -> None:
-    """Publish what is new of every machine, for ever; whoever connects later finds the newest.
+    """Publish new samples of every machine, for ever; the newest of each is retained.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ async def _publish(hub: Hub, client: aiomqtt.Client, topic: str, watch: asyncio.
 
 
 async def _any(*endless: Coroutine[Any, Any, None]) -> None:
-    """Run what has no end; raises what the first raises that ends."""
+    """Run endless coroutines; raise the error of the first that ends."""
     tasks = [asyncio.ensure_future(one) for one in endless]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -1,8 +1,8 @@
 """The service's own OPC UA server: an object for each machine, values with their status codes.
 
 ``Objects/Machines/NAME/Monitoring/ThermalDisplacement`` and below it Displacement, Band, Offset,
-Detail, Reading and Probe, a variable for each axis or channel. A value is made when somebody reads
-it or has subscribed to it, so machines that nobody looks at cost nothing.
+Detail, Reading and Probe, a variable for each axis or channel. Values are made when they are read
+or subscribed to, so machines without readers cost nothing.
 """
 
 from __future__ import annotations
@@ -64,15 +64,15 @@ async def add_machines(
     Parameters
     ----------
     server : Server
-        Initialised, not started.
+        Initialised, but not started.
     hub : Hub
-        Has a publication of each.
+        With a publication of each machine.
     machines : mapping of str to (Layout, int)
         Names, and how many readings are of every sample.
     readings : bool
         Also what they read.
     given : callable
-        Called with what a writing user gives the service.
+        Called with each written reading.
     """
     index = await server.register_namespace(NAMESPACE)
     session, space = server.iserver.isession, server.iserver.aspace
@@ -139,7 +139,7 @@ def _taken_by(
 def probe_reading(
     machine: str, count: int, k: int, written: ua.DataValue, now: float
 ) -> Arrival | None:
-    """Return what a writing user has given, None if it is no reading.
+    """Return a written reading; None if the value is not a number.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def probe_reading(
         Readings of the machine, and which of them it is.
     written : DataValue
     now : float
-        s since 1970; the time of a value that carries none.
+        s since 1970; used for a value without a time.
     """
     value = written.Value.Value if written.Value else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -203,7 +203,7 @@ def _variable(
 async def _with_unit(
     server: Server, units: dict[str, ua.NodeId], nodeid: ua.NodeId, unit: str, index: int
 ) -> None:
-    """Give a variable its unit; those of a kind share the property."""
+    """Add the unit to a variable; variables of a unit share the property."""
     node = server.get_node(nodeid)
     if unit not in units:
         information = ua.EUInformation(
@@ -221,7 +221,7 @@ async def _with_unit(
 
 
 def _unit_id(code: str) -> int:
-    """A UNECE code as OPC UA counts it (Part 8): its characters as one number; -1 without one."""
+    """Return a UNECE code as OPC UA encodes it (Part 8), as one number; -1 without a code."""
     if not code:
         return -1
     number = 0
@@ -231,7 +231,7 @@ def _unit_id(code: str) -> int:
 
 
 async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
-    """Tell whoever has subscribed what is new, for ever."""
+    """Send new values to subscribers, for ever."""
     with hub.follow() as follower:
         while True:
             for machine in await follower.wait():
@@ -245,7 +245,7 @@ async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
 
 
 def fresh_server(section: OpcuaServer) -> Server:
-    """Return a server of the service's name at a section's address; nothing is open yet."""
+    """Return a server with name and address, not yet open."""
     server = Server()
     server.name = "thermojoint"
     server.product_uri = server.manufacturer_name = APPLICATION
@@ -256,7 +256,7 @@ def fresh_server(section: OpcuaServer) -> Server:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """What a log-in is checked by.
+    """Access control of the server.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ class Entry:
     folder : Path
         Of the service: its certificate, and the certificates of clients that were rejected.
     log : EventLog
-        Receives those who are refused.
+        Receives refused log-ins.
     controls : mapping of str to str
         By machine: the only user who may write its control's side of the handshake.
     """
@@ -335,7 +335,7 @@ async def open_server(
 
 
 async def serve_nodes(server: Server, nodes: Nodes, hub: Hub) -> None:
-    """Tell subscribers what is new until the task is cancelled; the server is closed then."""
+    """Send new values until the task is cancelled, then close the server."""
     try:
         await tell_subscribers(hub, nodes)
     finally:
