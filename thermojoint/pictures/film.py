@@ -73,9 +73,7 @@ def frames(scenes: Sequence[Scene], height: int) -> Generator[Pixels, None, None
     for scene, images in zip(film, _and_then(first, pictures), strict=True):
         if images is None:
             images = [painted(panel, height) for panel in scene.panels]
-        for artist, image in zip(page.images, images, strict=True):
-            artist.set_data(image)
-        page.caption.set_text(scene.caption)
+        page.show(scene, images)
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
         rows, columns = (size - size % 2 for size in pixels.shape[:2])

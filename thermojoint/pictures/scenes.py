@@ -98,11 +98,37 @@ class Panel:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Displacement over the whole run, beside the fields of one time of it.
+
+    Attributes
+    ----------
+    title : str
+        What is displaced.
+    axes : tuple of str
+        Of the displacement.
+    times : ndarray, shape (k,)
+        s.
+    displacement : ndarray, shape (k, axes)
+        m.
+    now : float
+        Time of the fields, s.
+    """
+
+    title: str
+    axes: tuple[str, ...]
+    times: Array
+    displacement: Array
+    now: float
+
+
+@dataclass(frozen=True)
 class Scene:
-    """A picture: panels side by side, and a line above them with time and heat input."""
+    """A picture: panels side by side, a line above them with time and heat input, a curve."""
 
     panels: tuple[Panel, ...]
     caption: str = ""
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True)

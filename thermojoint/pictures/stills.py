@@ -13,14 +13,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
+from thermojoint.artefacts.units import MEGA
 from thermojoint.pictures.colour_scale import ColourScale
 from thermojoint.pictures.figures import check_png, write_figure
 from thermojoint.pictures.labels import place_labels
 from thermojoint.pictures.renderer import Pixels, painted, pixel_size, rendered
-from thermojoint.pictures.scenes import Panel, Scene, finished
+from thermojoint.pictures.scenes import Curve, Panel, Scene, finished
 
 #: Height of the panels of a still picture, pixels.
 HEIGHT = 840
@@ -28,6 +30,9 @@ FALLBACK_NOTE = "drawn with matplotlib: pyvista cannot render here"
 #: Of a sheet, inches; a panel is this high whatever its pixels.
 _PANEL, _ABOVE, _BELOW, _GAP = 6.0, 0.75, 0.95, 0.2
 _TRIAD = 0.85
+_PAST: dict[str, Any] = {"linewidth": 2.2, "marker": "o", "markevery": [-1]}
+#: Width of the curve beside the panels, inches, with room for its labels on the left.
+_CURVE, _LABELS, _MINUTE = 4.2, 0.85, 60.0
 _ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
 
 
@@ -38,6 +43,17 @@ class Sheet:
     figure: Figure
     images: tuple[AxesImage, ...]
     caption: Text
+    curves: tuple[Line2D, ...] = ()
+
+    def show(self, scene: Scene, images: Sequence[Pixels]) -> None:
+        """Change to another scene of the same film."""
+        for artist, image in zip(self.images, images, strict=True):
+            artist.set_data(image)
+        self.caption.set_text(scene.caption)
+        if scene.curve is not None:
+            for line, values in zip(self.curves, scene.curve.displacement.T, strict=True):
+                past = scene.curve.times <= scene.curve.now * (1.0 + 1e-9)
+                line.set_data(scene.curve.times[past] / _MINUTE, MEGA * values[past])
 
 
 def write_pictures(
@@ -81,6 +97,8 @@ def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
     widths = [_PANEL * pixel_size(panel.frame, height)[0] / height for panel in scene.panels]
     lefts = _GAP + np.concatenate([[0.0], np.cumsum(np.add(widths, _GAP))])
     total, high = float(lefts[-1]), _ABOVE + _PANEL + _BELOW
+    if scene.curve is not None:
+        total += _LABELS + _CURVE + _GAP
     figure = Figure(figsize=(total, high), dpi=height / _PANEL)
     FigureCanvasAgg(figure)
     caption = figure.text(0.5, 1.0 - 0.12 / high, scene.caption, fontsize=12, ha="center", va="top")
@@ -106,7 +124,28 @@ def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
         left = start + 0.5 * (end - start - across)
         bar = figure.add_axes((left / total, 0.58 / high, across / total, 0.2 / high))
         _draw_bar(bar, scale)
-    return Sheet(figure, tuple(artists), caption)
+    curves: tuple[Line2D, ...] = ()
+    if scene.curve is not None:
+        left = float(lefts[-1]) + _LABELS
+        place = (left / total, _BELOW / high, _CURVE / total, _PANEL / high)
+        curves = _draw_curve(figure.add_axes(place), scene.curve)
+    found = Sheet(figure, tuple(artists), caption, curves)
+    found.show(scene, shown)
+    return found
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> tuple[Line2D, ...]:
+    """Draw the whole run thin; return the lines up to now, still empty."""
+    minutes, lines = curve.times / _MINUTE, []
+    for k, (name, values) in enumerate(zip(curve.axes, curve.displacement.T, strict=True)):
+        axes.plot(minutes, MEGA * values, color=f"C{k}", linewidth=0.8, alpha=0.4)
+        lines += axes.plot([], [], label=name, color=f"C{k}", **_PAST)
+    axes.set_title(curve.title, fontsize=11)
+    axes.set_xlabel("time (min)")
+    axes.set_ylabel("displacement (µm)")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    return tuple(lines)
 
 
 def _bars(

@@ -26,6 +26,7 @@ from thermojoint.pictures.scenes import (
     outward_areas,
     up_direction,
 )
+from thermojoint.pictures.stills import sheet
 from thermojoint.pictures.structure_scene import structure_scene
 from thermojoint.pictures.view import FIELDS, Up, film_scenes, whole_structure
 
@@ -209,6 +210,20 @@ def test_a_film_has_one_camera_one_window_and_one_scale(scenes):
         "displacement (µm)",
         "contact pressure (MPa)",
     ]
+
+
+def test_a_film_draws_the_displacement_up_to_the_time_of_its_fields(scenes):
+    first, *_, last = finished(scenes)
+    images = [np.zeros((2, 2, 3), dtype=np.uint8) for _ in first.panels]
+    page = sheet(first, images, 60)
+    for scene in (first, last):
+        page.show(scene, images)
+        curve, ends = scene.curve, [line.get_data() for line in page.curves]
+        assert curve.title == "displacement of A relative to B"
+        assert [minutes[-1] * 60.0 for minutes, _ in ends] == pytest.approx([curve.now] * 3)
+        now = np.searchsorted(curve.times, curve.now - 1e-6)
+        assert [moved[-1] for _, moved in ends] == pytest.approx(1e6 * curve.displacement[now])
+    assert last.curve.now == last.curve.times[-1]
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
