@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
@@ -13,11 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fesim.case.history import entering_in_steps
-from fesim.case.schema import Case, case_from_data, read_case, step_count
+from fesim.case.schema import (
+    TOLERANCE_K,
+    TOLERANCE_UM,
+    Case,
+    case_from_data,
+    read_case,
+    step_count,
+)
 from fesim.forces import mechanical_values, outputs_of
+from fesim.march.adaptive import Effort, march_adaptively
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step
 from fesim.march.settling import at_rest, initial_state
+from fesim.march.state_file import check_resumable
+from fesim.march.step_control import Tolerance
 from fesim.march.stepping import Advance, iterated, march_along, staggered
 from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
@@ -32,7 +42,7 @@ from meshes.covered import covered_areas
 from thermojoint.artefacts.display import Described, as_html, curves
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MICRO
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -121,6 +131,8 @@ def simulate(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
             'the start, or use thermal = "full" in [march] for both'
         )
+    if start is not None:
+        check_resumable(case)
     count = step_count(case.march) - first.index
     if count < (1 if start is None else 2):
         raise InputError(
@@ -131,11 +143,10 @@ def simulate(
     parts = []
     if start is None:
         parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))
-    state, done = first, 0
-    advance, between = COUPLINGS[case.march.coupling], inputs.reversed_forces(ends)
-    marching = march_along(ready.machine, inputs.at(ends), advance, first, between)
+    state, done, spent = first, 0, None
     with one_thread():
-        for track in marching:
+        for track, effort in _marching(case, ready, inputs, ends, first):
+            spent = effort
             _check_pressures(ready, track)
             state = track.step(-1).state
             # The temperature field is the only large part of a step: store the probes only.
@@ -146,7 +157,39 @@ def simulate(
                     on_step(track.step(at))
                 if progress is not None:
                     progress(done, count)
-    return Simulation(_response(case, ready, inputs, _joined(parts)), state)
+    response = _response(case, ready, inputs, _joined(parts))
+    if spent is not None:
+        response.attrs |= _spent(spent)
+    return Simulation(response, state)
+
+
+def _marching(
+    case: Case, ready: Setup, inputs: MarchInputs, ends: np.ndarray, first: State
+) -> Iterator[tuple[Track, Effort | None]]:
+    """Yield the march up to the times of a response, and the effort of an adaptive one."""
+    machine, march = ready.machine, case.march
+    if march.method == "adaptive" and ready.modes is not None:
+        tolerance = Tolerance(
+            MICRO * (march.tolerance_um or TOLERANCE_UM), march.tolerance_K or TOLERANCE_K
+        )
+        drive, rates = inputs.exactly(), ready.modes.rates
+        yield from march_adaptively(machine, rates, drive, ends, tolerance, first)
+        return
+    advance, between = COUPLINGS[march.coupling], inputs.reversed_forces(ends)
+    for track in march_along(machine, inputs.at(ends), advance, first, between):
+        yield track, None
+
+
+def _spent(effort: Effort) -> dict[str, float | int]:
+    """Attributes of a response by an adaptive march."""
+    return {
+        "march_steps": effort.steps,
+        "rejected_steps": effort.rejected,
+        "shortest_step_s": effort.shortest,
+        "longest_step_s": effort.longest,
+        "estimated_error_um": MEGA * effort.displacement,
+        "estimated_error_K": effort.temperature,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,6 +367,8 @@ def _heat_input(
     own = [source for source in case.sources.values() if source.heat_input is not None]
     if case.heat_input is not None and not own:
         # Not from the powers: 590 W x 1.5 / 590 W is 1.5 except for rounding.
+        if case.march.method == "adaptive":
+            return np.where(times > 0.0, inputs.heat(times), 0.0)
         return np.where(times > 0.0, entering_in_steps(inputs.heat, inputs.step, times), 0.0)
     total = sum(power for power, _ in inputs.sources)
     return powers.sum(axis=1) / total if total else np.zeros(len(times))

@@ -93,6 +93,12 @@ def preloads(response: xr.Dataset) -> NDArray[np.float64]:
     return np.array([each[str(name)] for name in response["contact_joint"].to_numpy()])
 
 
+def taken_steps(response: xr.Dataset) -> int:
+    """Return the number of steps of the march: of an adaptive one it is not that of the times."""
+    taken = int(np.count_nonzero(response["time"].to_numpy() > 0.0))
+    return int(response.attrs.get("march_steps", taken))
+
+
 def figures_of(response: xr.Dataset) -> Figures:
     """Return the figures of a simulated response, by the names of `FIGURES`.
 
@@ -127,7 +133,7 @@ def figures_of(response: xr.Dataset) -> Figures:
         figures["secant_residual_K"] = float(response["secant_residual"].max())
     if "force_balance" in response:
         figures["force_balance"] = float(response["force_balance"].max())
-    figures["steps"] = response.sizes["time"] - 1
+    figures["steps"] = taken_steps(response)
     figures["iterations"] = int(response["iterations"].sum())
     for name in ("cuts", "taken_over"):
         figures[name] = int(response[name].sum()) if name in response else 0

@@ -54,6 +54,43 @@ class History:
         return np.concatenate([np.zeros(1), np.cumsum(pieces)])
 
 
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """Several quantities in time: linear between their common knots, constant after the last.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Strictly increasing, s; the first is zero.
+    values : ndarray, shape (n, k)
+        At these times.
+    """
+
+    times: Array
+    values: Array
+
+    def __call__(self, time: float) -> Array:
+        """Return the values (k,) at a time, s."""
+        at = int(np.searchsorted(self.times, time, side="right")) - 1
+        if at + 1 == len(self.times):
+            return self.values[at]
+        share = (time - self.times[at]) / (self.times[at + 1] - self.times[at])
+        return np.asarray(self.values[at] + share * (self.values[at + 1] - self.values[at]))
+
+
+def common_knots(histories: Sequence[History]) -> Array:
+    """Return time zero and every later time at which one of some histories may bend, s.
+
+    Knots within a stretch of one value are left out.
+    """
+    knots = [np.zeros(1)]
+    for history in histories:
+        ends = np.concatenate([history.values[:1], history.values, history.values[-1:]])
+        still = (ends[:-2] == ends[1:-1]) & (ends[1:-1] == ends[2:])
+        knots.append(history.times[~still & (history.times > 0.0)])
+    return np.unique(np.concatenate(knots))
+
+
 @lru_cache(maxsize=64)
 def bent_steps(history: History, step: float) -> NDArray[np.int64]:
     """Return the numbers of the steps within which a history is not linear, in ascending order.

@@ -29,7 +29,7 @@ _LAW = {
     "friction_coefficient",
     "tangential_stiffness_ratio",
 }
-_MARCH = {"duration_min", "coupling"}
+_MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
 #: Sections, and keys of materials, that enter the heat equation only.
 _HEAT = {

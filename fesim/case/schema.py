@@ -39,6 +39,8 @@ from thermojoint.artefacts.settings.section import (
 
 #: More steps than this in one run are a mistake: the response would not fit into any memory.
 MOST_STEPS = 10_000_000
+#: Error of an adaptive march that is allowed by default: displacement, um; temperature, K.
+TOLERANCE_UM, TOLERANCE_K = 0.01, 0.5
 #: A time may lie after a step by this fraction of the step and still be that step.
 TIME_SLACK = 1e-6
 
@@ -110,6 +112,9 @@ class MarchSection(Section):
 
     step_s: Positive
     duration_min: Positive
+    method: Literal["fixed", "adaptive"] = "fixed"
+    tolerance_um: Positive | None = None
+    tolerance_K: Positive | None = None
     coupling: Literal["staggered", "iterated"] = "staggered"
     thermal: Literal["reduced", "full"] = "reduced"
     solver: Literal["pardiso", "superlu"] | None = None
@@ -120,6 +125,21 @@ class MarchSection(Section):
             raise ValueError("duration_min is shorter than one step of step_s")
         if self.duration_min * 60.0 > MOST_STEPS * self.step_s:
             raise ValueError(f"duration_min has more than {MOST_STEPS} steps of step_s")
+        return self
+
+    @model_validator(mode="after")
+    def _errors_estimated(self) -> MarchSection:
+        tolerances = (self.tolerance_um, self.tolerance_K)
+        if self.method == "fixed" and tolerances != (None, None):
+            raise ValueError(
+                'tolerance_um and tolerance_K belong to method = "adaptive"; leave them out for '
+                "steps of one length"
+            )
+        if self.method == "adaptive" and self.thermal == "full":
+            raise ValueError(
+                'method = "adaptive" integrates modes exactly; take thermal = "reduced", or '
+                'method = "fixed"'
+            )
         return self
 
 

@@ -148,7 +148,7 @@ def project_heat(
     # A held surface's amplitude is its input.
     projected[count:, heat.layout.held_columns] = np.eye(held)
     return ThermalCondensation(
-        factor=_diagonal_factor(diagonal),
+        factor=diagonal_factor(diagonal),
         capacity_rate=diags_array(
             np.concatenate([np.full(count, 1.0 / step), np.zeros(held)]), format="csr"
         ),
@@ -205,7 +205,8 @@ def _held_surfaces(heat: HeatOperators) -> Array:
     return surfaces
 
 
-def _diagonal_factor(diagonal: Array) -> Factor:
+def diagonal_factor(diagonal: Array) -> Factor:
+    """Return the factorisation of a diagonal matrix, given by its diagonal (n,)."""
     inverse = 1.0 / diagonal
 
     def solve(right_side: Array) -> Array:

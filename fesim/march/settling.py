@@ -136,6 +136,32 @@ def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> 
     return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)
 
 
+def displaced(
+    machine: CondensedMachine, strained: Array, settled: Equilibrium, inputs: Array
+) -> tuple[Array, Array]:
+    """Return z + k g (3 m,), Pa, and the displacement of the probes (axes,), m.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        What marches.
+    strained : ndarray, shape (n,)
+        Temperature unknowns as they strain the bodies (`CondensedMachine.strained`).
+    settled : Equilibrium
+        The joints.
+    inputs : ndarray, shape (k + l,)
+        With the factors of the loads.
+    """
+    elastic = machine.contact.elastic
+    remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
+    displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
+        elastic.area * remainder
+    )
+    if machine.contact.loads is not None:
+        displacement = displacement + machine.contact.loads.probes @ load_factors(machine, inputs)
+    return remainder, displacement
+
+
 def settled_between(machine: CondensedMachine, state: State, factors: Array) -> State:
     """Return a state whose joints have borne loads that come and go before the next step's end.
 

@@ -41,6 +41,21 @@ def fingerprint(case: Case) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def check_resumable(case: Case) -> None:
+    """Refuse a case whose march neither saves its state nor goes on from one.
+
+    Raises
+    ------
+    InputError
+        Its steps are adaptive.
+    """
+    if case.march.method == "adaptive":
+        raise InputError(
+            "march.method: an adaptive march neither saves a state nor goes on from one; simulate "
+            'from the start to the end, or take method = "fixed"'
+        )
+
+
 def save_state(state: State, case: Case, path: Path) -> None:
     """Write the state of a march of `case` to `path` (npz), whole or not at all."""
     arrays: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}

@@ -13,9 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fesim.march.alternation import GAIN, gain_of, suspected, turnings
-from fesim.march.machine import CondensedMachine, State, Step, load_factors
+from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.secant_step import step_heat
-from fesim.march.settling import initial_state, loaded_gap, settle_along, settled_between
+from fesim.march.settling import (
+    displaced,
+    initial_state,
+    loaded_gap,
+    settle_along,
+    settled_between,
+)
 from fesim.march.track import Track, first_of, kernel_march, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
@@ -177,7 +183,7 @@ def _watching(machine: CondensedMachine, take: Take) -> Take:
     def watching(state: State, inputs: Array) -> Track:
         if not state.taken_over and not _alternates(machine, state, inputs[0]):
             return _watched(machine, state, take(state, inputs))
-        step = _iterated_step(machine, state, inputs[0])
+        step = iterated_step(machine, state, inputs[0])
         return track_of(replace(step, state=replace(step.state, taken_over=True)))
 
     return watching
@@ -215,14 +221,14 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 def iterated(machine: CondensedMachine) -> Take:
     """Steps in which conductance and pressure agree at the end, unless the joint snaps in one."""
-    return lambda state, inputs: track_of(_iterated_step(machine, state, inputs[0]))
+    return lambda state, inputs: track_of(iterated_step(machine, state, inputs[0]))
 
 
-def _iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Step:
-    """One step of `iterated`.
+def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Step:
+    """Take one step of `iterated`.
 
     Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
-    sees one increment only.
+    sees one increment only. They begin with the pressure of the state.
 
     Raises
     ------
@@ -320,12 +326,7 @@ def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductan
     pressure = machine.contact.preload + settled.traction.value[0]
     if machine.contact.watch is not None:
         machine.contact.watch.check(pressure, settled.traction.tangent)
-    remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
-    displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
-        elastic.area * remainder
-    )
-    if machine.contact.loads is not None:
-        displacement = displacement + machine.contact.loads.probes @ load_factors(machine, inputs)
+    remainder, displacement = displaced(machine, strained, settled, inputs)
     return Step(
         state=State(
             index=state.index + 1,

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fesim.case.history import (
+    Histories,
     History,
+    common_knots,
     entering_in_steps,
     mean_over_steps,
     ramp_history,
@@ -149,18 +151,38 @@ class MarchInputs:
         Heat and ambient by `entering_in_steps`, held temperatures by `mean_over_steps`, forces at
         the end of the step.
         """
-        layout, step = self.layout, self.step
-        rows = np.zeros((len(ends), layout.count + len(self.forces)))
+        return self._rows(
+            ends,
+            lambda history: entering_in_steps(history, self.step, ends),
+            lambda history: mean_over_steps(history, self.step, ends),
+        )
+
+    def exactly(self) -> Histories:
+        """Return the inputs at every time, for a march whose steps end at the knots."""
+        ambient = [] if self.ambient is None else [self.ambient]
+        sources = [history for _, history in self.sources]
+        times = common_knots([*sources, *ambient, *self.held, *self.forces])
+
+        def values(history: History) -> Array:
+            return history(times)
+
+        return Histories(times, self._rows(times, values, values))
+
+    def _rows(
+        self, times: Array, entering: Callable[[History], Array], mean: Callable[[History], Array]
+    ) -> Array:
+        """Inputs at times (n,), s: heat and ambient by `entering`, held temperatures by `mean`."""
+        layout = self.layout
+        rows = np.zeros((len(times), layout.count + len(self.forces)))
         sources = zip(rows.T[layout.source_columns], self.sources, strict=True)
         for column, (power, history) in sources:
-            column[:] = power * entering_in_steps(history, step, ends)
+            column[:] = power * entering(history)
         if self.ambient:
-            found = entering_in_steps(self.ambient, step, ends)
-            rows[:, layout.ambient] = found - self.ambient(np.zeros(1))
+            rows[:, layout.ambient] = entering(self.ambient) - self.ambient(np.zeros(1))
         for column, history in zip(rows.T[layout.held_columns], self.held, strict=True):
-            column[:] = mean_over_steps(history, step, ends)
+            column[:] = mean(history)
         for column, history in zip(rows.T[layout.count :], self.forces, strict=True):
-            column[:] = history(ends)
+            column[:] = history(times)
         return rows
 
     def reversed_forces(self, ends: Array) -> dict[int, Array]:

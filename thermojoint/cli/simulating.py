@@ -39,7 +39,7 @@ def simulate(
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
     from fesim.case.schema import read_case
-    from fesim.march.state_file import load_state, save_state
+    from fesim.march.state_file import check_resumable, load_state, save_state
     from fesim.setup.machine import set_up
     from fesim.setup.soundness import suspicions
     from fesim.simulate import simulate as run_case
@@ -58,6 +58,8 @@ def simulate(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
         [case, *files_of(given)],
     )
+    if save or resume:
+        check_resumable(given)
     times = given.output.snapshots_s
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fesim.batch.summary import taken_steps
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.verdict import largest_error
 
@@ -159,7 +160,19 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Coupling: staggered steps alternated; {count} steps, from "
             f"{_lasting(response, first)} on, were iterated instead."
         )
+    if "march_steps" in response.attrs:
+        lines.append(adaptive_line(response.attrs))
     return lines
+
+
+def adaptive_line(attrs: Mapping[str, Any]) -> str:
+    """Return a description of the steps that an adaptive march chose, from a response."""
+    return (
+        f"Steps: {attrs['march_steps']} of {attrs['shortest_step_s']:.2g} to "
+        f"{attrs['longest_step_s']:.3g} s, {attrs['rejected_steps']} rejected; estimated error "
+        f"{attrs['estimated_error_um']:.2g} µm of the displacement, "
+        f"{attrs['estimated_error_K']:.2g} K at the joints."
+    )
 
 
 def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -208,7 +221,7 @@ def convergence(response: xr.Dataset) -> Convergence:
         iterations=int(iterations.sum()),
         most_iterations=int(iterations.max()),
         cuts=int(response["cuts"].sum()),
-        steps=int(np.count_nonzero(response["time"].to_numpy() > 0.0)),
+        steps=taken_steps(response),
         modes=int(response.attrs.get("thermal_modes", 0)),
         reduction_error=float(response.attrs.get("reduction_error", 0.0)),
     )

@@ -199,8 +199,12 @@ def steps_of(plant: Plant, estimator: JointAware) -> int:
     Raises
     ------
     InputError
-        It is not an integer.
+        It is not an integer, or the plant's steps are adaptive.
     """
+    if plant.case.march.method == "adaptive":
+        raise InputError(
+            'plant: march.method = "adaptive" needs inputs that are known beforehand; take "fixed"'
+        )
     ratio = estimator.model.step / plant.setup.machine.thermal.step
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
         raise InputError(

@@ -1,0 +1,201 @@
+"""Exponential trapezoidal step of the heat equation on uncoupled modes.
+
+Each amplitude follows a' = f(t) - lambda a, with f what sources, films and joints give to the mode.
+Where f is linear in time, so are sources and ambient between two knots, the solution is exact (the
+phi functions below). The joint heat flows are taken as linear between their values at both ends of
+a step, which is of second order; those at its end follow from the temperatures there. This is a
+step of the form that implicit Euler has, with other weights (`fesim.march.heat_step`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import diags_array
+
+from fesim.march.heat_step import heat_balance, heat_step
+from fesim.march.machine import CondensedMachine
+from fesim.march.reduced import diagonal_factor
+from thermojoint.artefacts.arrays import Array
+
+#: Below this the phi functions come from their series, above it from their recursion.
+NEAR = 1.0
+TERMS = 18
+
+
+def phi_functions(decay: Array) -> tuple[Array, Array, Array]:
+    """Return phi_1, phi_2, phi_3 of -`decay` (n,), which is zero or positive.
+
+    phi_0(z) = exp(z), phi_{k+1}(z) = (phi_k(z) - 1/k!)/z: the response to heat 1, t, t^2/2.
+    """
+    near = decay < NEAR
+    small = np.where(near, -decay, 0.0)
+    series = np.zeros_like(small)
+    for k in range(TERMS, 0, -1):
+        series = (series + 1.0) * small / (k + 3.0)
+    third = (series + 1.0) / 6.0
+    second = 0.5 + small * third
+    first = 1.0 + small * second
+    large = np.where(near, 1.0, decay)
+    far_first = -np.expm1(-large) / large
+    far_second = (1.0 - far_first) / large
+    far_third = (0.5 - far_second) / large
+    return (
+        np.where(near, first, far_first),
+        np.where(near, second, far_second),
+        np.where(near, third, far_third),
+    )
+
+
+@dataclass(frozen=True)
+class Ends:
+    """What acts on the heat equation at the start and at the end of a step; linear in between.
+
+    Attributes
+    ----------
+    inputs : tuple of ndarray, shape (k + l,)
+        As in `fesim.march.machine.Step`.
+    flow : tuple of ndarray, shape (m,)
+        Joint heat flows, W.
+    """
+
+    inputs: tuple[Array, Array]
+    flow: tuple[Array, Array]
+
+    def inputs_at(self, share: float) -> Array:
+        """Return the inputs after a share of the step, (k + l,)."""
+        return _between(self.inputs, share)
+
+    def flow_at(self, share: float) -> Array:
+        """Return the joint heat flows after a share of the step, (m,), W."""
+        return _between(self.flow, share)
+
+
+def _between(ends: tuple[Array, Array], share: float) -> Array:
+    return ends[0] + share * (ends[1] - ends[0])
+
+
+@dataclass(frozen=True, eq=False)
+class ExponentialStep:
+    """The weights of a step of one length.
+
+    Attributes
+    ----------
+    length : float
+        s.
+    rates : ndarray, shape (r,)
+        Decay rates of the modes, 1/s.
+    weights : tuple of ndarray, shape (r,)
+        phi_1, phi_2 and phi_3.
+    machine : CondensedMachine
+        Its heat step gives the temperatures at the end from what `before_end` returns and the
+        inputs at the end.
+    """
+
+    length: float
+    rates: Array
+    weights: tuple[Array, Array, Array]
+    machine: CondensedMachine
+
+    def before_end(self, unknowns: Array, inputs: Array, flow: Array) -> Array:
+        """Return the unknowns (r + s,) with the part of what acts at the start of the step."""
+        first, second, _ = self.weights
+        early = self.length * (first - second)
+        found = unknowns.copy()
+        count = self.rates.size
+        found[:count] *= np.exp(-self.rates * self.length)
+        found[:count] += early * self._heating(inputs, flow)
+        return found
+
+    def within(self, unknowns: Array, ends: Ends, share: float) -> Array:
+        """Return the unknowns (r + s,) after a share of the step that began with `unknowns`."""
+        count, time = self.rates.size, share * self.length
+        first, second, _ = phi_functions(self.rates * time)
+        start, end = self._heatings(ends)
+        found = self._with_held(unknowns, ends.inputs_at(share))
+        found[:count] *= np.exp(-self.rates * time)
+        found[:count] += time * (first * start + share * second * (end - start))
+        return found
+
+    def balance(self, before: Array, after: Array, ends: Ends) -> float:
+        """Return the heat balance of a step, as `fesim.march.heat_step.heat_balance` defines it.
+
+        Temperatures count with their mean over the step and what is stored with its change. The
+        mean comes from phi_3, which the step itself does not use.
+        """
+        thermal, count = self.machine.thermal, self.rates.size
+        first, second, third = self.weights
+        start, end = self._heatings(ends)
+        mean = self._with_held(before, ends.inputs_at(0.5))
+        mean[:count] *= first
+        mean[:count] += self.length * (second * start + third * (end - start))
+        begun = self._with_held(before, ends.inputs[0])
+        change = thermal.step / self.length * (after - begun)
+        inputs = ends.inputs_at(0.5)[: thermal.inputs.shape[1]]
+        return heat_balance(thermal, mean - change, mean, inputs, ends.flow_at(0.5))
+
+    def lacking(self, bend: Array, conducted: Array) -> Array:
+        """Return what the unknowns (r + s,) lack if the joint heat flows bend within the step.
+
+        Parameters
+        ----------
+        bend : ndarray, shape (m,)
+            Half of the second derivative of the flows, W/s2.
+        conducted : ndarray, shape (m,)
+            Conductance times area of each contact element, W/K: the flows at the end respond.
+        """
+        thermal, count = self.machine.thermal, self.rates.size
+        _, second, third = self.weights
+        alone = np.zeros(len(thermal.inputs))
+        bent = thermal.jump[:, :count].T @ bend
+        alone[:count] = -(self.length**3) * (2.0 * third - second) * bent
+        answered, _ = heat_step(thermal, alone, np.zeros(thermal.inputs.shape[1]), conducted)
+        return answered
+
+    def _heating(self, inputs: Array, flow: Array) -> Array:
+        """Heat that the modes receive at one time, f, shape (r,)."""
+        thermal, count = self.machine.thermal, self.rates.size
+        given = thermal.inputs[:count] @ inputs[: thermal.inputs.shape[1]]
+        return np.asarray(given - thermal.jump[:, :count].T @ flow)
+
+    def _heatings(self, ends: Ends) -> tuple[Array, Array]:
+        start, end = zip(ends.inputs, ends.flow, strict=True)
+        return self._heating(*start), self._heating(*end)
+
+    def _with_held(self, unknowns: Array, inputs: Array) -> Array:
+        """The unknowns with the held surfaces, the last of them, as the inputs say."""
+        thermal, count = self.machine.thermal, self.rates.size
+        held = thermal.inputs[count:] @ inputs[: thermal.inputs.shape[1]]
+        return np.concatenate([unknowns[:count], held])
+
+
+def exponential_step(machine: CondensedMachine, rates: Array, length: float) -> ExponentialStep:
+    """Make the weights of a step.
+
+    Parameters
+    ----------
+    machine : CondensedMachine
+        On the modes of a reduced thermal model.
+    rates : ndarray, shape (r,)
+        Of the modes, 1/s; the unknowns after the first r are held surfaces.
+    length : float
+        Of the step, s.
+    """
+    thermal, count = machine.thermal, rates.size
+    weights = phi_functions(rates * length)
+    late = length * weights[1]
+    held = len(thermal.inputs) - count
+    diagonal = np.concatenate([1.0 / late, np.ones(held)])
+    kept = np.concatenate([1.0 / late, np.zeros(held)])
+    jump = np.asarray(thermal.jump)
+    influence = np.zeros((len(diagonal), len(jump)))
+    influence[:count] = late[:, None] * jump[:, :count].T
+    condensed = replace(
+        thermal,
+        factor=diagonal_factor(diagonal),
+        capacity_rate=diags_array(kept, format="csr"),
+        influence=influence,
+        joint_influence=jump @ influence,
+    )
+    return ExponentialStep(length, rates, weights, replace(machine, thermal=condensed))

@@ -1,0 +1,141 @@
+"""Step lengths from estimated errors: a PI controller (Gustafsson 1991) on a ladder of lengths.
+
+The error allowed in a step is in proportion to its length (error per unit step).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+
+#: Longest step, s, and the steps of a ladder down from it, so that few weights have to be made.
+LONGEST = 3600.0
+OCTAVE, RUNGS = 4, 64
+SHORTEST = LONGEST * 2.0 ** (-RUNGS / OCTAVE)
+#: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances.
+TOGETHER = 2.0
+#: A step is wanted in which the error is this part of what is allowed, to the power of a length.
+SAFETY = 0.9
+#: Limits of the change of length from one step to the next.
+LEAST, MOST = 0.2, 5.0
+#: Gains of the controller on this error and the last. The error over the length is of second order.
+PROPORTIONAL, LAST = 1.0 / 2.0, 0.2 / 2.0
+#: Errors below this part of what is allowed do not differ.
+SMALL = 1e-4
+#: Part of its length that a step is cut to if its equations have no solution.
+RETREAT = 0.25
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Error allowed in a whole march.
+
+    Attributes
+    ----------
+    displacement : float
+        m.
+    temperature : float
+        Of the joints, K.
+    """
+
+    displacement: float
+    temperature: float
+
+
+@dataclass(frozen=True)
+class StepError:
+    """Estimated errors of one step, or of several together.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (axes,)
+        m.
+    temperature : ndarray, shape (2 m,)
+        Of means and jumps at the contact elements, K.
+    """
+
+    displacement: Array
+    temperature: Array
+
+    def __add__(self, other: StepError) -> StepError:
+        """Return the errors of both together."""
+        moved = self.displacement + other.displacement
+        return StepError(moved, self.temperature + other.temperature)
+
+    def largest(self) -> tuple[float, float]:
+        """Return the largest magnitudes of both, m and K."""
+        moved, warmed = np.abs(self.displacement), np.abs(self.temperature)
+        return float(moved.max(initial=0.0)), float(warmed.max(initial=0.0))
+
+    def relative_to(self, tolerance: Tolerance) -> float:
+        """Return the larger of both, of what is allowed in the whole march."""
+        moved, warmed = self.largest()
+        return max(moved / tolerance.displacement, warmed / tolerance.temperature)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """The controller between two steps.
+
+    Attributes
+    ----------
+    length : float
+        Of the next step, s.
+    error : float
+        Of the last step, of what was allowed in it.
+    """
+
+    length: float = SHORTEST
+    error: float = 1.0
+
+
+def allowed(length: float, end: float) -> float:
+    """Return the part of the tolerance that a step may use of a march that ends at `end` (s)."""
+    return TOGETHER * length / end
+
+
+def next_pace(pace: Pace, taken: float, error: float) -> Pace:
+    """Return the pace after an accepted step.
+
+    Parameters
+    ----------
+    pace : Pace
+        Before it.
+    taken : float
+        Length of the step, s; shorter than that of the pace where a knot cut it.
+    error : float
+        Of the step, of what was allowed in it.
+    """
+    error = max(error, SMALL)
+    factor = SAFETY * error**-PROPORTIONAL * pace.error**LAST
+    length = taken * float(np.clip(factor, LEAST, MOST))
+    if taken < pace.length:
+        length = max(length, pace.length)
+    return Pace(rung(length), error)
+
+
+def shorter(pace: Pace, taken: float, error: float) -> Pace:
+    """Return the pace after a rejected step; arguments as for `next_pace`."""
+    factor = float(np.clip(SAFETY * error**-0.5, LEAST, 2.0**-0.5))
+    return Pace(rung(taken * factor), pace.error)
+
+
+def retreated(pace: Pace, taken: float) -> Pace:
+    """Return the pace after a step of length `taken` (s) whose equations have no solution."""
+    return Pace(rung(RETREAT * taken), pace.error)
+
+
+def rung(length: float) -> float:
+    """Return the longest length of the ladder that is not above `length` (s)."""
+    below = np.ceil(OCTAVE * np.log2(LONGEST / length) - 1e-9)
+    return float(LONGEST * 2.0 ** (-np.clip(below, 0, RUNGS) / OCTAVE))
+
+
+def until(length: float, left: float) -> float:
+    """Return a step of `length` (s) or less that ends at a knot in `left` (s), or well before."""
+    if length >= left:
+        return left
+    return length if 2.0 * length <= left else 0.5 * left

@@ -1,0 +1,194 @@
+"""The adaptive march: second order, its limit, its errors, and what it does not depend on."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reduced_bars import bars_of, modes_of, on_modes
+
+from fesim.batch.summary import figures_of
+from fesim.case.history import Histories, History, common_knots
+from fesim.case.schema import case_from_data
+from fesim.march.adaptive import march_adaptively
+from fesim.march.exponential import phi_functions as real_phi_functions
+from fesim.march.settling import initial_state
+from fesim.march.state_file import check_resumable
+from fesim.march.step_control import (
+    LONGEST,
+    SHORTEST,
+    Pace,
+    Tolerance,
+    next_pace,
+    rung,
+    shorter,
+    until,
+)
+from fesim.march.stepping import iterated, march_along
+from fesim.march.track import joined
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.models.filters.phi import phi_functions
+from thermojoint.paper.summary import convergence, result_lines
+
+#: Heat that turns, so that the joint slides, sticks, and slides back: times, s, and W.
+TURNS, WATTS = (0.0, 40.0, 60.0, 120.0), (0.0, 1800.0, -1800.0, 1200.0)
+END = 120.0
+LOOSE = Tolerance(1e3, 1e9)
+
+
+@pytest.fixture(scope="module")
+def bars():
+    built = bars_of()
+    modes = modes_of(built)
+    return on_modes(built, modes), modes.rates
+
+
+def driven(times=TURNS):
+    times = np.unique(np.concatenate([times, TURNS]))
+    return Histories(times, np.column_stack([np.interp(times, TURNS, WATTS), 0.0 * times]))
+
+
+def marched(bars, drive, times, tolerance):
+    """The track and the effort of a march from rest."""
+    machine, rates = bars
+    start = initial_state(machine, drive(0.0))
+    parts = list(march_adaptively(machine, rates, drive, times, tolerance, start))
+    return joined([track for track, _ in parts]), parts[-1][1]
+
+
+def by_steps_of(bars, length):
+    """The displacement at the turns of a march whose steps end at every multiple of a length."""
+    return marched(bars, driven(np.arange(0.0, END, length)), np.array(TURNS[1:]), LOOSE)[0]
+
+
+def test_weights_are_those_of_the_filters():
+    decay = np.concatenate([np.zeros(1), np.geomspace(1e-12, 1e4, 200)])
+    _, *expected = phi_functions(-decay + 0j)
+    for mine, theirs in zip(real_phi_functions(decay), expected, strict=False):
+        np.testing.assert_allclose(mine, theirs.real, rtol=4e-15)
+
+
+def test_the_error_falls_with_the_square_of_the_step(bars):
+    """With friction that slides to and fro; half the step leaves a quarter of the error or less."""
+    found = [by_steps_of(bars, length).displacement for length in (8.0, 4.0, 2.0, 1.0)]
+    sizes = [np.abs(coarse - fine).max() for coarse, fine in pairwise(found)]
+    assert sizes[-1] < 1e-8 < sizes[0]
+    for coarse, fine in pairwise(sizes):
+        assert fine < coarse / 3.5
+
+
+def test_the_limit_is_that_of_iterated_steps(bars):
+    """Extrapolated from two lengths; each of them alone is off by twenty times as much."""
+    found = []
+    for length in (2.0, 1.0):
+        built = bars_of(length)
+        machine = on_modes(built, modes_of(built, length), length)
+        inputs = np.array([driven()(end) for end in length * np.arange(1.0, END / length + 1.0)])
+        track = joined(list(march_along(machine, inputs, iterated, initial_state(machine))))
+        found.append(track.displacement[(np.array(TURNS[1:]) / length).astype(int) - 1])
+    limit = 2.0 * found[1] - found[0]
+    ours = by_steps_of(bars, 0.5).displacement
+    assert np.abs(ours - limit).max() < 0.05 * np.abs(found[1] - found[0]).max()
+
+
+@pytest.mark.parametrize("wanted", [1e-7, 1e-8])
+def test_the_error_is_below_the_tolerance_and_the_estimate_says_so(bars, wanted):
+    exact = by_steps_of(bars, 0.5).displacement
+    track, effort = marched(bars, driven(), np.array(TURNS[1:]), Tolerance(wanted, 1.0))
+    error = np.abs(track.displacement - exact).max()
+    assert error < wanted
+    assert error < 2.0 * effort.displacement < 4.0 * wanted
+    assert effort.rejected > 0
+    assert np.abs(track.heat_balance).max() < 1e-12
+
+
+def test_nothing_depends_on_the_times_that_are_asked_for(bars):
+    tolerance = Tolerance(1e-7, 1.0)
+    seldom, _ = marched(bars, driven(), np.array([END]), tolerance)
+    often, _ = marched(bars, driven(), np.linspace(0.0, END, 98)[1:], tolerance)
+    for name in ("temperature", "displacement", "slip", "pressure", "heat_flow"):
+        assert np.array_equal(getattr(seldom, name)[-1], getattr(often, name)[-1])
+
+
+def test_between_its_steps_the_march_is_as_good_as_at_their_ends(bars):
+    times = np.linspace(0.0, END, 61)[1:]
+    exact = marched(bars, driven(np.arange(0.0, END, 0.5)), times, LOOSE)[0].displacement
+    found, effort = marched(bars, driven(), times, Tolerance(1e-7, 1.0))
+    assert effort.longest > 3.0 * times[0]
+    assert np.abs(found.displacement - exact).max() < 1e-7
+
+
+def test_a_tolerance_that_no_step_meets_is_an_error(bars):
+    with pytest.raises(ConvergenceError, match=r"step to t = .*tolerance_um"):
+        marched(bars, driven(), np.array([END]), Tolerance(1e-22, 1.0))
+
+
+@settings(max_examples=40)
+@given(st.floats(1e-3, 1e6), st.floats(1e-9, 1e9), st.floats(1e-9, 1e3))
+def test_steps_stay_on_their_ladder_and_never_pass_a_knot(length, error, left):
+    pace = Pace(rung(length), 0.5)
+    assert SHORTEST <= pace.length <= LONGEST
+    assert pace.length <= max(length * (1.0 + 1e-6), SHORTEST)
+    assert shorter(pace, pace.length, 1.0 + error).length < max(pace.length, 1.01 * SHORTEST)
+    longer = next_pace(pace, pace.length, min(error, 1.0)).length
+    assert SHORTEST <= longer <= 5.0 * pace.length
+    step = until(pace.length, left)
+    assert 0.0 < step <= min(pace.length, left)
+    assert step == left or step <= 0.5 * left
+
+
+knots = st.lists(st.integers(-5, 40), min_size=1, max_size=8, unique=True).map(sorted)
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(knots, st.integers(0, 2**31)), min_size=1, max_size=3))
+def test_common_knots_lose_nothing_of_a_history(drawn):
+    histories = [
+        History(np.array(times, float), np.random.default_rng(seed).choice(2, len(times)) * 1.0)
+        for times, seed in drawn
+    ]
+    times = common_knots(histories)
+    together = Histories(times, np.column_stack([history(times) for history in histories]))
+    for time in np.linspace(0.0, 45.0, 46):
+        expected = [float(history(np.array(time))) for history in histories]
+        np.testing.assert_allclose(together(time), expected, atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def adaptive_case(coarse_data):
+    march = coarse_data["march"] | {"thermal": "reduced", "method": "adaptive", "step_s": 20.0}
+    return case_from_data(coarse_data | {"march": march}, "adaptive case", Path())
+
+
+def test_a_case_is_marched_adaptively_and_says_so(adaptive_case):
+    setup = set_up(adaptive_case)
+    response = simulate(adaptive_case, setup=setup).response
+    assert response["time"].to_numpy().tolist() == [0.0, 20.0, 40.0, 60.0]
+    lines = result_lines(response, figures_of(response))
+    assert lines[-1].startswith(f"Steps: {response.attrs['march_steps']} of 0.055 to ")
+    assert convergence(response).steps == response.attrs["march_steps"] > 3
+    fixed = adaptive_case.replace(march={"method": "fixed", "coupling": "iterated"})
+    other = simulate(fixed, setup=setup).response
+    off = np.abs(response["displacement"] - other["displacement"]).max()
+    assert 1e-9 < off < 1e-6
+
+
+def test_a_state_is_neither_saved_nor_resumed(adaptive_case):
+    with pytest.raises(InputError, match="neither saves a state nor goes on"):
+        check_resumable(adaptive_case)
+
+
+@pytest.mark.parametrize(
+    ("march", "says"),
+    [
+        ({"method": "fixed", "tolerance_um": 0.1}, "belong to method"),
+        ({"method": "adaptive", "thermal": "full"}, "integrates modes"),
+    ],
+)
+def test_keys_that_do_not_go_together_are_refused(adaptive_case, march, says):
+    with pytest.raises(InputError, match=says):
+        adaptive_case.replace(march=march)
