@@ -16,6 +16,7 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.performance import (
+    adaptive,
     batch,
     calculix,
     calibration,
@@ -53,6 +54,7 @@ GROUPS: dict[str, Group] = {
     "reduced": reduced.rows,
     "compiled": compiled.rows,
     "marching": marching.rows,
+    "adaptive": adaptive.rows,
     "dense-solvers": dense_solvers.rows,
     "estimator": streaming.rows,
     "joint-aware": observing.rows,

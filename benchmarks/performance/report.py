@@ -59,6 +59,8 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "start-help": (Target("ratio", 0.33, at_least=True),),
     "start-simulate": (Target("ratio", 0.1, at_least=True),),
     "march-1050": (Target("ratio", 4.3, at_least=True),),
+    "adaptive-35min": (Target("ours", 150.0),),
+    "adaptive-day": (Target("ours", 2000.0),),
     "march-ensemble": (Target("ratio", 13.5, at_least=True),),
     "march-ensemble-full": (Target("ratio", 5.4, at_least=True),),
     "step-192-contacts": (Target("ratio", 12.0, at_least=True),),

@@ -200,12 +200,15 @@ def march_adaptively(
 
 
 def _begun(machine: CondensedMachine, drive: Histories, start: State) -> _Now:
-    """The march at time zero, with the held temperatures of the first instant after it."""
+    """The march at time zero, settled at the held temperatures of the first instant after it."""
     thermal, inputs = machine.thermal, drive(0.0)
     held = thermal.capacity_rate.diagonal() == 0.0
     temperature = start.temperature.copy()
     temperature[held] = thermal.inputs[held] @ inputs[: thermal.inputs.shape[1]]
-    state = replace(start, temperature=temperature)
+    settled, _ = settled_at(machine, start, temperature, inputs)
+    pressure = machine.contact.preload + settled.traction.value[0]
+    state = replace(start, temperature=temperature, gap=settled.gap, pressure=pressure)
+    state = replace(state, slip=settled.traction.slip)
     area = machine.contact.elastic.area[: machine.contact.count]
     flow = machine.conductance_in(state) * area * (thermal.jump @ temperature)
     return _Now(0.0, state, inputs, flow, np.zeros_like(flow), 0.0)
