@@ -132,6 +132,11 @@ class Door(UserManager):
             return f"only {owner} writes for the control"
         return "the user was removed" if principal is None else principal.refusal(role, machine)
 
+    def has_ended(self, user: User) -> bool:
+        """Say whether a user was removed or has another password since the log-in."""
+        credential = user.principal.credential if isinstance(user, Known) else ""
+        return bool(credential) and self.accounts.by_credential(credential) is None
+
     def before_write(self, event: ServerItemCallback, service: object) -> None:
         """Refuse a request that writes a node without the right to.
 

@@ -5,6 +5,7 @@ tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bo
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any, Protocol
 
 from asyncua import ua
@@ -20,6 +21,8 @@ _SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
 _QUEUE = 100
 #: Largest number of connections that have not logged in: of one address, and in all.
 _MOST_OF_ONE, _MOST_WAITING = 8, 64
+#: Interval at which the accounts of connected users are checked, s.
+CHECKED_S = 3.0
 #: Time to log in, s.
 _LOGIN_S = 10.0
 
@@ -98,6 +101,16 @@ class Watched(Protocol):
 
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
         """Return why a user may not read a node; empty if he may."""
+
+
+async def disconnect_ended(server: Server) -> None:
+    """Disconnect users whose account has ended, for ever; they would go on with what they have."""
+    assert server.bserver is not None
+    while True:
+        await asyncio.sleep(CHECKED_S)
+        for one in list(server.bserver.clients):
+            if _is_in(one) and server.iserver.user_manager.has_ended(one.processor.session.user):
+                one.transport.abort()
 
 
 def watch_callers(server: Server, door: Watched) -> None:

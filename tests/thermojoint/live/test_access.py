@@ -16,10 +16,11 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from dashboard_server import ABOUT, BEARER, TOKEN, again, keep, publication, serving
-from live_parts import free_port
+from live_parts import free_port, until
 from typer.testing import CliRunner
 
 from thermojoint.cli.app import app
+from thermojoint.live import opcua_internals
 from thermojoint.live.access_store import open_access
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.audit import Audit
@@ -282,6 +283,7 @@ def plant(tmp_path_factory):
         ("viewer", "viewer", "*"),
         ("setter", "operator", "mill-1"),
         ("leaver", "operator", "*"),
+        ("guest", "viewer", "*"),
     ):
         add_user(folder / "users", name, role, f"{name}-secret", [machines])
     trusted = folder / "trusted"
@@ -340,6 +342,18 @@ def plant(tmp_path_factory):
         )
         (trusted / "ca.crl").write_bytes(crl.public_bytes(serialization.Encoding.PEM))
         found["revoked"] = await lets_in(*at, of_authority, "viewer")
+        with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Exception):
+            patch.setattr(opcua_internals, "CHECKED_S", 0.1)
+            async with await logged_in(*at, panel, "guest") as client:
+                node = client.get_node("ns=2;s=mill-1.Displacement.x")
+                await node.read_value()
+                found["guest"] = "reads"
+                remove_user(folder / "users", "guest")
+                await until(lambda: not server.bserver.clients)
+                found["guest"] = "disconnected"
+                # From now on the writes below come before the next look at the accounts.
+                patch.setattr(opcua_internals, "CHECKED_S", 60.0)
+                await asyncio.sleep(0.5)
         value = ua.DataValue(ua.Variant(7.0, ua.VariantType.Double))
 
         async def tries(user, machine):
@@ -405,6 +419,10 @@ def test_writing_by_opcua_needs_the_role_on_this_machine_and_is_audited(plant):
         ("leaver", "mill-1", "refused"),
     ]
     assert {one["from"] for one in plant["audit"]} == {"opcua 127.0.0.1"}
+
+
+def test_a_removed_user_is_disconnected_from_opcua(plant):
+    assert plant["guest"] == "disconnected"
 
 
 def test_values_of_other_machines_are_not_read_by_opcua(plant):

@@ -26,7 +26,7 @@ from thermojoint.live.certificates import APPLICATION, application_uri, opcua_id
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
-from thermojoint.live.opcua_internals import limit_callers, value_of
+from thermojoint.live.opcua_internals import disconnect_ended, limit_callers, value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
@@ -337,6 +337,6 @@ async def open_server(
 async def serve_nodes(server: Server, nodes: Nodes, hub: Hub) -> None:
     """Send new values until the task is cancelled, then close the server."""
     try:
-        await tell_subscribers(hub, nodes)
+        await asyncio.gather(tell_subscribers(hub, nodes), disconnect_ended(server))
     finally:
         await server.stop()
