@@ -526,7 +526,7 @@ int main(void)
     return !all.v_agrees;
 }}
 """
-FLAGS = ["-std=gnu11", "-O1", "-w", "-ffp-contract=off", "-fsanitize=address,undefined"]
+FLAGS = ["-std=gnu11", "-O0", "-w", "-ffp-contract=off", "-fsanitize=address,undefined"]
 FLAGS += ["-fno-sanitize-recover=all"]
 
 
