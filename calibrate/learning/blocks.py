@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -34,12 +35,12 @@ class Sums:
     total: Array
     count: int
 
-    @property
+    @cached_property
     def mean(self) -> Array:
         """Mean of every column, shape (n,)."""
         return self.total / max(self.count, 1)
 
-    @property
+    @cached_property
     def centred(self) -> Array:
         """Products of the deviations from the mean."""
         return self.products - self.count * np.outer(self.mean, self.mean)
@@ -80,6 +81,16 @@ class Blocks:
     def penalty(self) -> float:
         """Number of rows that count as one independent sample."""
         return max(self.rules.independent / self.interval, 1.0)
+
+    @cached_property
+    def held_products(self) -> Array:
+        """Mean products of the rows of every held-out block, shape (blocks, n, n)."""
+        return np.stack([own.products / own.count for own in self.held])
+
+    @cached_property
+    def means(self) -> Array:
+        """Means of every held-out block, and of the rows fitted then, shape (2, blocks, n)."""
+        return np.array([[sums.mean for sums in those] for those in (self.held, self.fits)])
 
 
 def sums_of(rows: Array) -> Sums:
@@ -144,14 +155,11 @@ def held_out(blocks: Blocks, weights: Array) -> Array:
     weights : ndarray, shape (blocks, features, axes)
         Of the fit without each block.
     """
-    n = blocks.features
+    count, n, axes = weights.shape
     used = np.flatnonzero(np.abs(weights).sum(axis=(0, 2)))
-    errors = []
-    for fit, own, full in zip(blocks.fits, blocks.held, weights, strict=True):
-        # Displacement less estimate as one row of products.
-        row = np.vstack((-full[used], np.eye(full.shape[1])))
-        at = np.concatenate((used, np.arange(n, n + full.shape[1])))
-        offset = fit.mean[at] @ row
-        square = np.einsum("ic,ij,jc->c", row, own.products[np.ix_(at, at)], row)
-        errors.append(square / own.count - 2.0 * offset * (own.mean[at] @ row) + offset**2)
-    return np.maximum(np.array(errors), 0.0)
+    at = np.concatenate((used, np.arange(n, n + axes)))
+    # Displacement less estimate as one row of products.
+    row = np.concatenate((-weights[:, used], np.broadcast_to(np.eye(axes), (count, axes, axes))), 1)
+    square = (row * (blocks.held_products[:, at[:, None], at] @ row)).sum(axis=1)
+    own, offset = (blocks.means[:, :, None, at] @ row)[:, :, 0]
+    return np.asarray(np.maximum(square - 2.0 * offset * own + offset**2, 0.0))

@@ -105,10 +105,9 @@ def fit(
             weights.append(own)
             errors.append(error)
             spread = np.zeros((axes, n, n))
-            for c in range(axes):
-                spread[c][np.ix_(index, index)] = np.linalg.inv(
-                    inner / error[c] + np.eye(len(index))
-                )
+            spread[:, index[:, None], index] = np.linalg.inv(
+                inner / error[:, None, None] + np.eye(len(index))
+            )
             spreads.append(spread)
     every, square, spread = np.array(weights), np.array(errors), np.array(spreads)
     share = (square / square.min(axis=0)) ** -blocks.rules.sharpness

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import InputError
@@ -57,6 +56,8 @@ def read_position_table(path: Path, column: str) -> OfPosition:
     varying = [k for k, line in enumerate(lines) if len(line) > 1]
     if not varying:
         return lambda points: np.full(points.shape[1:], values[0])
+    from scipy.interpolate import RegularGridInterpolator  # it loads scipy.optimize
+
     table = RegularGridInterpolator([1e-3 * lines[k] for k in varying], grid.squeeze())
     numbers = [axes[k][0] for k in varying]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -84,6 +83,9 @@ class ConductanceTable:
             raise InputError(
                 "conductance table: conductance_W_m2K falls as pressure_MPa rises; correct the rows"
             )
+        # It loads scipy.optimize, which few cases need.
+        from scipy.interpolate import PchipInterpolator
+
         logarithm = np.log(self.pressures)
         curves = PchipInterpolator(logarithm, np.log(self.values), axis=1)
         object.__setattr__(self, "_curves", curves)
@@ -119,6 +121,8 @@ class ConductanceTable:
 
     def _shares(self, rise: Array) -> Array:
         """Weight of each temperature's row, shape (k, m); they sum to one."""
+        from scipy.interpolate import CubicHermiteSpline
+
         unit = np.eye(self.rises.size)
         spline = CubicHermiteSpline(
             self.rises, unit, np.gradient(unit, self.rises, axis=0, edge_order=1)

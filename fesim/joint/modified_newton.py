@@ -96,14 +96,14 @@ def _sweep(
         own_tangent = storage.tangent[: 6 * size].reshape(6, size)
         own_now = Lacking(own_tangent, storage.own_lack[: 3 * size], now.least)
         own = Correction(storage.own_step[: 3 * size], storage.own_shift[: 3 * size])
-        stale = False
+        largest_gap = 0.0
         for j in range(size):
             e = elements[j]
             for i in range(6):
                 own_now.tangent[i, j] = tangent[i, e]
             for i in range(3):
                 row, at = i * count + e, i * size + j
-                stale = stale or abs(lack[row]) > most * springs[at]
+                largest_gap = max(largest_gap, abs(lack[row]) / springs[at])
                 normal, along, across = lacking(springs, own_now.tangent, at)
                 own_now.lack[at] = (
                     lack[row]
@@ -112,7 +112,7 @@ def _sweep(
                     + across * shift[2 * count + e]
                 )
         outcome_of = _correct_or_move(
-            block_tangent(tangents, k), block, own_now, stale, may_move, own
+            block_tangent(tangents, k), block, own_now, largest_gap > most, may_move, own
         )
         if outcome_of == _FAILED:
             return _FAILED
@@ -167,8 +167,9 @@ def settle_near(
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     now = Lacking(trial.tangent, lack, least)
-    single, first = tangents.blocks.starts.size == 2, block_tangent(tangents, 0)
-    whole = part_of(tangents.blocks, 0)
+    # Not of block 0: a literal would be another type, and all that takes it compiled twice.
+    last = tangents.blocks.starts.size - 2
+    whole, whole_tangent = part_of(tangents.blocks, last), block_tangent(tangents, last)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)
         size = _lack(springs, trial, force, lack)
@@ -184,9 +185,9 @@ def settle_near(
                     tangents.every.about[:, MADE] = 0
                 return True, residual, iteration
         may_move = moves < MOST_MOVES
-        if single:
+        if last == 0:
             stale = size > SLOW * before
-            outcome = _correct_or_move(first, whole, now, stale, may_move, correction)
+            outcome = _correct_or_move(whole_tangent, whole, now, stale, may_move, correction)
         else:
             outcome = _sweep(tangents, columns, now, SLOW * before, may_move, correction)
         if outcome == _FAILED:

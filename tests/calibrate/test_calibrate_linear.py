@@ -162,18 +162,14 @@ def test_noise_on_the_temperature_widens_the_standard_errors_and_they_cover_the_
         assert abs(getattr(loud, name) - getattr(THERMAL, name)) < 4 * error
 
 
-def test_the_level_of_the_step_does_not_matter(table_1):
-    twice = calibrate_linear(made_by_the_models(level=2.0))
+def test_the_level_of_the_step_and_heat_at_time_zero_do_not_matter(table_1):
+    heat = np.full(RUN.size, 2.0)
+    heat[0] = 0.0
+    twice = calibrate_linear(made_by_the_models(2.0, heat))
     assert pytest.approx(table_1.model.thermal.K, rel=1e-7) == twice.model.thermal.K
     assert twice.model.direct["T1"].amplitudes == pytest.approx(
         table_1.model.direct["T1"].amplitudes, rel=1e-6, abs=1e-9
     )
-
-
-def test_the_sample_at_time_zero_may_be_without_heat():
-    heat = np.ones(RUN.size)
-    heat[0] = 0.0
-    assert calibrate_linear(made_by_the_models(heat=heat)).model.thermal.K > 0.0
 
 
 def test_a_response_that_is_no_step_is_refused():

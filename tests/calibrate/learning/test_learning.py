@@ -177,10 +177,15 @@ def test_a_log_that_cannot_be_learned_from_is_refused_in_one_line(log, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.fixture(scope="module")
+def long_log():
+    return machine_log(hours=60.0, seed=3)
+
+
 @pytest.mark.parametrize("minutes", [15, 30, 60])
-def test_a_slow_logger_is_learned_from(minutes):
+def test_a_slow_logger_is_learned_from(long_log, minutes):
     """As long as the slowest relaxation that is learned, two hours, has two samples."""
-    model = learn([every(machine_log(hours=60.0, seed=3), minutes)], AXES, 4)
+    model = learn([every(long_log, minutes)], AXES, 4)
     assert len(model.sensors) == 4
     for row in judge("day", Learned(model), DAY):
         assert row["rms_error_um"] < 0.1 * row["rms_uncompensated_um"]

@@ -92,11 +92,11 @@ def gone(process_id, within=20.0):
 
 
 @contextmanager
-def started(study, out, cases):
+def started(study, out, cases, workers):
     """The command in a process of its own, once it has finished some cases."""
     command = [sys.executable, "-m", "thermojoint.cli", "batch", study, "--out", out]
     with subprocess.Popen(
-        [*map(str, command), "--workers", "2"],
+        [*map(str, command), "--workers", str(workers)],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
@@ -231,7 +231,7 @@ def test_a_finished_batch_asks_nobody_to_work(finished):
 
 def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
     path, out = write_study(tmp_path, levels(8), minutes=8.0), tmp_path / "out"
-    with started(path, out, 2) as process:
+    with started(path, out, 2, workers=1) as process:
         process.kill()
         process.wait()
         workers = {int(line.split()[-1].strip('}"\n')) for line in journal(out, "started")}
@@ -257,7 +257,7 @@ def journal(out, event):
 
 def test_ctrl_c_finishes_what_is_at_work_and_the_same_command_goes_on(tmp_path):
     path, out = write_study(tmp_path, levels(8), minutes=8.0), tmp_path / "out"
-    with started(path, out, 2) as process:
+    with started(path, out, 2, workers=2) as process:
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         said = process.communicate(timeout=60)[1]
     assert process.returncode == 130

@@ -217,3 +217,11 @@ def test_a_long_table_is_read_in_pieces_as_a_whole():
     assert Counter(len(one.times) for one in pieces) == {90: 11, 10: 1}
     np.testing.assert_array_equal(joined(pieces).values, read(text).values)
     assert joined(pieces).records[0].rows == 1000
+
+
+def test_a_table_that_was_read_is_closed(tmp_path, recwarn):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,T1_degC\n0,20\n")
+    with lines_of(path, "log") as lines:
+        assert len(list(lines)) == 2
+    assert not recwarn.list

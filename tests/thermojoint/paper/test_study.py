@@ -47,6 +47,7 @@ def case_file(tmp_path_factory):
         (r"joint_element_size_mm.*", ""),
         (r"element_size_mm = 40.0", "element_size_mm = 100.0"),
         (r"step_s = 2.0", "step_s = 10.0"),
+        (r"spacing_mm = 50.0", "spacing_mm = 100.0"),
         (r"spacing_mm = 25.0", "spacing_mm = 75.0"),
     ):
         text, changed = re.subn(pattern, new, text)

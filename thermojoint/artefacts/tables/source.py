@@ -91,7 +91,8 @@ def lines_of(path: Path, kind: str) -> Iterator[Iterable[str]]:
 
 def _text_lines(text: io.TextIOWrapper, where: str) -> Iterator[str]:
     try:
-        yield from text
+        with text:
+            yield from text
     except UnicodeError as error:
         raise InputError(f"{where}: text in an unknown encoding; save it as UTF-8") from error
     except OSError as error:
