@@ -20,8 +20,10 @@ reproduce: $(INSTALLED)
 # ever: end then.
 PAIR := -n 2 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
 
+# Bytecode is written whatever the environment says: each of the many processes that tests start would
+# compile all sources.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest $(PAIR)
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PAIR)
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where

@@ -3,6 +3,7 @@
 import copy
 import os
 import signal
+import tempfile
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -42,8 +43,11 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "any machine"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# No test finds what another run has left, nor leaves anything.
-os.environ["THERMOJOINT_CACHE"] = "off"
+# No test finds what another run has left, nor leaves anything: condensations are kept for one run
+# alone, and its processes share them.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _KEPT = tempfile.TemporaryDirectory(prefix="thermojoint-", ignore_cleanup_errors=True)
+    os.environ["THERMOJOINT_CACHE"] = _KEPT.name
 
 #: What takes long begins first, so that two processes end at about the same time. The first module
 #: compiles the machine code of the simulator, a minute where none is kept; those after it, down to
@@ -57,10 +61,14 @@ FIRST = (
     "thermojoint/cli/test_learning_cli.py",
     "thermojoint/cli/test_start.py",
     "calibrate/test_calibrate_fictitious.py",
+    "thermojoint/artefacts/test_extras.py",
+    "project/test_private_parts.py",
     "",
     "thermojoint/verification/test_verification.py",
     "fesim/batch/test_batch.py",
     "thermojoint/compensation/test_closed_loop.py",
+    "project/test_live_newcomer.py",
+    "thermojoint/live/test_live_service.py",
     "estimator/export/test_structured_text.py",
     "estimator/export/test_export_joint_aware.py",
     "thermojoint/cli/test_cli.py",

@@ -112,18 +112,18 @@ class FiniteVolumes:
         return np.array([ends[0] - flux * first, ends[1] + flux * second, pressure]), flux
 
     def rate(self, time: float, temperature: Array) -> Array:
-        """dT/dt of the cells (2 `CELLS`, ...), K/s."""
+        """dT/dt of the cells (2 `CELLS`, k), K/s."""
         hot, cold = wall_temperatures(time, self.cold)
         _, flux = self.joint(temperature)
         first, second = np.split(temperature, 2)
         left, right = (m.conductivity / size for size, m in zip(self.sizes, MATERIALS, strict=True))
         flows = (
-            [[2.0 * left * (hot - first[0])], -left * np.diff(first, axis=0), [flux]],
-            [[flux], -right * np.diff(second, axis=0), [2.0 * right * (second[-1] - cold)]],
+            np.vstack([2.0 * left * (hot - first[:1]), -left * np.diff(first, axis=0), flux]),
+            np.vstack([flux, -right * np.diff(second, axis=0), 2.0 * right * (second[-1:] - cold)]),
         )
         return np.concatenate(
             [
-                -np.diff(np.concatenate(flow), axis=0) / (size * m.density * m.heat_capacity)
+                -np.diff(flow, axis=0) / (size * m.density * m.heat_capacity)
                 for flow, size, m in zip(flows, self.sizes, MATERIALS, strict=True)
             ]
         )

@@ -144,9 +144,8 @@ def test_sources_held_surfaces_and_the_ambient_each_with_its_history(coarse_data
     np.testing.assert_allclose(foot.sel(time=[10, 40, 50, 120]), [6.0, 6.0, 4.0, 2.0], rtol=1e-12)
 
 
-def test_several_joints_springs_and_a_warming_hall(monkeypatch, tmp_path):
+def test_several_joints_springs_and_a_warming_hall():
     """The bolted flange of the examples: three joints of different preload and friction."""
-    monkeypatch.setenv("THERMOJOINT_CACHE", str(tmp_path))  # its elasticity need be condensed once
     case = read_case(FLANGE)
     short = case.model_copy(update={"march": case.march.model_copy(update={"duration_min": 10.0})})
     full, reduced = both(short)
