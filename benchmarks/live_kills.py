@@ -3,9 +3,10 @@
 python -m benchmarks.live_kills --count 50
 
 A day of readings comes line by line; the service is killed (SIGKILL) again and again, while it
-starts, too. Then every sample of its history is set against that of a service that read the whole
-day undisturbed: time, number, readings, estimate, band, status. Offsets move by the clock, and not
-as often as samples are read; that none jumps is looked at in `benchmarks.offset_invariant`.
+starts, too, and begins each life with other settings and another file of its model. Then every
+sample of its history is set against that of a service that read the whole day undisturbed: time,
+number, readings, estimate, band, status. Offsets move by the clock, and not as often as samples are
+read; that none jumps is looked at in `benchmarks.offset_invariant`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import argparse
 import json
 import os
 import random
+import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -33,8 +36,8 @@ ROOT = Path(__file__).parents[1]
 MACHINE = "mill"
 _OFFSETS = """
 cycle_s = 1.0
-resolution_um = 0.1
-rate_um_s = 0.05
+resolution_um = {resolution}
+rate_um_s = {rate}
 filter_s = 60.0
 oldest_s = 600.0
 unusable = []
@@ -66,7 +69,7 @@ bad_s = 6000.0
 
 def prepare(place: Path, model: Path, axis: str, interval: float, checkpoint: float) -> None:
     """Write the files of two services: one that reads a whole day, one that is fed it."""
-    (place / "offsets.toml").write_text(_OFFSETS.format(axis=axis))
+    (place / "offsets.toml").write_text(_OFFSETS.format(axis=axis, resolution=0.1, rate=0.05))
     for name, csv, follow in (("whole", "day.csv", "false"), ("killed", "fed.csv", "true")):
         text = _SERVICE.format(
             folder=name,
@@ -78,6 +81,23 @@ def prepare(place: Path, model: Path, axis: str, interval: float, checkpoint: fl
             checkpoint=checkpoint,
         )
         (place / f"{name}.toml").write_text(text)
+
+
+def change(place: Path, draw: random.Random) -> None:
+    """Give the service that is killed other settings, and the same model by another name."""
+    for path, drawn in (
+        ("offsets.toml", {"resolution_um": (0.1, 1.0, 5.0), "rate_um_s": (0.05, 1.0)}),
+        ("killed.toml", {"checkpoint_s": (0.2, 2.0, 60.0), "uncertain_s": (60.0, 600.0)}),
+    ):
+        text = (place / path).read_text()
+        for key, values in drawn.items():
+            text = re.sub(rf"(?m)^{key} = .*", f"{key} = {draw.choice(values)}", text)
+        (place / path).write_text(text)
+    text = (place / "killed.toml").read_text()
+    model = Path(re.findall(r'(?m)^file = "(.*)"', text)[0])
+    other = place / f"model-{draw.randrange(1000)}.json"
+    shutil.copyfile(model, other)
+    (place / "killed.toml").write_text(text.replace(f'"{model}"', f'"{other}"'))
 
 
 def started(place: Path, name: str) -> subprocess.Popen[bytes]:
@@ -121,6 +141,7 @@ def kill_through(
         for _ in range(count):
             log = place / "killed.log"
             before = log.read_bytes().count(b"event=ready") if log.exists() else 0
+            change(place, draw)
             service = started(place, "killed")
             until, alive = time.monotonic() + 120.0, 0.0
             lives = draw.uniform(shortest, longest)

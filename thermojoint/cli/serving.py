@@ -57,6 +57,7 @@ def serve(
     import asyncio
     import signal
 
+    from thermojoint.live.descriptors import raise_limit
     from thermojoint.live.log_lines import log_to
     from thermojoint.live.reloading import serve_file
 
@@ -68,6 +69,7 @@ def serve(
         await serve_file(service, stop, reload)
 
     log_to()
+    raise_limit()
     asyncio.run(until_stopped())
 
 

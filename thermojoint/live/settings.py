@@ -207,6 +207,7 @@ class HttpServer(Certified):
     host_names: Texts = ()
     session_hours: Annotated[float, Field(gt=0.0, le=8760.0)] = 168.0
     most_streams: Annotated[int, Field(ge=1, le=1000)] = 64
+    most_per_address: Annotated[int, Field(ge=1, le=10_000)] = 128
     requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
 
 

@@ -15,12 +15,12 @@ import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from thermojoint.live.descriptors import is_spare
+
 #: Time for a whole request after its first byte, and for the first after the connection, s.
 REQUEST_S = 10.0
 #: A reader that accepts no data for this long is disconnected, s.
 READER_S = 30.0
-#: Connections of one client at the same time.
-MOST_OF_ONE = 128
 #: Timeout of the TLS handshake and shutdown, s; asyncio would wait for a minute.
 TLS_S = 5.0
 
@@ -30,15 +30,15 @@ class LimitedSocket(socket.socket):
 
     Attributes
     ----------
-    most : int
-        Largest number of connections.
+    most, most_of_one : int
+        Largest number of connections, of all and of one address.
     """
 
-    def __init__(self, listening: socket.socket, most: int) -> None:
+    def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
         super().__init__(
             listening.family, listening.type, listening.proto, fileno=listening.detach()
         )
-        self.most = most
+        self.most, self.most_of_one = most, most_of_one
         self.taken: list[tuple[str, socket.socket]] = []
 
     def accept(self) -> tuple[socket.socket, Any]:
@@ -53,7 +53,8 @@ class LimitedSocket(socket.socket):
         host = str(address[0])
         self.taken = [one for one in self.taken if one[1].fileno() >= 0]
         same = sum(one[0] == host for one in self.taken)
-        if len(self.taken) >= self.most or same >= MOST_OF_ONE:
+        full = len(self.taken) >= self.most or same >= self.most_of_one
+        if full or not is_spare(connection.fileno()):
             connection.close()
             raise ConnectionAbortedError
         self.taken.append((host, connection))

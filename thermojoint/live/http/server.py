@@ -23,7 +23,7 @@ from thermojoint.live.http.sources import Sources
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in
 
-#: Connections at the same time, beside one for each stream.
+#: Connections at the same time, beside one for each stream; more where one address may have more.
 MOST_CONNECTIONS = 256
 
 
@@ -60,7 +60,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
         # A client could pretend to be another one each time by the header of a proxy.
         proxy_headers=False,
         server_header=False,
-        limit_concurrency=MOST_CONNECTIONS + section.most_streams,
+        limit_concurrency=_most_connections(section),
         timeout_keep_alive=15,
         timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=LARGEST_HEAD,
@@ -145,8 +145,12 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
             f"http: cannot listen at {section.address}:{section.port} ({error.strerror}); give "
             "an address of this computer and a port that is free"
         ) from error
-    most = MOST_CONNECTIONS + section.most_streams
-    return Opened(server, LimitedSocket(taken, most))
+    most = _most_connections(section)
+    return Opened(server, LimitedSocket(taken, most, section.most_per_address))
+
+
+def _most_connections(section: HttpServer) -> int:
+    return max(MOST_CONNECTIONS, section.most_per_address) + section.most_streams
 
 
 async def serve_http(opened: Opened, stop: asyncio.Event) -> None:
