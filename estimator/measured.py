@@ -37,7 +37,7 @@ def samples_in(
     where: str,
     on_first: Callable[[Mapping[str, float]], None] | None = None,
 ) -> Iterator[Sample]:
-    """Yield the samples of a log as its pieces arrive.
+    """Yield the samples of a log as its pieces arrive: (time s, ΔT K, T1 K, T2 K, ...).
 
     Parameters
     ----------
@@ -49,11 +49,6 @@ def samples_in(
         Name of the file, for error messages.
     on_first : callable, optional
         Called with the first complete row as read: column to value.
-
-    Yields
-    ------
-    tuple of float
-        (time s, ΔT K, T1 K, T2 K, ...).
 
     Raises
     ------

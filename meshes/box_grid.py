@@ -83,7 +83,7 @@ def box_mesh(
     size: float,
     refinements: Sequence[Refinement] = (),
 ) -> MeshHex:
-    """Mesh the union of `solids` minus the `cavities`.
+    """Mesh the union of `solids` minus the `cavities` with box-shaped hexahedra.
 
     Parameters
     ----------
@@ -95,11 +95,6 @@ def box_mesh(
         Largest element edge, m.
     refinements : sequence of Refinement
         Boxes with smaller elements; a tensor grid carries their lines through the whole part.
-
-    Returns
-    -------
-    skfem.MeshHex
-        Eight-node hexahedra, all of them boxes.
 
     Raises
     ------

@@ -77,13 +77,7 @@ def out(as_json: Path | None = None) -> Console:
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Give a function that reports progress: as bars, or as lines without a terminal.
-
-    Yields
-    ------
-    callable
-        Called with (name, done, total).
-    """
+    """Give a function of (name, done, total) that shows progress: bars, or lines in a file."""
     if _verbosity is Verbosity.QUIET:
         yield lambda name, done, total: None
         return

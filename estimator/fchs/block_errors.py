@@ -50,11 +50,6 @@ def block_errors(
     Errors are relative to the superposed reference (linear), the displacement minus that
     (nonlinear) and the displacement (total). With "both", the remaining linear error is that of Eq.
     8, and the remaining nonlinear error that of the source model and Eq. 18.
-
-    Returns
-    -------
-    list of dict
-        case, driven_by, axis, linear_error_um, nonlinear_error_um, total_error_um.
     """
     seen = readings(response, tuple(model.linear.direct), roles, noise)
     assembly = assembled_for(model, seen.times)

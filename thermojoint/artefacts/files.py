@@ -29,16 +29,11 @@ DAMAGED_ARCHIVE = (
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`, which is renamed to `path` if the block succeeds.
+    """Give a temporary path with the suffix of `path`, renamed to it if the block succeeds.
 
     The rename is atomic on one file system, so a reader sees the old file, the new file, or none,
     and a failed or killed writer leaves nothing under the final name. The content is synchronised
     before the rename, so even a power cut leaves no empty file.
-
-    Yields
-    ------
-    Path
-        Where to write; it has the same suffix as `path`.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

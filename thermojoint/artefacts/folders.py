@@ -70,11 +70,6 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Until then the old folder remains, even if the process is killed. Files in the old folder that
     this program did not write are carried over.
 
-    Yields
-    ------
-    Path
-        Where to write.
-
     Raises
     ------
     InputError

@@ -25,13 +25,9 @@ def user_cache() -> Path | None:
 
 
 def own_folder(name: str) -> Path | None:
-    """Return an existing, writable folder that belongs to this user alone.
+    """Return an existing, writable folder that belongs to this user alone, or None.
 
-    Returns
-    -------
-    Path or None
-        Below `user_cache` if possible, else below the temporary folder; None if neither is
-        writable.
+    It is below `user_cache` if possible, else below the temporary folder.
     """
     try:
         temporary = Path(tempfile.gettempdir()) / f"thermojoint-{os.geteuid()}"

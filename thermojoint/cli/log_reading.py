@@ -53,10 +53,7 @@ def over(known: Mapping[str, str], renamed: Mapping[str, str]) -> dict[str, str]
 def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log] | None]:
     """Open a log, or standard input for ``-``, and report what is read; None for a response.
 
-    Yields
-    ------
-    iterator of Log or None
-        Its pieces; rows of a stream one by one as they arrive.
+    Rows of a stream are yielded one by one as they arrive.
     """
     from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 

@@ -90,15 +90,10 @@ def _frequencies(ring: RingModel, regularisation: Regularisation) -> np.ndarray:
 
 
 def right_half_plane_zeros(ring: RingModel, regularisation: Regularisation) -> int | None:
-    """Return the number of zeros of H(s) + s F_R(s) in the right half plane.
+    """Return the number of zeros of H(s) + s F_R(s) with Re s > 0; None if one is near the axis.
 
     Multiplied by s + gamma it has no poles there and tends to A on the large arc (to sqrt(s) if
     r = r0).
-
-    Returns
-    -------
-    int or None
-        None if a zero is too close to the axis.
     """
     _, lowest, *_, highest = _frequencies(ring, regularisation)
 

@@ -88,13 +88,7 @@ def largest_error(row: Row) -> float:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Compare FCHS and the joint-aware estimator with the paper and the linear model, in words.
-
-    Returns
-    -------
-    str
-        One paragraph; empty without any rows.
-    """
+    """Compare FCHS and the joint-aware estimator with the paper and the linear model, in words."""
     return " ".join(text for name in CLAIMED if (text := _reached(rows, name)))
 
 

@@ -61,10 +61,7 @@ def write_pictures(
 ) -> dict[Path, str]:
     """Write each scene to its PNG file, with pyvista if possible; panels `height` pixels high.
 
-    Returns
-    -------
-    dict
-        File to the renderer that drew it: "pyvista" or "matplotlib".
+    The result maps each file to its renderer: "pyvista" or "matplotlib".
 
     Raises
     ------

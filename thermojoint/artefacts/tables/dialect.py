@@ -145,14 +145,9 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
 
 
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
-    """Detect the dialect of a table from its first lines.
+    """Detect the dialect of a table from its first lines; None if more are needed.
 
     `whole` means that more lines would not help: the table ends here, or there are enough lines.
-
-    Returns
-    -------
-    Dialect or None
-        None if more lines are needed.
 
     Raises
     ------

@@ -73,7 +73,7 @@ def inverse_bank(
     tolerance: float,
     what: str,
 ) -> Bank:
-    """Return G = H_reg^{-1} as a bank of exponential states (Eqs. 3-6).
+    """Return G = H_reg^{-1} (K to 1) as a bank of exponential states (Eqs. 3-6).
 
     Parameters
     ----------
@@ -85,11 +85,6 @@ def inverse_bank(
         Relative error of G over the band of `excited_band`.
     what : str
         Name of the source or sources for error messages.
-
-    Returns
-    -------
-    Bank
-        n sensors in (K), n sources out (1).
 
     Raises
     ------
