@@ -267,7 +267,7 @@ def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
 def compare_schemes(
     rows: Sequence[Row], as_printed: Sequence[Row], vectors: Sequence[Row]
 ) -> list[SchemeErrors]:
-    """Return the largest errors of the linear estimator and both FCHS calibrations in `Validated`."""
+    """Return the largest errors of the linear estimator and of both FCHS calibrations."""
     error = {(row["case"], row["axis"], row["estimator"]): largest_error(row) for row in rows}
     steps = {(row["case"], row["axis"]): largest_error(row) for row in as_printed}
     length = {(row["case"], row["estimator"]): largest_error(row) for row in vectors}
