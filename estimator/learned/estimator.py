@@ -59,6 +59,9 @@ class Following:
         fraction of it, on either side.
     within : float
         Half-width of the band, 95 %, in standard deviations.
+    pause : float
+        After a longer interval without a sample, s, the past is as unknown as in a new run. Logs
+        are learned from with an interval of an hour at most.
     wanders : float
         Time constant with which a missing temperature may leave its last value, s
         (`estimator.learned.unread`).
@@ -75,6 +78,7 @@ class Following:
     goes_on: float = 3600.0
     reach: float = 0.5
     within: float = 1.96
+    pause: float = 7200.0
     wanders: float = 1800.0
     unsettled: float = 0.1
     lost: float = 0.5
@@ -229,7 +233,7 @@ class Learned(Described):
     def _unread(self, last: State, time: float, now: Array, missing: Flags) -> Unread:
         """Bounds on what is not known, at a sample."""
         before = self._before(last, time)
-        if np.isnan(before):
+        if np.isnan(before) or time - before > self.following.pause:
             return at_start(self.model, now, missing)
         return later(self.model, last.unread, missing, time - before, self.following.wanders)
 

@@ -117,6 +117,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
             "most_unknown": np.outer(
                 np.abs(weights) @ model.signal_ranges, (own.unsettled, own.lost)
             ),
+            "pause": own.pause,
             "wanders": own.wanders,
             "unsettled": own.unsettled,
             "lost": own.lost,

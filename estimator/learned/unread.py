@@ -38,7 +38,7 @@ class Unread(NamedTuple):
 
 
 def at_start(model: LearnedModel, values: Array, missing: Flags) -> Unread:
-    """Return the bounds at the first sample.
+    """Return the bounds at the first sample of a run, or after a pause.
 
     A column that is missing may be anywhere in the range of the log. A slow feature of a
     temperature may come from a past as cold as the coldest of the log, that of a heat from one as

@@ -400,7 +400,7 @@ def test_the_more_is_missing_and_the_longer_the_wider_is_the_band(model, data, h
     assert (late <= wider).all()
 
 
-def test_a_start_on_a_warm_machine_is_said_until_it_has_died_out(model):
+def test_a_start_on_a_warm_machine_and_a_pause_are_said_until_they_have_died_out(model):
     """The same machine, cold, is settled at once."""
     day = machine_log(hours=24.0, seed=5, start=500000.0)
     hottest = int(day.at(model.sensors[0])[:900].argmax())
@@ -410,6 +410,10 @@ def test_a_start_on_a_warm_machine_is_said_until_it_has_died_out(model):
     assert not unsettled[unsettled.argmin() :].any()
     assert not unsettled[-1]
     assert Status.UNSETTLED not in estimates(model, DAY)[0].status
+    kept = np.r_[: hottest - 180, hottest : len(day.times)]
+    paused = estimates(model, Log(day.times[kept], day.columns, day.values[kept]))
+    assert Status.UNSETTLED not in paused[hottest - 181].status
+    assert Status.UNSETTLED in paused[hottest - 180].status
 
 
 @settings(max_examples=40, deadline=None)

@@ -19,7 +19,7 @@ from estimator.export.program import Precision
 from estimator.export.structured_text import decimal, literal, st_files
 from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
-from estimator.interface import Status
+from estimator.interface import Status, follow
 from estimator.joint_aware import program as joint_aware
 from estimator.measured import response_samples
 from thermojoint.cli.app import app
@@ -159,15 +159,28 @@ def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(f
     assert found[6]["displacement_x"] == pytest.approx(fresh.displacement[0], rel=1e-11)
 
 
-def test_where_a_reading_is_missing_its_last_value_stands_in(learned, tmp_path):
-    cold = [learned.model.spans[name][0] for name in learned.model.columns]
-    samples = [(60.0 * k, *cold) for k in range(3)]
+def test_missing_readings_a_pause_and_a_warm_machine_are_said_as_in_python(learned, tmp_path):
+    ends = zip(*(learned.model.spans[name] for name in learned.model.columns), strict=True)
+    cold, warm = (list(values) for values in ends)
+    times = [0.0, 60.0, 120.0, 4000.0, 7500.0, 7560.0, 7620.0, 30000.0, 30060.0]
+    values = [cold, cold, cold, cold, cold, cold, warm, warm, warm]
+    samples = [(time, *row) for time, row in zip(times, values, strict=True)]
     program = export_program(learned, Precision.DOUBLE, "m", samples, interval=60.0)
-    key = f"reading_{program.interface.inputs[0].name}"
-    found = told(program, tmp_path, [{}, {key: "NAN"}, {key: 10272.15}])
-    assert [one["status"] for one in found] == [0, 8, 8]
-    there = told(program, tmp_path, [{}, {}, {}])
-    assert found[2]["displacement_x"] == there[2]["displacement_x"]
+    names = [f"reading_{one.name}" for one in program.interface.inputs]
+    # One is away, by two codes, then all are.
+    calls = [{}, {names[0]: "NAN"}, {names[0]: 10272.15}, *[dict.fromkeys(names, 1e31)] * 2]
+    read = np.array(samples)
+    read[1:3, 1] = read[3:5, 1:] = math.nan
+    found = told(program, tmp_path, [*calls, {}, {}, {}, {}])
+    plain = replace(learned, model=replace(learned.model, log_end=None))
+    there = [one for _, one in follow(plain, read.tolist(), plain.initial_state())]
+    assert [one["status"] for one in found] == [int(one.status) for one in there]
+    assert Status.READINGS_LOST in there[4].status
+    assert Status.UNSETTLED in there[-1].status
+    for one, other in zip(found, there, strict=True):
+        for k, axis in enumerate(program.interface.axes):
+            assert one[f"displacement_{axis}"] == pytest.approx(other.displacement[k], rel=1e-9)
+            assert one[f"band_{axis}"] == pytest.approx(other.band[k], rel=1e-9)
 
 
 def test_the_complementary_error_function_is_good_to_the_last_digits(estimator, tmp_path):
