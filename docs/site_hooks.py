@@ -126,7 +126,7 @@ def _reference() -> str:
     [names] = [
         ast.literal_eval(node.value)
         for node in ast.parse(_text("thermojoint/__init__.py")).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_HOMES"
     ]
     packages = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
     # Public names stand in other packages: without these they could not be followed there.
