@@ -1,4 +1,4 @@
-"""All machines of a service: arrivals in, records and publications out."""
+"""All machines of a service: from arrivals to records and publications."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
-#: Arrivals that wait for longer are kept as they are, s.
+#: Arrivals that have waited so long for a sample are stored as they are, s.
 STALLED_S = 2.0
 #: A gap longer than this many intervals is a hole in the history.
 _GAP = 1.5
@@ -49,9 +49,9 @@ class Place:
     era : int
         Its number in the store.
     machine : Machine
-        Where it stands.
+        Its state.
     position : JSON value
-        How far its source was read.
+        Read position of its source.
     heard : float
         When its last usable sample was taken, by the service's own clock, s.
     fresh : bool
@@ -59,13 +59,13 @@ class Place:
     told : tuple of Quality and str
         Quality and status as last published.
     mode : str
-        What the offsets did then.
+        Mode of the offsets then.
     handshake : str
         Its state when it was last looked at; empty before.
     rows : list of (ndarray, str)
         Samples since the last checkpoint.
     unkept : list of callable
-        To be called once the next sample is kept.
+        Called once the next sample is stored.
     waits_since : float
         When the first of them came, by the service's own clock, s.
     """
@@ -91,13 +91,13 @@ class Outcome:
     Attributes
     ----------
     taken, holes : list
-        To be kept in one transaction.
+        To be stored in one transaction.
     publications : dict of str to Publication
-        The newest of each machine, to be published after it.
+        The newest of each machine, to be published afterwards.
     kept : list of callable
-        To be called after it.
+        Called afterwards.
     came : list of float
-        When the arrivals of the samples came, s since 1970.
+        Times of the arrivals of the samples, s since 1970.
     """
 
     taken: list[Taken] = field(default_factory=list)
@@ -109,7 +109,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """The machines of a service, with whom they tell.
+    """The machines of a service, with log and metrics.
 
     Attributes
     ----------
@@ -120,11 +120,11 @@ class Floor:
     metrics : Metrics
         Figures.
     ahead : float
-        A reading's time is at most so much later than now, s.
+        Readings further in the future are refused, s.
     behind : float
-        So much earlier it may be and counts as new, s.
+        Samples further in the past count as old, s.
     watchdog : WatchdogSection
-        When silence counts.
+        Limits of silence.
     """
 
     places: Mapping[str, Place]
@@ -200,7 +200,7 @@ def _sample(
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(place.served.rule, floor.behind, instant, now)
     if all(map(math.isnan, sample[1][: place.served.rule.wanted])):
-        # A sample without any reading is silence, whatever an estimator makes of it.
+        # A sample without any reading is silence, whatever its estimate.
         age = max(age, times.clock - place.heard)
     place.machine, refusal = taken(place.served, place.machine, sample, times, age)
     place.fresh = False
@@ -216,7 +216,7 @@ def _sample(
     outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
     published = shown(place.machine)
     if times.clock - place.heard >= floor.watchdog.uncertain_s:
-        # It is read late: what it says is of then.
+        # The sample is read late: its estimate is old.
         place.machine, published = silent(
             place.served, place.machine, times.clock - place.heard, times, floor.watchdog
         )
@@ -236,19 +236,19 @@ def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
 
 
 def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
-    """Return how old a sample is that is taken now, beyond what its source may need, s."""
+    """Return the age of a sample taken now, beyond the delay that its source may have, s."""
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
 
 def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
-    """Return what the controls of some machines receive, to be kept before they do."""
+    """Return the values that some controls are about to receive, to be stored before."""
     places = (floor.places[name] for name in machines)
     messages = (received_of(place.served, place.machine, now) for place in places)
     return [message for message in messages if message is not None]
 
 
 def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
-    """Return what has become uncertain or bad by silence, or moves an offset by it."""
+    """Return the publications that silence has changed: their quality, or their offsets."""
     changed = []
     limits = floor.watchdog
     for place in floor.places.values():
@@ -280,7 +280,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         elif not moved:
             continue
         if after is not None and after is before:
-            # What is received again counts as received now: the way from there begins anew.
+            # Offsets that are published again count as received now: their rate starts from here.
             place.machine = replace(machine, output=after._replace(time=clock))
         place.told, place.mode = (said.quality, said.status), said.offset_mode
         changed.append(said)
@@ -341,7 +341,7 @@ def count_qualities(floor: Floor) -> None:
 
 
 def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> float:
-    """Return when a machine was heard last, by the service's own clock; -inf for never."""
+    """Return the time of the last usable sample by the service's own clock; -inf for none."""
     if last.number == 0 or math.isnan(last.published):
         return -math.inf
     age = age_of(rule, behind, last.time, last.published)
@@ -351,7 +351,7 @@ def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> f
 def stalled(floor: Floor, clock: float) -> list[Place]:
     """Return the places whose arrivals have waited for a sample for `STALLED_S` or longer.
 
-    A broker that is told of none of its messages may send no more of them, and no sample is closed.
+    A broker whose messages are not acknowledged may stop sending, and then no sample is closed.
     """
     return [
         place

@@ -54,7 +54,7 @@ class EventLog:
         return True
 
     def fetched(self) -> list[Event]:
-        """Return what is to be stored, and forget it."""
+        """Return the events to be stored, and clear them."""
         lines, self.pending = self.pending, []
         return lines
 

@@ -1,4 +1,4 @@
-"""Running service: its machines as restored from the store, and the storing thread."""
+"""Running service: its machines restored from the store, and the storing thread."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from thermojoint.live.store import (
     received_last,
 )
 
-#: Blocks of arrivals that may wait; then readers wait, too.
+#: Blocks of arrivals that may be queued; then the readers wait.
 _MOST_BLOCKS = 2_000
 #: Name of the store in a service's folder.
 _STORE = "history.sqlite"
@@ -60,17 +60,17 @@ class Running:
     floor : Floor
         Its machines.
     hub : Hub
-        What is published.
+        Newest publications.
     archive : Archive
-        What was.
+        Stored history.
     metrics : Metrics
         Figures.
     accounts : Accounts
         Who may come in.
     store : Connection
-        Used in `keeper` alone.
+        Used in `keeper` only.
     keeper : ThreadPoolExecutor
-        One thread: what is kept is kept in order.
+        One thread, so that batches are stored in order.
     arrivals : asyncio.Queue
         From the readers.
     stop : asyncio.Event
@@ -110,7 +110,7 @@ class Running:
     mending: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
-        """Run something on the store, after all that was given before."""
+        """Run a function on the store, after all earlier ones."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self.keeper, work, self.store, *arguments)
 
@@ -119,7 +119,7 @@ class Running:
 async def opened(
     service: Service, models: dict[str, Served], stop: asyncio.Event, log: EventLog
 ) -> AsyncIterator[Running]:
-    """Give a service with its machines where the store has them; the store is closed at the end."""
+    """Give a service with its machines restored from the store, which is closed at the end."""
     service.folder.mkdir(parents=True, exist_ok=True)
     path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
@@ -163,11 +163,11 @@ def restored_floor(
     metrics: Metrics,
     times: Times,
 ) -> tuple[Floor, list[Publication]]:
-    """Return the machines of a service where its store has them, and what is published first."""
+    """Return the machines restored from the store, and their first publications."""
     given = service.given
     places = _places(service, models, store, log, times)
     floor = Floor(places, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
-    # First what silence has done: no control receives an offset of before it.
+    # Silence counts first: no control receives an offset from before it.
     silent = {publication.machine: publication for publication in floors.watch(floor, *times)}
     commit(store, Batch(received=floors.received(floor, places, times.now)))
     return floor, [silent.get(name) or shown(place.machine) for name, place in places.items()]
@@ -201,7 +201,7 @@ def _places(
         try:
             machine, position = restored(name, model, kept, last, received.get(name), times)
         except InputError as error:
-            # Its estimator begins anew, its offsets go on.
+            # Its estimator starts anew, its offsets continue.
             log.say(now, "state-refused", str(error), name)
             kept, last = Kept(kept.era, model.layout, 0, None, "{}", ()), None
             machine, position = restored(name, model, kept, last, received.get(name), times)
@@ -209,7 +209,7 @@ def _places(
             moved += _moved(model, machine, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
         heard = floors.since_heard(machine.usable, model.rule, service.given.behind_s, times)
-        # Those of another layout stay where they are kept.
+        # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
         by_name[name] = Place(model, eras[name], machine, position, heard, rows=rows)
         if machine.said.number:
@@ -222,7 +222,7 @@ def _places(
 def _moved(
     model: Served, machine: Machine, position: object, kept: Kept, now: int
 ) -> tuple[Checkpoint, Checkpoint]:
-    """Return the end of an era, and the beginning of the one that goes on from it."""
+    """Return the last checkpoint of an era, and the first of the era that continues it."""
     number, state = machine.said.number, state_bytes(model, machine)
     rest = rest_of(machine, position)
     rows = np.array([np.frombuffer(taken.row) for taken in kept.later])

@@ -30,21 +30,21 @@ from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import Batch, commit, cut_log, forget, move_log
 
-#: Arrivals that are run through at once: what comes meanwhile waits so long.
+#: Arrivals that are processed at once; others wait meanwhile.
 _AT_ONCE = 32
-#: After a commit what comes is gathered for the next one, s: commits of one sample cost the most.
+#: Time in which arrivals are gathered for the next commit, s: commits of one sample cost most.
 _GATHER_S = 0.01
-#: Between two looks at silences and checkpoints, s.
+#: Interval of checks for silence and of checkpoints, s.
 _WATCH_S = 1.0
-#: Between two moves of the store's write-ahead log into its file, s.
+#: Interval at which the store's write-ahead log is moved into its file, s.
 _SHORTEN_S = 10.0
 #: Between two looks at the ends of the certificates, s.
 _ANNOUNCE_S = 86400.0
-#: How long one waits before the store is tried again, s.
+#: Delay before the store is tried again, s.
 _AGAIN_S = 1.0
-#: Messages that a broker sends before one is acknowledged, where nobody says otherwise.
+#: Unacknowledged messages that a broker sends by default.
 _USUAL_IN_FLIGHT = 20
-#: A longer one is cut, bytes.
+#: Size from which the log is truncated, bytes.
 _LONGEST_LOG = 64_000_000
 
 
@@ -74,7 +74,7 @@ async def run(
     log = EventLog()
     service, models = working(pinned(service), log)
     readers = readers_of(service, single(models, service))
-    # What was loaded stays: a collection need not look at it again and again.
+    # The models stay in memory: the garbage collector need not examine them.
     gc.collect()
     gc.freeze()
     async with opened(service, models, stop, log) as running:
@@ -100,7 +100,7 @@ async def run(
             for task in (*sources, ended, watch, *doors):
                 task.cancel()
             await asyncio.gather(*sources, ended, watch, *doors, return_exceptions=True)
-            # What has arrived is still taken; the queue ends with nothing.
+            # What has arrived is still processed; an empty block ends the queue.
             if not work.done():
                 await running.arrivals.put([])
             await asyncio.gather(work, return_exceptions=True)
@@ -152,7 +152,7 @@ def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]
 
 
 async def _read(running: Running, reader: Reader) -> None:
-    """Hand on what a reader finds, until it ends."""
+    """Queue the arrivals of a reader until it ends."""
     positions = {name: running.floor.places[name].position for name in reader.machines}
     try:
         async for block in reader.read(positions):
@@ -168,7 +168,7 @@ async def _read(running: Running, reader: Reader) -> None:
 async def _ended(
     running: Running, sources: Sequence[asyncio.Task[None]], failed: list[BaseException]
 ) -> None:
-    """End the service when no source has anything more; it fails if one of them has."""
+    """End the service when every source has ended; it fails if one of them has failed."""
     results = await asyncio.gather(*sources, return_exceptions=True)
     failed += [one for one in results if isinstance(one, Exception)]
     await running.arrivals.join()
@@ -184,7 +184,7 @@ def _note_failure(
 
 
 async def _process(running: Running) -> None:
-    """Take what arrives, keep it, then publish it; an empty block is the end."""
+    """Process arrivals, store the results, then publish them; an empty block is the end."""
     floor, queue = running.floor, running.arrivals
     while True:
         blocks = [await queue.get()]
@@ -221,7 +221,7 @@ async def _process(running: Running) -> None:
 
 
 async def _watch(running: Running) -> None:
-    """Look at silences, keep states now and then, and cut what the store has no use for."""
+    """Check for silence, store states at intervals, and prune the store."""
     settings = running.service.given.store
     shortened, announced = time.monotonic(), -math.inf
     while True:
@@ -265,7 +265,7 @@ async def _tending(running: Running) -> AsyncIterator[None]:
 
 
 async def published(running: Running, changed: list[Publication]) -> None:
-    """Publish what silence has changed, after the offsets are kept that the controls receive."""
+    """Publish what silence has changed, after storing the offsets that the controls receive."""
     names = [publication.machine for publication in changed]
     received = floors.received(running.floor, names, time.time())
     if received:
@@ -274,7 +274,7 @@ async def published(running: Running, changed: list[Publication]) -> None:
 
 
 async def _release(running: Running, places: Sequence[Place]) -> None:
-    """Keep what waits for a sample as it is, and acknowledge it."""
+    """Store arrivals that wait for a sample as they are, and acknowledge them."""
     if not places:
         return
     calls = [call for place in places for call in place.unkept]
@@ -293,7 +293,7 @@ async def _release(running: Running, places: Sequence[Place]) -> None:
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:
-    """Keep the states of some machines, so that all have their turn in a time (s)."""
+    """Store the states of some machines, so that each has its turn within a time (s)."""
     if not running.round:
         running.behind, running.round_from = running.round_from, running.journal_end
         running.round = list(running.floor.places.values())
@@ -315,7 +315,7 @@ async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
 
 
 async def _keep(running: Running, batch: Batch) -> None:
-    """Keep a batch; a full disk, or another program that holds the file, is waited for.
+    """Store a batch; waits while the disk is full or another program holds the file.
 
     Meanwhile nothing new is published, and the controls hold what they received last.
     """

@@ -1,11 +1,11 @@
 """Persistent store in one SQLite file (WAL): samples, states, read positions of the sources.
 
-One transaction holds the samples of a moment, what they say, and how far each source was read with
-them. So after a kill a source goes on behind the last sample that is kept, and no sample counts
-twice. A commit only appends to the ``journal``; a state, which may be a hundred times larger than a
-sample, is kept now and then (a checkpoint), together with the samples since the one before as one
-chunk of the history. What the journal holds beyond the last checkpoint is run through the estimator
-again at a start: an estimator is a function, so it says the same.
+One transaction has the samples of a moment, their estimates, and the read position of each source.
+After a kill a source thus continues after the last stored sample, and no sample counts twice.
+A commit only appends to the ``journal``. A state, which may be a hundred times larger than a sample,
+is stored at intervals (a checkpoint), together with the samples since the last one as one chunk of
+the history. At a start the samples of the journal after the last checkpoint run through the
+estimator again: it is a pure function, so the estimates are the same.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from thermojoint.live.publication import Layout
 SCHEMA_VERSION = 2
 #: Locked by the service that holds a folder; it says which process this is.
 _LOCK = "lock"
-#: How often the log is moved in a row: what came meanwhile is less every time.
+#: Passes of moving the log: each has less to move.
 _PASSES = 2
-#: How long one waits for another who writes, s.
+#: How long a writer waits for another one, s.
 _PATIENCE_S = 10.0
-#: Entries of the journal, and chunks of an era that is over, that are dropped at once.
+#: Entries of the journal, and chunks of a past era, that are deleted at once.
 MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -73,13 +73,13 @@ class Taken:
     era : int
         Of its machine: `era_of`.
     number : int
-        Samples taken since ever, with this one.
+        Number of the sample, counted from 1.
     row : bytes
         `thermojoint.live.publication.as_row`.
     status : str
         In words.
     rest : str
-        What else the next sample depends on, and how far the source was read: JSON.
+        Everything else that the next sample depends on, with the read position: JSON.
     """
 
     era: int
@@ -91,7 +91,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A state, and the samples since the checkpoint before it.
+    """A state, and the samples since the last checkpoint.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened; one line of the log."""
+    """An event; one line of the log."""
 
     time: float
     machine: str | None
@@ -170,13 +170,13 @@ class Kept:
     era : int
         Its number.
     layout : Layout
-        What is kept of each sample.
+        Columns of each sample.
     number : int
         Samples at the last checkpoint.
     state : bytes, optional
-        Of the estimator there; None before the first.
+        Of the estimator at the checkpoint; None before the first.
     rest : str
-        Beside it.
+        As in `Taken`, at the checkpoint.
     later : tuple of Taken
         The samples since, in order.
     """
@@ -191,7 +191,7 @@ class Kept:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for one service: two would keep every sample twice.
+    """Lock a folder for one service: two would store every sample twice.
 
     Raises
     ------
@@ -238,8 +238,8 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
     path : Path
         SQLite file; its folder exists.
     durable : bool
-        Every commit is on the disk before it returns (``synchronous = FULL``). Without it a kill
-        loses nothing either, but a power cut may lose the last moments.
+        Every commit is on the disk before it returns (``synchronous = FULL``). Otherwise a kill
+        loses nothing, but a power cut may lose the last moments.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
-        # The service says when: a checkpoint of the WAL in the middle of a commit would delay it.
+        # The service moves the log itself: doing so within a commit would delay it.
         store.execute("PRAGMA wal_autocheckpoint = 0")
         store.executescript(_TABLES)
         store.execute(
@@ -306,14 +306,14 @@ def identity_of(path: Path) -> tuple[int, ...] | None:
 
 
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
-    """Return the era of a machine with a model: the last one, or a new one if either is another.
+    """Return the era of a machine: a new one if its model or layout has changed, or the last.
 
     Parameters
     ----------
     store : Connection
     machine : str
     model : str
-        What tells the model from every other.
+        Identifies the model.
     layout : Layout
         What is kept of each sample.
     now : float
@@ -333,9 +333,9 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
 
 
 def era_before(store: sqlite3.Connection, era: int) -> int | None:
-    """Return the era before one of the same machine and model, if its estimator's state goes on.
+    """Return the era before, if the estimator's state continues from it; None otherwise.
 
-    It does where nothing but the axes of the control has changed: the state knows nothing of them.
+    It does if only the axes of the control have changed, on which the state does not depend.
     """
     machine, model, content = store.execute(
         "SELECT machine, model, layout FROM eras WHERE id = ?", (era,)
@@ -351,7 +351,7 @@ def era_before(store: sqlite3.Connection, era: int) -> int | None:
 
 
 def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
-    """Return what each era left behind."""
+    """Return the stored data of some eras."""
     states = {
         era: (number, state, rest)
         for era, number, state, rest in store.execute("SELECT era, number, state, rest FROM states")
@@ -374,13 +374,13 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
 
 
 def received_last(store: sqlite3.Connection) -> dict[str, Received]:
-    """Return what the control of each machine received last."""
+    """Return the values that the control of each machine received last."""
     rows = store.execute("SELECT machine, at, content FROM received")
     return {row[0]: Received(*row) for row in rows}
 
 
 def commit(store: sqlite3.Connection, batch: Batch) -> int:
-    """Keep a batch in one transaction; return the number of the journal's last entry."""
+    """Store a batch in one transaction; return the number of the journal's last entry."""
     store.execute("BEGIN IMMEDIATE")
     try:
         store.executemany(
@@ -413,7 +413,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)",
             [(hole.machine, hole.since, hole.until, hole.why) for hole in batch.holes],
         )
-        # Axes that the settings have no more keep what the control received of them last.
+        # Axes that the settings no longer have keep their last values.
         store.executemany(
             "INSERT INTO received VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET at = excluded.at, "
             "content = json_patch(content, excluded.content)",
@@ -441,7 +441,7 @@ def _chunk(checkpoint: Checkpoint) -> tuple[object, ...]:
 
 
 def _runs(words: Sequence[str]) -> list[tuple[int, str]]:
-    """Say a status once for as long as it stays: (first row, words)."""
+    """Return each change of the status: (first row, words)."""
     return [(k, word) for k, word in enumerate(words) if k == 0 or words[k - 1] != word]
 
 
@@ -454,16 +454,16 @@ def spread(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
 def forget(
     store: sqlite3.Connection, journal_until: int, eras: Iterable[int], oldest: float, now: float
 ) -> None:
-    """Drop what is not needed any more, a little at a time: commits wait meanwhile.
+    """Delete what is no longer needed, a little at a time, as commits wait meanwhile.
 
     Parameters
     ----------
     store : Connection
     journal_until : int
-        Entries of the journal that every machine has a checkpoint behind; the first
-        `MOST_FORGOTTEN` of them go.
+        Last entry of the journal that is in a checkpoint of every machine; up to `MOST_FORGOTTEN`
+        entries are deleted.
     eras : iterable of int
-        Those whose history is looked at now.
+        Eras whose history is pruned now.
     oldest : float
         How long history, holes and events are kept, s.
     now : float
@@ -474,7 +474,7 @@ def forget(
         "DELETE FROM journal WHERE id <= min(?, (SELECT min(id) FROM journal) + ?)",
         (journal_until, MOST_FORGOTTEN - 1),
     )
-    # `first` is for the index: without it every chunk of an era would be looked at.
+    # The condition on `first` uses the index: otherwise every chunk of an era would be read.
     store.executemany(
         "WITH bound(at) AS (SELECT max(first) - ?2 FROM chunks WHERE era = ?1) "
         "DELETE FROM chunks WHERE era = ?1 AND first < (SELECT at FROM bound) "
@@ -488,7 +488,7 @@ def forget(
 
 
 def _forget_era(store: sqlite3.Connection, before: float) -> None:
-    """Drop some of an era after which another began before a time (s since 1970)."""
+    """Delete part of an era whose successor began before a time (s since 1970)."""
     over = store.execute(
         "SELECT one.id FROM eras AS one JOIN eras AS next "
         "ON next.machine = one.machine AND next.id > one.id AND next.begun < ? LIMIT 1",
@@ -506,15 +506,15 @@ def _forget_era(store: sqlite3.Connection, before: float) -> None:
 
 
 def move_log(path: Path) -> None:
-    """Move the write-ahead log into the file by a connection of its own, while others write on."""
+    """Move the write-ahead log into the file by a separate connection, while others write."""
     with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as own:
         for _ in range(_PASSES):
             own.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
 
 
 def cut_log(store: sqlite3.Connection) -> None:
-    """Move what is left of the write-ahead log; cut it to nothing if no reader holds it."""
-    # Commits wait meanwhile, so it waits for no reader: the next time will do.
+    """Move the rest of the write-ahead log, and truncate it if no reader uses it."""
+    # Commits wait meanwhile, so it does not wait for readers: there is a next time.
     store.execute("PRAGMA busy_timeout = 0")
     try:
         store.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
