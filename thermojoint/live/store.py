@@ -2,10 +2,10 @@
 
 One transaction has the samples of a moment, their estimates, and the read position of each source.
 After a kill a source thus continues after the last stored sample, and no sample counts twice.
-A commit only appends to the ``journal``. A state, which may be a hundred times larger than a sample,
-is stored at intervals (a checkpoint), together with the samples since the last one as one chunk of
-the history. At a start the samples of the journal after the last checkpoint run through the
-estimator again: it is a pure function, so the estimates are the same.
+A commit only appends to the ``journal``. A state, which may be a hundred times larger than a
+sample, is stored at intervals (a checkpoint), together with the samples since the last one as one
+chunk of the history. At a start the samples of the journal after the last checkpoint run through
+the estimator again: it is a pure function, so the estimates are the same.
 """
 
 from __future__ import annotations
