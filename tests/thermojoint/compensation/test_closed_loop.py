@@ -392,7 +392,7 @@ def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setu
         ('against = "bearings"', 'against = "spindle"', "no source named 'spindle'"),
         ("largest_W", "largest_kW", "did you mean 'largest_W'"),
         ("resolution_W = 10.0", "resolution_W = 1e-9", "heater: resolution_W"),
-        ("delay_s = 0.0", "delay_s = 3.0", "no whole number"),
+        ("delay_s = 0.0", "delay_s = 3.0", "not a multiple"),
         ("delay_s = 0.0", "delay_s = -1.0", "estimator.delay_s"),
         ("gain_margin_dB = 6.0", "gain_margin_dB = 60.0", "no crossover"),
     ],
