@@ -29,11 +29,11 @@ from calibrate.joint_aware.misfit import (
     residuals,
     trust_in,
 )
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine
-from thermojoint.reduced.parameters import Parameter, active
+from thermojoint.reduced.parameters import AddedFilm, Parameter, active
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,9 @@ class Search:
         Searches from random draws of the prior, beside the one from the case's values.
     furthest : float
         Largest distance of a draw from the case's values, in standard deviations of the prior.
+    evident : float
+        A film that the case does not have is taken for one from this many posterior standard
+        deviations on.
     """
 
     steps: int = 150
@@ -73,6 +76,7 @@ class Search:
     starts: int = 3
     seed: int = 1
     furthest: float = 2.0
+    evident: float = 2.0
 
 
 #: The defaults.
@@ -215,7 +219,22 @@ def fit_physics(
         step = np.append(result.jac[: defect.size] @ (now - before), now - before)
         if np.linalg.norm(step) <= search.settled:
             break
+    if (held := _undecided(parameters, result, search)).any():
+        defect = _defect(whole, problem, parameters, now)
+        result = _search(problem, parameters, np.where(held, 0.0, now), defect, search, held)
+        evaluations, now = evaluations + 2 + _counted(result), np.where(held, 0.0, result.x)
     return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
+
+
+def _undecided(parameters: tuple[Parameter, ...], result: OptimizeResult, search: Search) -> Flags:
+    """Films that the case does not have and the data do not show, (k,).
+
+    Errors of the model that a film happens to explain are no evidence of one. In the fit there is
+    none, then; its uncertainty stays.
+    """
+    deviation = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
+    added = np.array([isinstance(parameter, AddedFilm) for parameter in parameters])
+    return np.asarray(added & (result.x < search.evident * deviation))
 
 
 def _starts(parameters: tuple[Parameter, ...], search: Search) -> list[Array]:
@@ -240,7 +259,11 @@ def _search(
     start: Array,
     defect: Array,
     search: Search,
+    held: Flags | None = None,
 ) -> OptimizeResult:
+    """Search from a start; parameters that are `held` stay at zero."""
+    # The bounds of a search are apart.
+    highest = np.where(np.zeros(start.size, bool) if held is None else held, 1e-9, 3.0)
     spread = np.array([parameter.spread for parameter in parameters])
     first: list[Array] = []
 
@@ -270,7 +293,7 @@ def _search(
         start,
         slope,
         method="dogbox",
-        bounds=([parameter.least for parameter in parameters], 3.0),
+        bounds=([parameter.least for parameter in parameters], highest),
         xtol=search.close,
         ftol=search.close,
         gtol=1e-8,
